@@ -1,0 +1,1 @@
+"""The hiros command line."""

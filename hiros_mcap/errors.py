@@ -1,0 +1,44 @@
+"""Every error that hiros raises on purpose.
+
+::
+
+    HirosError
+    ├── LogError      a log that cannot be read or written as asked
+    │   └── SchemaError   a message definition that differs from hiros_skeleton_msgs
+    └── ConfigError   a parameter, an option or a side file that makes no sense
+
+The command line catches :class:`HirosError` once, prints its one line and exits with 2.
+Anything else that escapes is a bug of ours and exits with 70.
+"""
+
+from __future__ import annotations
+
+
+class HirosError(Exception):
+    """Root of the tree. ``str(error)`` is one line that a user can act on."""
+
+
+class LogError(HirosError):
+    """A fault of a log: unreadable, damaged, without skeletons, without a transform.
+
+    Parameters
+    ----------
+    fault : what is wrong, one line.
+    path : the file, when there is one.
+    topic : the channel, when the fault is of one.
+    """
+
+    def __init__(self, fault: str, *, path: object = None, topic: str | None = None) -> None:
+        self.fault = fault
+        self.path = path
+        self.topic = topic
+        where = [str(part) for part in (path, topic) if part is not None]
+        super().__init__(": ".join([*where, fault]))
+
+
+class SchemaError(LogError):
+    """A channel's message definition is not the one that hiros decodes."""
+
+
+class ConfigError(HirosError):
+    """A parameter, an option or a side file (configuration, limbs, extrinsics) is wrong."""

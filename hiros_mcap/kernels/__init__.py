@@ -1,0 +1,37 @@
+"""Compiled inner loops: ``@njit`` functions on bare arrays, no objects, no input/output.
+
+Importing this package chooses numba's cache folder *before* numba is imported. The folder's name
+holds a hash of every kernel source: numba itself does not notice that a callee in another module
+changed, and would go on running the old code.
+
+Kernels state their signatures, so they are compiled (or loaded) when their module is imported,
+never in the middle of a run, and a wrong array layout is a TypeError rather than a silent second
+compilation.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from importlib.metadata import version
+from pathlib import Path
+
+
+def cache_folder() -> Path:
+    """Folder for compiled kernels of exactly this source and this numba."""
+    import platformdirs
+
+    digest = hashlib.sha256(version("numba").encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.name.encode())
+        digest.update(source.read_bytes())
+    return Path(platformdirs.user_cache_dir("hiros")) / f"kernels-{digest.hexdigest()[:16]}"
+
+
+def is_compiled() -> bool:
+    """Whether a former run has compiled kernels of this source on this machine."""
+    folder = Path(os.environ["NUMBA_CACHE_DIR"])
+    return folder.is_dir() and any(folder.rglob("*.nbi"))
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))

@@ -1,0 +1,201 @@
+"""The data that every stage takes and gives: one skeleton model per log, one Frame per message.
+
+Numbers are kept as the messages define them: a marker and a link are each one KinematicState of
+19 numbers. One block instead of six arrays means that whatever a detector fills in (a marker's
+orientation, a link's position) goes through the whole chain, that a codec is one loop, and that a
+kernel takes two arrays. NaN means absent, everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+Stamps = npt.NDArray[np.int64]
+
+# Columns of a KinematicState: pose.position, pose.orientation (x y z w), velocity.linear,
+# velocity.angular, acceleration.linear, acceleration.angular, in the order of the message.
+POSITION = slice(0, 3)
+ORIENTATION = slice(3, 7)
+VELOCITY = slice(7, 10)
+ANGULAR_VELOCITY = slice(10, 13)
+ACCELERATION = slice(13, 16)
+ANGULAR_ACCELERATION = slice(16, 19)
+STATE = 19
+BOX = STATE + 3  # a Box is the KinematicState of its centre, then height, length, width
+
+UNTRACKED = -1
+
+
+@dataclass(frozen=True, eq=True)
+class SkeletonModel:
+    """Names and hierarchy of the skeleton, constant over a log.
+
+    Slot ``m`` of every marker array belongs to the marker whose id is ``marker_ids[m]``; slot
+    ``l`` of every link array to ``link_ids[l]``. Ids are increasing. ``link_parents`` and
+    ``link_children`` are *slots* of markers, -1 where the log names a marker that does not exist.
+    ``max_markers`` and ``max_links`` are written back as the detectors gave them.
+    """
+
+    marker_ids: tuple[int, ...]
+    marker_names: tuple[str, ...]
+    link_ids: tuple[int, ...]
+    link_names: tuple[str, ...]
+    link_parents: tuple[int, ...]
+    link_children: tuple[int, ...]
+    max_markers: int
+    max_links: int
+
+    @property
+    def n_markers(self) -> int:
+        """Number of marker slots, M."""
+        return len(self.marker_ids)
+
+    @property
+    def n_links(self) -> int:
+        """Number of link slots, L."""
+        return len(self.link_ids)
+
+    @cached_property
+    def links(self) -> npt.NDArray[np.int32]:
+        """(L, 2) parent and child marker slot of each link."""
+        return np.array([self.link_parents, self.link_children], dtype=np.int32).T.reshape(-1, 2)
+
+    @classmethod
+    def of(
+        cls,
+        marker_names: Iterable[str],
+        links: Iterable[tuple[str, int, int]],
+    ) -> SkeletonModel:
+        """Model with ids 0, 1, 2, ...; ``links`` are (name, parent slot, child slot)."""
+        names = tuple(marker_names)
+        rows = tuple(links)
+        return cls(
+            marker_ids=tuple(range(len(names))),
+            marker_names=names,
+            link_ids=tuple(range(len(rows))),
+            link_names=tuple(name for name, _, _ in rows),
+            link_parents=tuple(parent for _, parent, _ in rows),
+            link_children=tuple(child for _, _, child in rows),
+            max_markers=len(names),
+            max_links=len(rows),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """What one SkeletonGroup message says: P people, M markers, L links.
+
+    Every array is C-contiguous and writable (kernels fix their signatures on that), but a stage
+    never writes into a frame that it was given.
+    """
+
+    stamp: int
+    """Time of the data, ns since the epoch (header.stamp of what we write)."""
+    log_time: int
+    """Log time, ns, of the message that caused this frame: replay of an output is causal."""
+    source: str
+    """The camera: unique per camera within a log; the fixed frame once merged."""
+    frame_id: str
+    """The frame that the coordinates are expressed in."""
+    ids: Ints
+    """(P,) person, UNTRACKED (-1) where unknown."""
+    stamps: Stamps
+    """(P,) source time per person, ns; 0 = not given."""
+    confidences: Floats
+    """(P,) 0..1, NaN = not given."""
+    markers: Floats
+    """(P, M, 19) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2; NaN = absent."""
+    marker_confidences: Floats
+    """(P, M) 0..1, NaN = not given."""
+    links: Floats
+    """(P, L, 19) KinematicState of each link."""
+    link_confidences: Floats
+    """(P, L) 0..1, NaN = not given."""
+    boxes: Floats
+    """(P, 22) bounding box: KinematicState of its centre, then height, length, width."""
+
+    @property
+    def n_people(self) -> int:
+        """P."""
+        return len(self.ids)
+
+    @property
+    def positions(self) -> Floats:
+        """(P, M, 3) view of the marker positions, m."""
+        return self.markers[:, :, POSITION]
+
+    @property
+    def orientations(self) -> Floats:
+        """(P, L, 4) view of the link orientations, unit quaternions x y z w."""
+        return self.links[:, :, ORIENTATION]
+
+    @property
+    def velocities(self) -> Floats:
+        """(P, M, 3) view of the marker velocities, m/s."""
+        return self.markers[:, :, VELOCITY]
+
+    @property
+    def accelerations(self) -> Floats:
+        """(P, M, 3) view of the marker accelerations, m/s2."""
+        return self.markers[:, :, ACCELERATION]
+
+    def replace(self, **changes: Any) -> Frame:
+        """Return a copy with some fields changed; arrays that are not named are shared."""
+        return replace(self, **changes)
+
+    def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
+        """Return a frame with the given rows (indices or a mask), arrays copied."""
+        index = np.asarray(people)
+        if index.size == 0:
+            index = index.astype(np.intp)
+        return replace(
+            self,
+            ids=self.ids[index],
+            stamps=self.stamps[index],
+            confidences=self.confidences[index],
+            markers=self.markers[index],
+            marker_confidences=self.marker_confidences[index],
+            links=self.links[index],
+            link_confidences=self.link_confidences[index],
+            boxes=self.boxes[index],
+        )
+
+    @classmethod
+    def empty(
+        cls,
+        n_people: int,
+        model: SkeletonModel,
+        *,
+        stamp: int = 0,
+        log_time: int | None = None,
+        source: str = "",
+        frame_id: str = "",
+    ) -> Frame:
+        """Frame with every number absent, ids UNTRACKED, per-person stamps equal to ``stamp``."""
+        p, m, n = n_people, model.n_markers, model.n_links
+        return cls(
+            stamp=stamp,
+            log_time=stamp if log_time is None else log_time,
+            source=source,
+            frame_id=frame_id,
+            ids=np.full(p, UNTRACKED, np.int32),
+            stamps=np.full(p, stamp, np.int64),
+            confidences=np.full(p, np.nan),
+            markers=np.full((p, m, STATE), np.nan),
+            marker_confidences=np.full((p, m), np.nan),
+            links=np.full((p, n, STATE), np.nan),
+            link_confidences=np.full((p, n), np.nan),
+            boxes=np.full((p, BOX), np.nan),
+        )
+
+
+Stage = Callable[[Iterable[Frame]], Iterator[Frame]]
+"""A step of a system: a generator over frames. ``list(stage(frames))`` is its whole test."""

@@ -1,0 +1,1 @@
+"""One step of a system per module: its Params, one generator, private helpers."""

@@ -1,0 +1,1 @@
+"""The published systems, each a table of stages."""

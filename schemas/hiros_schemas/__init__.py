@@ -1,0 +1,1 @@
+"""The hiros_skeleton_msgs message definitions."""
