@@ -1,0 +1,59 @@
+"""Strings that come from a log or a file, made safe to print on a terminal.
+
+A topic may hold an escape sequence that clears the screen, a right-to-left override that shows
+another name than it is, or a megabyte. Nothing from outside is printed except through here.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+
+LIMIT = 200
+LINE_LIMIT = 1000
+
+# Cc: C0 and C1 controls. Cf: bidirectional and other invisible formatting. Zl, Zp: line and
+# paragraph separators. Cs: halves of surrogate pairs, from names that are not UTF-8. Co, Cn:
+# without a meaning that a terminal could show.
+UNSAFE = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs", "Co", "Cn"})
+
+
+def printable(text: object, limit: int = LIMIT) -> str:
+    """``str(text)`` with everything unsafe written as an escape, at most ``limit`` characters."""
+    raw = str(text)
+    cut = raw[:limit]
+    safe = "".join(_escape(char) if unicodedata.category(char) in UNSAFE else char for char in cut)
+    if len(raw) <= limit and len(safe) <= limit:
+        return safe
+    return safe[: limit - 1] + "…"
+
+
+def _escape(char: str) -> str:
+    return char.encode("unicode_escape").decode("ascii")
+
+
+def error_line(error: BaseException, *, bug: bool = False) -> str:
+    """One line that says what is wrong, ``hiros: error: ...``."""
+    if bug:
+        what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        return printable(
+            f"hiros: bug: {what} (a fault of hiros, not of your input; please report it with what "
+            "--debug prints)",
+            LINE_LIMIT,
+        )
+    return f"hiros: error: {_reason(error)}"
+
+
+def _reason(error: BaseException) -> str:
+    from hiros_mcap.errors import LogError
+
+    if isinstance(error, MemoryError):
+        return "not enough memory"
+    if isinstance(error, OSError):
+        names = (name for name in (error.filename, error.filename2) if name is not None)
+        named = [printable(name, LINE_LIMIT) for name in names]
+        return ": ".join([*named, printable(error.strerror or error)])
+    if isinstance(error, LogError):
+        path = [] if error.path is None else [printable(error.path, LINE_LIMIT)]
+        topic = [] if error.topic is None else [printable(error.topic)]
+        return ": ".join([*path, *topic, printable(error.fault, LINE_LIMIT)])
+    return printable(error, LINE_LIMIT)

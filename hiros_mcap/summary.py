@@ -1,0 +1,139 @@
+"""What a run did: every message accounted for, every person, every rejection, every second.
+
+:func:`hiros_mcap.process.process` fills it, ``hiros process`` shows it, ``--json`` prints
+:meth:`Summary.to_dict`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSummary:
+    """What one camera's channel gave and what became of it. ``messages`` = used + skipped."""
+
+    name: str
+    topic: str
+    rate_hz: float
+    """Messages per second of the camera's own time, gaps left out; NaN below two messages."""
+    messages: int
+    """Messages read from the channel."""
+    used: int
+    """Messages that went into the first stage."""
+    skipped: Mapping[str, int] = field(default_factory=dict)
+    """Messages that did not, by reason."""
+    flips: int = 0
+    """Detections set aside because left and right were swapped."""
+    outliers: int = 0
+    """Markers and links set aside because the other cameras disagreed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LimbSummary:
+    """The calibration of one person's limb lengths."""
+
+    frames: int
+    """Frames that the lengths were taken from."""
+    worst_cv: float
+    """Largest coefficient of variation (standard deviation / mean) of a link's length."""
+    worst_link: str
+    """The link that varied most, "" if none was measured."""
+    accepted: bool
+    """False: the person passed through the optimizer unchanged."""
+    reason: str = ""
+    """Why the calibration was not accepted, "" if it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class PersonSummary:
+    """One person from the first to the last frame in which a camera saw them."""
+
+    id: int
+    first_ns: int
+    """Stamp of the first frame, ns since the epoch."""
+    last_ns: int
+    """Stamp of the last frame, ns since the epoch."""
+    frames: int
+    """Frames of the last stage that contain the person."""
+    cameras: tuple[str, ...]
+    """Names of the cameras that saw the person."""
+    limbs: LimbSummary | None = None
+    """None when the chain has no optimizer or the person was never calibrated."""
+
+    @property
+    def seconds(self) -> float:
+        """Time between the first and the last frame, s."""
+        return (self.last_ns - self.first_ns) / 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """What one step cost, s."""
+
+    name: str
+    cpu_s: float
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The whole run."""
+
+    source: str
+    """The log that was read."""
+    target: str | None
+    """The log that was written, None when nothing was."""
+    log_s: float
+    """Time from the first to the last message of the cameras, s."""
+    wall_s: float
+    """Time that the run took, s."""
+    cameras: tuple[CameraSummary, ...] = ()
+    people: tuple[PersonSummary, ...] = ()
+    stages: tuple[StageTime, ...] = ()
+    written: Mapping[str, int] = field(default_factory=dict)
+    """Messages written, by output channel."""
+    notes: tuple[str, ...] = ()
+    """What a person should know and nobody asked: warnings, one line each."""
+
+    @property
+    def times_real_time(self) -> float:
+        """Seconds of log per second of work; NaN when no time was measured."""
+        return self.log_s / self.wall_s if self.wall_s > 0 else math.nan
+
+    @property
+    def skipped(self) -> int:
+        """Messages of all cameras that no stage got to see."""
+        return sum(sum(camera.skipped.values()) for camera in self.cameras)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; derived numbers included, numbers that are not finite are None."""
+        people = [{**_fields(person), "seconds": person.seconds} for person in self.people]
+        return {**_fields(self), "people": people, "times_real_time": _plain(self.times_real_time)}
+
+    def reproducible(self) -> dict[str, Any]:
+        """Return :meth:`to_dict` without what differs from run to run: times taken and paths.
+
+        This is what an output file may hold: the same input gives the same bytes.
+        """
+        varying = {"source", "target", "wall_s", "times_real_time", "stages"}
+        return {key: value for key, value in self.to_dict().items() if key not in varying}
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    return {item.name: _plain(getattr(record, item.name)) for item in fields(record)}
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value):
+        return _fields(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
