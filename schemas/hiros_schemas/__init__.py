@@ -1,1 +1,138 @@
-"""The hiros_skeleton_msgs message definitions."""
+"""The message definitions that hiros reads and writes, as text and as hashes.
+
+The seven ``.msg`` files lie in the folder ``hiros_skeleton_msgs`` beside this module, which is a
+complete ROS 2 interface package: put it (or a link to it) into a workspace and ``colcon build``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cache
+from pathlib import Path
+
+from hiros_schemas.definitions import (
+    DefinitionError,
+    Definitions,
+    Field,
+    leaves,
+    parse,
+    parse_fields,
+    short_name,
+)
+from hiros_schemas.standard import STANDARD
+
+__all__ = [
+    "NAMES",
+    "ROS_PACKAGE",
+    "SKELETON_GROUP",
+    "TF_MESSAGE",
+    "DefinitionError",
+    "Definitions",
+    "Field",
+    "leaves",
+    "parse",
+    "short_name",
+    "text",
+    "type_hash",
+]
+
+ROS_PACKAGE = Path(__file__).parent / "hiros_skeleton_msgs"
+"""Folder of the ROS 2 interface package: package.xml, CMakeLists.txt, msg/."""
+
+NAMES = tuple(
+    f"hiros_skeleton_msgs/msg/{name}"
+    for name in (
+        "Box",
+        "KinematicState",
+        "Link",
+        "Marker",
+        "Skeleton",
+        "SkeletonGroup",
+        "StampedSkeleton",
+    )
+)
+"""Full names of the seven message types."""
+
+SKELETON_GROUP = "hiros_skeleton_msgs/msg/SkeletonGroup"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+
+DELIMITER = "=" * 80
+
+# Numbers of the field types in a type description (REP 2016, type_description_interfaces).
+_NESTED, _SEQUENCE = 1, 144
+_TYPE_IDS = {"int32": 6, "uint32": 7, "float64": 11, "string": 17}
+
+
+@cache
+def text(name: str) -> str:
+    """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
+
+    Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage or of what these
+    are made of. Comments are left out: the text goes into every log.
+
+    Raises :class:`KeyError` for another name.
+    """
+    first, *others = _closure(short_name(name))
+    blocks = [_bare(first), *(f"{DELIMITER}\nMSG: {key}\n{_bare(key)}" for key in others)]
+    return "\n".join(blocks)
+
+
+@cache
+def type_hash(name: str) -> str:
+    """Return the RIHS01 hash of a type: the SHA-256 of its type description (REP 2011, REP 2016).
+
+    rosbag2 keeps it beside a channel, to tell types of one name and different fields apart.
+    """
+    first, *others = _closure(short_name(name))
+    description = {
+        "type_description": _description(first),
+        "referenced_type_descriptions": [_description(key) for key in sorted(others)],
+    }
+    return f"RIHS01_{hashlib.sha256(json.dumps(description).encode()).hexdigest()}"
+
+
+def _definition(key: str) -> str:
+    """Text of one definition, as it is in its file."""
+    if key in STANDARD:
+        return STANDARD[key]
+    if key.startswith("hiros_skeleton_msgs/") and f"hiros_skeleton_msgs/msg/{key[20:]}" in NAMES:
+        return (ROS_PACKAGE / "msg" / f"{key[20:]}.msg").read_text(encoding="utf-8")
+    raise KeyError(f"hiros has no definition of {key}")
+
+
+def _bare(key: str) -> str:
+    """Text of one definition without comments and blank lines."""
+    lines = (line.split("#", 1)[0].rstrip() for line in _definition(key).splitlines())
+    return "".join(f"{line}\n" for line in lines if line)
+
+
+def _closure(key: str, found: dict[str, None] | None = None) -> list[str]:
+    """Find the type and all that it uses, each once, in the order of first use."""
+    found = {} if found is None else found
+    found[key] = None
+    for field in parse_fields(key, _definition(key)):
+        if field.is_message and field.type not in found:
+            _closure(field.type, found)
+    return list(found)
+
+
+def _description(key: str) -> dict[str, object]:
+    fields = parse_fields(key, _definition(key))
+    return {"type_name": _long(key), "fields": [_field(field) for field in fields]}
+
+
+def _field(field: Field) -> dict[str, object]:
+    number = _NESTED if field.is_message else _TYPE_IDS[field.type]
+    kind = {
+        "type_id": number + (_SEQUENCE if field.array else 0),
+        "capacity": 0,
+        "string_capacity": 0,
+        "nested_type_name": _long(field.type) if field.is_message else "",
+    }
+    return {"name": field.name, "type": kind}
+
+
+def _long(key: str) -> str:
+    package, name = key.split("/")
+    return f"{package}/msg/{name}"
