@@ -1,0 +1,73 @@
+"""The commands, one module each. Only typer is imported here; the work's imports wait."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hiros_cli.commands import config, info, process, simulate, warmup
+from hiros_mcap import __version__
+from hiros_mcap.errors import ConfigError
+
+# click's UsageError and ClickException: click's own, or the copy that newer typer carries.
+USAGE_ERROR, CLICK_ERROR = typer.BadParameter.__mro__[1:3]
+
+app = typer.Typer(
+    name="hiros",
+    help="Turn a log of several cameras' 3D skeletons into one clean, smooth skeleton per person.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"hiros {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def hiros(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
+    ] = False,
+    debug: Annotated[
+        bool,
+        typer.Option("--debug", help="With any command: show the traceback of an error."),
+    ] = False,
+) -> None:
+    """Options that stand before a command."""
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+        raise typer.Exit(2)
+
+
+app.command(no_args_is_help=False)(process.process)
+app.command()(info.info)
+app.command()(simulate.simulate)
+app.command()(config.config)
+app.command()(warmup.warmup)
+
+
+def dispatch(arguments: list[str]) -> int:
+    """Run one command and return its exit code.
+
+    Raises
+    ------
+    ConfigError
+        The arguments do not make sense; one line that names the command's help.
+    """
+    command = typer.main.get_command(app)
+    try:
+        code = command.main(args=arguments, prog_name="hiros", standalone_mode=False)
+    except CLICK_ERROR as error:
+        context = getattr(error, "ctx", None)
+        path = "hiros" if context is None else context.command_path
+        reason = " ".join(error.format_message().split())
+        raise ConfigError(f"{reason} (see {path} --help)") from error
+    return code if isinstance(code, int) else 0

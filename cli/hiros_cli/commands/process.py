@@ -1,0 +1,141 @@
+"""``hiros process``: a recording in, clean motion out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, Quiet
+
+if TYPE_CHECKING:
+    from hiros_mcap.summary import Summary
+
+SUFFIX = ".hiros.mcap"
+
+
+def process(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="The recording, an MCAP file.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="OUT", help=f"Default: IN's name with {SUFFIX}."),
+    ] = None,
+    stages: Annotated[
+        str,
+        typer.Option(
+            metavar="CHAIN",
+            help="Which of track, merge, optimize, filter: T, TM, TO, TF, TMF, TMO or TMOF.",
+        ),
+    ] = "TMOF",
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
+    ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB",
+            help="Input channels to copy, '' for none. Default: the read ones and the transforms.",
+        ),
+    ] = None,
+    preset: Preset = "default",
+    config: ConfigFile = None,
+    assignments: Assignments = None,
+    extrinsics: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
+    ] = None,
+    fixed_frame: Annotated[
+        str | None,
+        typer.Option(metavar="FRAME", help="Frame of the output. Default: the root of the tree."),
+    ] = None,
+    limbs: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Limb lengths of an earlier session."),
+    ] = None,
+    save_limbs: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the limb lengths here.")
+    ] = None,
+    calibrate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="START:END",
+            help="Calibrate limbs in this window only, s from the log's start; may be repeated.",
+        ),
+    ] = None,
+    two_pass: Annotated[
+        bool, typer.Option("--two-pass", help="Calibrate limbs on the whole log first.")
+    ] = False,
+    solver: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Optimizer: numba (default) or ceres (a check)."),
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Fail when a message has to be skipped.")
+    ] = False,
+    force: Force = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Track, merge, optimize and filter the skeletons of a multi-camera recording.
+
+    Writes /hiros/tracked, /hiros/merged, /hiros/optimized and /hiros/filtered, with the channels
+    that were read beside them, and prints what was done.
+    """
+    from hiros_cli.kernels import prepare
+    from hiros_cli.output import check_target
+    from hiros_cli.progress import bar
+
+    source.stat()  # a missing file is told before anything slow happens
+    target = source.with_name(source.stem + SUFFIX) if output is None else output
+    check_target(target, force=force)
+    prepare(quiet=quiet)
+
+    from hiros_mcap.config import load_config
+    from hiros_mcap.process import ProcessOptions
+    from hiros_mcap.process import process as run
+
+    shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
+    options = ProcessOptions(
+        stages=stages,
+        topics=tuple(topic or ()),
+        keep=None if keep is None else tuple(filter(None, keep)),
+        extrinsics=extrinsics,
+        limbs_in=limbs,
+        limbs_out=save_limbs,
+        strict=strict,
+    )
+    effective = load_config(config, [*shortcuts, *(assignments or ())], preset)
+    with bar(source.name, quiet=quiet) as progress:
+        summary = run(source, target, config=effective, options=options, progress=progress)
+    _show(summary, json=json, quiet=quiet)
+
+
+def _shortcuts(
+    fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
+) -> list[str]:
+    """Return the assignments that the options with a name of their own stand for."""
+    from hiros_cli.windows import toml_windows
+
+    assignments = []
+    if fixed_frame is not None:
+        assignments.append(f"input.fixed_frame={fixed_frame}")
+    if calibrate:
+        assignments.append(f"optimize.calibrate={toml_windows(calibrate)}")
+    if two_pass:
+        assignments.append("optimize.two_pass=true")
+    if solver is not None:
+        assignments.append(f"optimize.solver={solver}")
+    return assignments
+
+
+def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
+    if json:
+        from json import dumps
+
+        print(dumps(summary.to_dict(), indent=2))
+    elif not quiet:
+        from hiros_cli.report import show
+
+        show(summary)

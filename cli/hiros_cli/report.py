@@ -1,0 +1,128 @@
+"""The summary of a run, for a person."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from hiros_cli.printable import printable
+from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary
+
+PIPE_WIDTH = 160
+
+
+def console() -> Console:
+    """Return a console on stdout: as wide as the terminal, wide enough for every row in a pipe."""
+    return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
+
+
+def show(summary: Summary) -> None:
+    """Print cameras, people, times and what was written."""
+    out = console()
+    out.print(Text(_headline(summary), style="bold"), soft_wrap=True)
+    for part in (_cameras(summary.cameras), _people(summary.people), _times(summary)):
+        out.print()
+        out.print(part)
+    out.print()
+    for channel, messages in summary.written.items():
+        out.print(Text(f"wrote {messages} messages to {printable(channel)}"), soft_wrap=True)
+    for note in summary.notes:
+        out.print(Text(f"note: {printable(note, 500)}", style="yellow"), soft_wrap=True)
+
+
+def table(*columns: str, rows: Iterable[Sequence[str]]) -> Table:
+    """Plain table; a column whose header starts with ">" is aligned to the right."""
+    result = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for column in columns:
+        side = "right" if column.startswith(">") else "left"
+        result.add_column(column.lstrip(">"), justify=side, overflow="fold")  # type: ignore[arg-type]
+    for row in rows:
+        result.add_row(*(Text(printable(cell)) for cell in row))
+    return result
+
+
+def number(value: float, digits: int, unit: str = "") -> str:
+    """Return a number with its unit, a dash when there is none."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}{unit}"
+
+
+def _headline(summary: Summary) -> str:
+    target = "" if summary.target is None else f" -> {printable(summary.target, 500)}"
+    speed = number(summary.times_real_time, 1)
+    return (
+        f"{printable(summary.source, 500)}{target}\n"
+        f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s: "
+        f"{speed} times real time"
+    )
+
+
+def _cameras(cameras: Sequence[CameraSummary]) -> Table:
+    return table(
+        "Camera",
+        ">Rate",
+        ">Messages",
+        ">Used",
+        ">Flips",
+        ">Outliers",
+        "Skipped",
+        rows=[
+            (
+                camera.topic,
+                number(camera.rate_hz, 1, " Hz"),
+                str(camera.messages),
+                str(camera.used),
+                str(camera.flips),
+                str(camera.outliers),
+                ", ".join(f"{n} {reason}" for reason, n in camera.skipped.items()) or "-",
+            )
+            for camera in cameras
+        ],
+    )
+
+
+def _people(people: Sequence[PersonSummary]) -> Table | Text:
+    if not people:
+        return Text("Nobody was seen.")
+    return table(
+        ">Person",
+        ">Seconds",
+        ">Frames",
+        ">Cameras",
+        "Limb lengths",
+        rows=[
+            (
+                str(person.id),
+                number(person.seconds, 1),
+                str(person.frames),
+                str(len(person.cameras)),
+                _limbs(person.limbs),
+            )
+            for person in people
+        ],
+    )
+
+
+def _limbs(limbs: LimbSummary | None) -> str:
+    if limbs is None:
+        return "-"
+    if not limbs.accepted:
+        return f"not calibrated, passed through: {limbs.reason}"
+    worst = f" ({limbs.worst_link})" if limbs.worst_link else ""
+    return f"from {limbs.frames} frames, varying by up to {limbs.worst_cv:.1%}{worst}"
+
+
+def _times(summary: Summary) -> Table:
+    return table(
+        "Step",
+        ">CPU",
+        ">Wall",
+        rows=[
+            (step.name, number(step.cpu_s, 3, " s"), number(step.wall_s, 3, " s"))
+            for step in summary.stages
+        ],
+    )

@@ -1,0 +1,211 @@
+"""The parameters of all stages together: presets, a TOML file, single assignments.
+
+Later layers win: defaults < preset < file < ``stage.param=value``. Only names that exist are
+accepted, and an error names the layer, the parameter and what would have been right.
+"""
+
+from __future__ import annotations
+
+import difflib
+import textwrap
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import Field, ValidationError
+
+from hiros_mcap._version import __version__
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.params import Params
+from hiros_mcap.stages.merge import MergeParams
+from hiros_mcap.stages.optimize import OptimizeParams
+from hiros_mcap.stages.smooth import FilterParams
+from hiros_mcap.stages.track import TrackParams
+from hiros_mcap.stages.transform import InputParams
+
+Table = dict[str, dict[str, Any]]
+"""Values by section and parameter."""
+
+MAX_BYTES = 1 << 20
+WIDTH = 88
+
+
+class Config(Params):
+    """Every parameter of a run, one section per step."""
+
+    input: InputParams = Field(InputParams(), description="Reading the cameras.")
+    track: TrackParams = Field(TrackParams(), description="Who is who (Hi-ROS 3.1).")
+    merge: MergeParams = Field(MergeParams(), description="One skeleton per person (Hi-ROS 3.2).")
+    optimize: OptimizeParams = Field(
+        OptimizeParams(), description="Constant limb lengths (Hi-ROS 3.3)."
+    )
+    filter: FilterParams = Field(FilterParams(), description="Smooth motion (Hi-ROS 3.4).")
+
+
+PRESETS: Mapping[str, Table] = {
+    "default": {},
+    "realtime": {},
+    "paper": {},
+    "upstream": {},
+}
+"""Named sets of changes to the defaults."""
+
+
+def load_config(
+    path: Path | None = None, overrides: Sequence[str] = (), preset: str = "default"
+) -> Config:
+    """Return the configuration of a run.
+
+    Parameters
+    ----------
+    path : TOML file with a table per section, as :func:`to_toml` writes it.
+    overrides : assignments ``section.param=value``; the value is TOML, a bare word is a string.
+    preset : a key of :data:`PRESETS`.
+
+    Raises
+    ------
+    ConfigError
+        A name does not exist, a value is out of range, or the file cannot be read.
+    """
+    if preset not in PRESETS:
+        raise ConfigError(f"no preset {preset!r}{_instead(preset, PRESETS)}")
+    layers = [(f"preset {preset}", PRESETS[preset])]
+    if path is not None:
+        layers.append((str(path), _read(path)))
+    layers += [("--set", _assignment(text)) for text in overrides]
+    merged: Table = {}
+    origins: dict[tuple[str, str], str] = {}
+    for origin, table in layers:
+        _check_names(table, origin)
+        for section, values in table.items():
+            merged.setdefault(section, {}).update(values)
+            origins.update({(section, name): origin for name in values})
+    try:
+        return Config.model_validate(merged)
+    except ValidationError as error:
+        raise _explained(error, origins) from None
+
+
+def _read(path: Path) -> Table:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+        if len(raw) > MAX_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes")
+        return tomllib.loads(raw.decode())
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from error
+
+
+def _assignment(text: str) -> Table:
+    name, equals, value = text.partition("=")
+    section, dot, param = name.strip().partition(".")
+    if not (equals and dot and section and param):
+        raise ConfigError(f"--set: {text!r} is not of the form stage.param=value")
+    return {section: {param: _value(value.strip())}}
+
+
+def _value(text: str) -> Any:
+    """Return ``text`` read as a TOML value, itself if it is none (``state_space``, ``a/b``)."""
+    try:
+        table = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return table["value"] if len(table) == 1 else text
+
+
+def _check_names(table: Mapping[str, Any], origin: str) -> None:
+    for section, values in table.items():
+        if section not in Config.model_fields:
+            raise ConfigError(
+                f"{origin}: no section {section!r}{_instead(section, Config.model_fields)}"
+            )
+        if not isinstance(values, Mapping):
+            raise ConfigError(f"{origin}: {section} is a section, not a value")
+        known = _section(section).model_fields
+        for name in values:
+            if name not in known:
+                raise ConfigError(
+                    f"{origin}: no parameter {section}.{name}{_instead(name, known, section)}"
+                )
+
+
+def _section(name: str) -> type[Params]:
+    section = Config.model_fields[name].annotation
+    if not (isinstance(section, type) and issubclass(section, Params)):
+        raise TypeError(f"section {name} is not a Params class")
+    return section
+
+
+def _instead(name: str, known: Iterable[str], section: str = "") -> str:
+    """Return what the user may have meant, and everything that there is."""
+    names = list(known)
+    prefix = f"{section}." if section else ""
+    near = difflib.get_close_matches(name, names, n=1)
+    guess = f"; did you mean {prefix}{near[0]}?" if near else ""
+    return f"{guess} (there are: {', '.join(names)})"
+
+
+def _explained(error: ValidationError, origins: Mapping[tuple[str, str], str]) -> ConfigError:
+    fault = error.errors(include_url=False)[0]
+    where = tuple(str(part) for part in fault["loc"])
+    origin = origins.get((where + ("", ""))[:2])
+    message = fault["msg"].replace("Input should", "should").replace("Value error, ", "")
+    given = "" if isinstance(fault["input"], Mapping | Params) else f", is {fault['input']!r}"
+    parts = [] if origin is None else [origin]
+    return ConfigError(": ".join([*parts, ".".join(where), message + given]))
+
+
+def to_toml(config: Config) -> str:
+    """Return ``config`` as TOML that :func:`load_config` reads back, documented by comments."""
+    blocks = [f"# hiros {__version__}: every parameter, with the value in effect.\n"]
+    for section, field in Config.model_fields.items():
+        blocks.append(f"# {field.description}\n[{section}]\n")
+        params: Params = getattr(config, section)
+        schema = params.model_json_schema()["properties"]
+        blocks += [_entry(params, name, schema[name]) for name in type(params).model_fields]
+    return "\n".join(blocks)
+
+
+def _entry(params: Params, name: str, schema: Mapping[str, Any]) -> str:
+    """One parameter: what it is, what is allowed, what it is by default, its value."""
+    field = type(params).model_fields[name]
+    value, default = getattr(params, name), field.get_default(call_default_factory=True)
+    allowed = _allowed(schema)
+    text = " ".join(
+        [*(field.description or "").split(), *([f"Allowed: {allowed}."] * bool(allowed))]
+    )
+    if value != default:
+        text += f" Default: {_toml(default)}."
+    comment = textwrap.fill(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
+    line = f"# {name} is not set" if value is None else f"{name} = {_toml(value)}"
+    return f"{comment}\n{line}\n"
+
+
+def _toml(value: Any) -> str:
+    if value is None:
+        return "not set"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
+
+
+def _allowed(schema: Mapping[str, Any]) -> str:
+    """Return the range or the choices of a parameter from its JSON schema, "" if anything goes."""
+    choices = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
+    (option, *others) = choices
+    if others:
+        return ""
+    if "enum" in option:
+        return ", ".join(_toml(choice) for choice in option["enum"])
+    words = {
+        "exclusiveMinimum": "above",
+        "minimum": "at least",
+        "exclusiveMaximum": "below",
+        "maximum": "at most",
+    }
+    return ", ".join(f"{word} {option[key]:g}" for key, word in words.items() if key in option)
