@@ -152,8 +152,8 @@ def _instead(name: str, known: Iterable[str], section: str = "") -> str:
 
 def _explained(error: ValidationError, origins: Mapping[tuple[str, str], str]) -> ConfigError:
     fault = error.errors(include_url=False)[0]
-    where = tuple(str(part) for part in fault["loc"])
-    origin = origins.get((where + ("", ""))[:2])
+    where = [str(part) for part in fault["loc"]]
+    origin = origins.get((where[0], where[1])) if len(where) > 1 else None
     message = fault["msg"].replace("Input should", "should").replace("Value error, ", "")
     given = "" if isinstance(fault["input"], Mapping | Params) else f", is {fault['input']!r}"
     parts = [] if origin is None else [origin]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -10,8 +10,8 @@ from hiros_cli.commands import config, info, process, simulate, warmup
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 
-# click's UsageError and ClickException: click's own, or the copy that newer typer carries.
-USAGE_ERROR, CLICK_ERROR = typer.BadParameter.__mro__[1:3]
+# The root of click's errors: click's own, or that of the copy that newer typer carries.
+CLICK_ERROR = cast("type[Exception]", typer.BadParameter.__mro__[2])
 
 app = typer.Typer(
     name="hiros",
@@ -62,12 +62,12 @@ def dispatch(arguments: list[str]) -> int:
     ConfigError
         The arguments do not make sense; one line that names the command's help.
     """
-    command = typer.main.get_command(app)
+    command: Any = typer.main.get_command(app)
     try:
         code = command.main(args=arguments, prog_name="hiros", standalone_mode=False)
     except CLICK_ERROR as error:
         context = getattr(error, "ctx", None)
         path = "hiros" if context is None else context.command_path
-        reason = " ".join(error.format_message().split())
+        reason = " ".join(cast(Any, error).format_message().split())
         raise ConfigError(f"{reason} (see {path} --help)") from error
     return code if isinstance(code, int) else 0
