@@ -1,0 +1,16 @@
+"""The MCAP container: strict reading, reproducible writing. Knows nothing of skeletons."""
+
+from hiros_mcap.container.reader import McapReader
+from hiros_mcap.container.records import Attachment, Channel, Chunk, Message, Schema
+from hiros_mcap.container.writer import ChunkCopier, McapWriter
+
+__all__ = [
+    "Attachment",
+    "Channel",
+    "Chunk",
+    "ChunkCopier",
+    "McapReader",
+    "McapWriter",
+    "Message",
+    "Schema",
+]
