@@ -1,0 +1,362 @@
+"""Bytes of SkeletonGroup messages to Frames and back, by the kernels of ``kernels.cdr``.
+
+Decoding is exact: numbers keep their bits, ids and stamps their values. :func:`clean` is the
+separate step that takes out numbers that cannot be true.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.kernels import cdr, cleaning
+from hiros_mcap.layout import PUBLISHED, Bytes, Layout, check_schema
+from hiros_mcap.skeletons import BOX, STATE, Frame, SkeletonModel
+
+__all__ = [
+    "PUBLISHED",
+    "Decoder",
+    "Encoder",
+    "Layout",
+    "ModelBuilder",
+    "check_schema",
+    "clean",
+]
+
+_FAULTS = {
+    cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
+    cdr.TRAILING: f"message has more than {cdr.MAX_PADDING} bytes after its last field",
+    cdr.STRING_LENGTH: f"message has a string longer than {cdr.MAX_STRING} bytes",
+    cdr.STRING_END: "message has a string without its final NUL",
+    cdr.NANOSEC: "message has a time of 1e9 or more nanoseconds",
+    cdr.TOO_MANY: f"message has more than {cdr.MAX_PEOPLE} skeletons",
+}
+_ENCAPSULATIONS = {
+    0x0002: "PL_CDR_BE (parameter list)",
+    0x0003: "PL_CDR_LE (parameter list)",
+    0x0006: "CDR2_BE (XCDR2)",
+    0x0007: "CDR2_LE (XCDR2)",
+    0x0008: "D_CDR2_BE (XCDR2)",
+    0x0009: "D_CDR2_LE (XCDR2)",
+    0x000A: "PL_CDR2_BE (XCDR2)",
+    0x000B: "PL_CDR2_LE (XCDR2)",
+}
+_CLEANED = (
+    "absurd number",
+    "incomplete vector",
+    "quaternion of length 0",
+    "quaternion normalised",
+    "confidence out of range",
+)
+_NOTHING: Mapping[str, int] = {}
+
+
+def clean(frame: Frame) -> tuple[Frame, Mapping[str, int]]:
+    """Take out numbers that cannot be true; return the frame and how often, by kind.
+
+    - "absurd number": infinite or beyond 1e4 (m, m/s, ...): its whole vector becomes NaN;
+    - "incomplete vector": some of its numbers are NaN: all become NaN;
+    - "quaternion of length 0": becomes NaN;
+    - "quaternion normalised": its length was off by more than 1e-3 (smaller errors, beyond the
+      rounding of float32, are put right without a word);
+    - "confidence out of range": clamped to 0..1; an infinite one is an absurd number.
+
+    A frame in which nothing is wrong is returned itself; the given frame never changes.
+    """
+    counts = np.empty(cleaning.COUNTS, np.int64)
+    if not cleaning.clean(counts, False, *_measured(frame)):
+        return frame, _NOTHING
+    fixed = frame.replace(
+        confidences=frame.confidences.copy(),
+        markers=frame.markers.copy(),
+        marker_confidences=frame.marker_confidences.copy(),
+        links=frame.links.copy(),
+        link_confidences=frame.link_confidences.copy(),
+        boxes=frame.boxes.copy(),
+    )
+    cleaning.clean(counts, True, *_measured(fixed))
+    return fixed, {kind: n for kind, n in zip(_CLEANED, counts.tolist(), strict=True) if n}
+
+
+class ModelBuilder:
+    """Learns the skeleton model of a log from some of its messages."""
+
+    def __init__(self) -> None:
+        self._markers: dict[int, tuple[str, str]] = {}
+        self._links: dict[int, tuple[tuple[str, int, int], str]] = {}
+        self._max_markers = 0
+        self._max_links = 0
+
+    def add(self, data: Bytes, topic: str, layout: Layout = PUBLISHED) -> None:
+        """Take note of a message's markers and links.
+
+        Raises :class:`LogError` if the message is damaged, or gives an id another name or a link
+        other ends than a former one did.
+        """
+        data = layout(data)
+        rows = np.empty((len(data) // cdr.MIN_MARKER + 1, cdr.OUTLINE), np.int64)
+        report = np.zeros(cdr.REPORT, np.int64)
+        code = cdr.outline(_as_array(data), rows, report)
+        if code != cdr.OK:
+            raise _fault(code, report, data, topic)
+        self._max_markers = max(self._max_markers, int(report[cdr.MOST_MARKERS]))
+        self._max_links = max(self._max_links, int(report[cdr.MOST_LINKS]))
+        for is_link, key, start, length, parent, child in rows[: report[cdr.ROWS]].tolist():
+            name = _text(data, start, length, topic)
+            if is_link:
+                self._add_link(key, (name, parent, child), topic)
+            else:
+                self._add_marker(key, name, topic)
+
+    def _add_marker(self, key: int, name: str, topic: str) -> None:
+        known, where = self._markers.setdefault(key, (name, topic))
+        if known != name:
+            raise LogError(f"marker {key} is {name!r} here and {known!r} on {where}", topic=topic)
+
+    def _add_link(self, key: int, link: tuple[str, int, int], topic: str) -> None:
+        known, where = self._links.setdefault(key, (link, topic))
+        if known != link:
+            raise LogError(
+                f"link {key} is {link[0]!r} from marker {link[1]} to {link[2]} here "
+                f"and {known[0]!r} from {known[1]} to {known[2]} on {where}",
+                topic=topic,
+            )
+
+    @property
+    def complete(self) -> bool:
+        """Whether every marker and link that the detectors claim to know was seen."""
+        return 0 < self._max_markers <= len(self._markers) and self._max_links <= len(self._links)
+
+    def build(self) -> SkeletonModel:
+        """Return the model of what was seen so far, ids increasing."""
+        markers = sorted(self._markers)
+        links = sorted(self._links)
+        slots = {key: slot for slot, key in enumerate(markers)}
+        ends = [self._links[key][0] for key in links]
+        return SkeletonModel(
+            marker_ids=tuple(markers),
+            marker_names=tuple(self._markers[key][0] for key in markers),
+            link_ids=tuple(links),
+            link_names=tuple(name for name, _, _ in ends),
+            link_parents=tuple(slots.get(parent, -1) for _, parent, _ in ends),
+            link_children=tuple(slots.get(child, -1) for _, _, child in ends),
+            max_markers=self._max_markers,
+            max_links=self._max_links,
+        )
+
+
+class _Tables(NamedTuple):
+    """A model as the kernels want it (see ``kernels.cdr``)."""
+
+    markers: npt.NDArray[np.int64]
+    links: npt.NDArray[np.int64]
+    words: npt.NDArray[np.uint64]
+
+    @classmethod
+    def of(cls, model: SkeletonModel) -> _Tables:
+        """Prepare the tables of a model; ids must increase."""
+        words = bytearray()
+        markers = _prepare(words, model.marker_ids, model.marker_names)
+        links = _prepare(words, model.link_ids, model.link_names)
+        ids = (*model.marker_ids, cdr.ABSENT)  # slot -1 is ABSENT
+        ends = [
+            (*row, ids[parent], ids[child])
+            for row, parent, child in zip(
+                links, model.link_parents, model.link_children, strict=True
+            )
+        ]
+        return cls(
+            np.array(markers, np.int64).reshape(-1, 3),
+            np.array(ends, np.int64).reshape(-1, 5),
+            np.frombuffer(bytes(words), np.uint64).copy(),
+        )
+
+
+def _prepare(words: bytearray, ids: Iterable[int], names: Iterable[str]) -> list[tuple[int, ...]]:
+    """Append the bytes that each slot's element starts with; return (id, first word, length)."""
+    rows: list[tuple[int, ...]] = []
+    for key, name in zip(ids, names, strict=True):
+        if rows and key <= rows[-1][0]:
+            raise ValueError("the ids of a skeleton model must increase")
+        text = name.encode()
+        element = struct.pack("<iI", key, len(text) + 1) + text + b"\0"
+        rows.append((key, len(words) // 8, len(element)))
+        words += element + bytes(-len(element) % 8)
+    return rows
+
+
+class Decoder:
+    """Turns the messages of one channel into Frames of one model.
+
+    Keeps no state from one message to the next that a result depends on.
+    """
+
+    def __init__(
+        self, model: SkeletonModel, *, topic: str | None = None, layout: Layout = PUBLISHED
+    ) -> None:
+        self.model = model
+        self._topic = topic
+        self._layout = layout
+        self._tables = _Tables.of(model)
+        self._report = np.zeros(cdr.REPORT, np.int64)
+        self._sources = np.empty((cdr.MAX_PEOPLE, 2), np.int64)
+        self._scratch: tuple[Any, ...] = (
+            np.empty(model.n_markers + model.n_links, np.int64),
+            self._report,
+            self._sources,
+        )
+        self._n_people = 1  # a guess, corrected when a message has another number
+
+    def decode(self, data: Bytes, log_time: int) -> Frame:
+        """Read a message, exactly.
+
+        ``stamp`` is header.stamp, ``stamps`` are the skeletons' src_time (0 = not given).
+        ``source`` is their src_frame where all have the same, else the header's frame_id;
+        ``frame_id`` is the header's, or where that is empty the common src_frame.
+
+        Raises :class:`LogError` for damaged bytes, for an encapsulation other than plain CDR, and
+        for markers and links that are not in the model, have another name or ends than there, or
+        come twice in one skeleton.
+        """
+        return self._read(self._layout(data), log_time)
+
+    def decode_all(self, data: Bytes, log_time: int) -> list[Frame]:
+        """Read a message as one Frame per distinct src_frame, in the order of their appearance.
+
+        For a channel on which several cameras' skeletons share a message. A message whose
+        skeletons have one src_frame, or that has none, is one Frame, as :meth:`decode` gives it.
+        """
+        data = self._layout(data)
+        frame = self._read(data, log_time)
+        if not self._report[cdr.MIXED]:
+            return [frame]
+        people: dict[str, list[int]] = {}
+        for person, (start, length) in enumerate(self._sources[: frame.n_people].tolist()):
+            people.setdefault(_text(data, start, length, self._topic), []).append(person)
+        start, length = self._report[cdr.FRAME : cdr.FRAME_LENGTH + 1].tolist()
+        header = _text(data, start, length, self._topic)
+        return [
+            frame.select(rows).replace(source=source or header, frame_id=header or source)
+            for source, rows in people.items()
+        ]
+
+    def _read(self, data: Bytes, log_time: int) -> Frame:
+        buffer = _as_array(data)
+        arrays = self._room()
+        code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
+        if code == cdr.PEOPLE:
+            self._n_people = int(self._report[cdr.COUNT])
+            arrays = self._room()
+            code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
+        if code != cdr.OK:
+            raise _fault(code, self._report, data, self._topic)
+        _, _, _, _, _, _, stamp, start, length, source, source_length, mixed = self._report.tolist()
+        frame_id = _text(data, start, length, self._topic)
+        common = "" if mixed else _text(data, source, source_length, self._topic)
+        return Frame(stamp, log_time, common or frame_id, frame_id or common, *arrays)
+
+    def _room(self) -> tuple[Any, ...]:
+        """Return new arrays for a Frame, not filled."""
+        p, m, n = self._n_people, self.model.n_markers, self.model.n_links
+        empty = np.empty
+        return (
+            empty(p, np.int32),
+            empty(p, np.int64),
+            empty(p),
+            empty((p, m, STATE)),
+            empty((p, m)),
+            empty((p, n, STATE)),
+            empty((p, n)),
+            empty((p, BOX)),
+        )
+
+
+class Encoder:
+    """Turns Frames of one model into messages."""
+
+    def __init__(self, model: SkeletonModel) -> None:
+        self.model = model
+        self._tables = _Tables.of(model)
+        self._out = np.empty(0, np.uint8)
+
+    def encode(self, frame: Frame, source: str | None = None) -> bytes:
+        """Write a message, little-endian; absent markers and links are left out.
+
+        ``source`` becomes every skeleton's src_frame; if None, ``frame.source`` does.
+
+        Raises :class:`LogError` if a stamp lies beyond the years 1901 to 2038 that messages can
+        express, and :class:`ValueError` for arrays that do not fit each other or the model.
+        """
+        arguments: tuple[Any, ...] = (
+            _as_array(frame.frame_id.encode()),
+            _as_array((frame.source if source is None else source).encode()),
+            frame.stamp,
+            self.model.max_markers,
+            self.model.max_links,
+            *self._tables,
+            frame.ids,
+            frame.stamps,
+            *_measured(frame),
+        )
+        size = cdr.encode(self._out, *arguments)
+        if size < -cdr.STAMP:
+            self._out = np.empty(-2 * size, np.uint8)
+            size = cdr.encode(self._out, *arguments)
+        if size == -cdr.SHAPE:
+            raise ValueError("the arrays of the frame do not fit each other or the model")
+        if size == -cdr.STAMP:
+            raise LogError("a stamp lies outside the years 1901 to 2038")
+        return self._out[:size].tobytes()
+
+
+def _measured(frame: Frame) -> tuple[Any, ...]:
+    """Return the numbers of a frame in the order that the kernels take them."""
+    return (
+        frame.confidences,
+        frame.markers,
+        frame.marker_confidences,
+        frame.links,
+        frame.link_confidences,
+        frame.boxes,
+    )
+
+
+def _as_array(data: Bytes) -> npt.NDArray[np.uint8]:
+    return np.frombuffer(data, np.uint8)
+
+
+def _text(data: Bytes, start: int, length: int, topic: str | None) -> str:
+    try:
+        return str(data[start : start + length], "utf-8")
+    except UnicodeDecodeError as error:
+        raise LogError("message has a string that is not UTF-8", topic=topic) from error
+
+
+def _fault(code: int, report: npt.NDArray[np.int64], data: Bytes, topic: str | None) -> LogError:
+    """Say what is wrong with a message and where."""
+    at, person, key, start, length, *_ = report.tolist()
+    if code == cdr.ENCAPSULATION:
+        number = int.from_bytes(data[:2], "big")
+        kind = _ENCAPSULATIONS.get(number, "unknown")
+        return LogError(f"message encapsulation 0x{number:04x} {kind} is not CDR", topic=topic)
+    if code in _FAULTS:
+        where = f" (byte {at}, skeleton {person})" if person >= 0 else f" (byte {at})"
+        return LogError(_FAULTS[code] + where, topic=topic)
+    name = str(bytes(data[start : start + min(length, 80)]), "utf-8", "replace")
+    return LogError(
+        {
+            cdr.UNKNOWN_MARKER: f"marker {key} {name!r} is not in the skeleton model",
+            cdr.UNKNOWN_LINK: f"link {key} {name!r} is not in the skeleton model",
+            cdr.MARKER_NAME: f"marker {key} has another name, {name!r}, than in the skeleton model",
+            cdr.LINK_NAME: f"link {key} has another name, {name!r}, than in the skeleton model",
+            cdr.LINK_ENDS: f"link {key} joins other markers than in the skeleton model",
+            cdr.REPEATED_MARKER: f"marker {key} comes twice in skeleton {person}",
+            cdr.REPEATED_LINK: f"link {key} comes twice in skeleton {person}",
+        }[code],
+        topic=topic,
+    )

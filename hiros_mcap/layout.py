@@ -1,0 +1,210 @@
+"""Decide from a channel's schema how its messages are laid out; never guess.
+
+Messages whose fields are the published ones, by name, type and order, are read as they are. Where
+fields were added or moved, or have another numeric type, the generic library reads them and what
+it found is written in the published layout. Anything else is refused.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import TYPE_CHECKING, Any
+
+import hiros_schemas
+from hiros_mcap.errors import LogError, SchemaError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Bytes = bytes | bytearray | memoryview
+
+MAX_SCHEMA = 1 << 20
+
+_NAME = hiros_schemas.SKELETON_GROUP
+_TIME = "builtin_interfaces/Time"
+_INTEGERS = frozenset(
+    ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
+)
+_COMPATIBLE = {
+    "float64": frozenset(("float32", "float64")),
+    "int32": _INTEGERS,
+    "uint32": _INTEGERS,
+    "string": frozenset(("string",)),
+}
+_FORMATS = {"int32": "<i", "uint32": "<I", "float64": "<d"}
+# What the generic library raises on bytes that it cannot read.
+_UNREADABLE = (
+    struct.error,
+    ValueError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+    NotImplementedError,
+)
+
+
+class Layout:
+    """How a channel's messages are laid out; calling it gives a message's published bytes.
+
+    Attributes
+    ----------
+    difference : the first field that is not as published; "" when there is none.
+    """
+
+    def __init__(self, definitions: hiros_schemas.Definitions | None = None, difference: str = ""):
+        self._definitions = definitions
+        self._read: Callable[[bytes], Any] | None = None
+        self.difference = difference
+
+    @property
+    def is_published(self) -> bool:
+        """Whether messages need no translation (which is a thousand times slower than reading)."""
+        return self._definitions is None
+
+    def __call__(self, data: Bytes) -> Bytes:
+        """Return the message in the published layout. Raises :class:`LogError` if unreadable."""
+        if self._definitions is None:
+            return data
+        if self._read is None:
+            self._read = _generic_reader(self._definitions)
+        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+            raise LogError(f"message encapsulation 0x{bytes(data[:2]).hex()} is not plain CDR")
+        out = bytearray(b"\0\1\0\0")
+        try:
+            _write(out, _PUBLISHED, hiros_schemas.short_name(_NAME), self._read(bytes(data)))
+        except _UNREADABLE as error:
+            raise LogError(f"message cannot be read by its own schema: {error}") from error
+        return bytes(out)
+
+
+def check_schema(name: str, encoding: str, data: bytes) -> Layout:
+    """Compare a channel's schema with the published SkeletonGroup, field by field.
+
+    Comments, constants, default values, upper bounds and the names of nested types do not matter.
+
+    Raises
+    ------
+    SchemaError
+        The schema cannot be parsed, or a needed field is missing or of an incompatible type.
+    """
+    if encoding != "ros2msg":
+        raise SchemaError(f"schema encoding {encoding!r} is not supported, only 'ros2msg'")
+    try:
+        definitions = _parse(name, data)
+        found = hiros_schemas.leaves(definitions, name)
+    except hiros_schemas.DefinitionError as error:
+        raise SchemaError(str(error)) from error
+    difference = _difference(found)
+    if not difference:
+        return PUBLISHED
+    _refuse_missing(found)
+    _refuse_endless(found)
+    return Layout(definitions, difference)
+
+
+def _parse(name: str, data: bytes) -> hiros_schemas.Definitions:
+    if hiros_schemas.short_name(name) != hiros_schemas.short_name(_NAME):
+        raise hiros_schemas.DefinitionError(f"schema {name!r} is not {_NAME}")
+    if len(data) > MAX_SCHEMA:
+        raise hiros_schemas.DefinitionError(f"schema is larger than {MAX_SCHEMA} bytes")
+    try:
+        text = bytes(data).decode()
+    except UnicodeDecodeError as error:
+        raise hiros_schemas.DefinitionError("schema is not UTF-8 text") from error
+    # Recorders may leave out the types that every ROS 2 system has built in.
+    return {_TIME: _PUBLISHED[_TIME], **hiros_schemas.parse(name, text)}
+
+
+def _difference(found: list[tuple[str, str]]) -> str:
+    """Name the first field that differs from the published ones, "" if none does."""
+    for (path, kind), (expected_path, expected_kind) in zip(found, _LEAVES, strict=False):
+        if path != expected_path:
+            return f"field {path} where {expected_path} is expected"
+        if kind != expected_kind:
+            return f"field {path} is {kind} instead of {expected_kind}"
+    if len(found) == len(_LEAVES):
+        return ""
+    longer = max(found, _LEAVES, key=len)[min(len(found), len(_LEAVES))][0]
+    return f"field {longer} is {'unknown' if len(found) > len(_LEAVES) else 'missing'}"
+
+
+def _refuse_missing(found: list[tuple[str, str]]) -> None:
+    kinds = {re.sub(r"\[\d*\]", "[]", path): kind for path, kind in found}
+    for path, kind in _LEAVES:
+        if path not in kinds:
+            raise SchemaError(f"schema lacks the field {path} ({kind}) of {_NAME}")
+        if kinds[path] not in _COMPATIBLE[kind]:
+            raise SchemaError(f"schema has {kinds[path]} instead of {kind} for the field {path}")
+
+
+def _refuse_endless(found: list[tuple[str, str]]) -> None:
+    """Refuse arrays of elements that take no bytes at the end of a message.
+
+    The generic library gives a byte array that is cut off by the end of the data without an
+    error, and so would build up to 2^32 elements made of nothing else from a few bytes.
+    """
+    solid: dict[str, bool] = {}
+    for path, kind in found:
+        for mark in re.finditer(r"\]\.", path):
+            rest = path[mark.end() :]
+            is_bytes = kind in ("uint8", "byte") and re.search(r"\[\d+\]$", rest)
+            element = path[: mark.end()]
+            solid[element] = solid.get(element, False) or "[]" in rest or not is_bytes
+    for element, has_size in solid.items():
+        if not has_size:
+            raise SchemaError(f"schema has an array {element[:-1]} of nothing but bytes")
+
+
+def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[bytes], Any]:
+    """Make a decoder of the generic library for exactly the definitions that were checked."""
+    from mcap.records import Schema
+    from mcap_ros2.decoder import DecoderFactory
+
+    first = hiros_schemas.short_name(_NAME)
+    names = [first, *(key for key in definitions if key != first)]
+    blocks = [
+        f"MSG: {key}\n"
+        + "".join(f"{field.type}{field.array} {field.name}\n" for field in definitions[key])
+        for key in names
+    ]
+    schema = Schema(
+        id=1, name=first, encoding="ros2msg", data=f"{'=' * 80}\n".join(blocks).encode()
+    )
+    reader = DecoderFactory().decoder_for("cdr", schema)
+    if reader is None:
+        raise SchemaError("the generic decoder does not take this schema")
+    return reader
+
+
+def _write(out: bytearray, definitions: hiros_schemas.Definitions, name: str, message: Any) -> None:
+    """Append a decoded message in little-endian CDR; ``out`` begins with the encapsulation."""
+    for field in definitions[name]:
+        value = getattr(message, field.name)
+        if field.array:
+            _align(out, 4)
+            out += struct.pack("<I", len(value))
+        for item in value if field.array else (value,):
+            if field.is_message:
+                _write(out, definitions, field.type, item)
+            elif field.type == "string":
+                text = item.encode() + b"\0"
+                _align(out, 4)
+                out += struct.pack("<I", len(text)) + text
+            else:
+                layout = _FORMATS[field.type]
+                _align(out, struct.calcsize(layout))
+                out += struct.pack(layout, item)
+
+
+def _align(out: bytearray, size: int) -> None:
+    out += bytes(-(len(out) - 4) % size)
+
+
+_PUBLISHED = hiros_schemas.parse(_NAME, hiros_schemas.text(_NAME))
+_LEAVES = hiros_schemas.leaves(_PUBLISHED, _NAME)
+
+PUBLISHED = Layout()
+"""The layout of the published definition: messages are read as they are."""
