@@ -61,6 +61,8 @@ def dispatch(arguments: list[str]) -> int:
     ------
     ConfigError
         The arguments do not make sense; one line that names the command's help.
+    BrokenPipeError
+        Nobody reads what is printed.
     """
     command: Any = typer.main.get_command(app)
     try:
@@ -70,4 +72,7 @@ def dispatch(arguments: list[str]) -> int:
         path = "hiros" if context is None else context.command_path
         reason = " ".join(cast(Any, error).format_message().split())
         raise ConfigError(f"{reason} (see {path} --help)") from error
+    except SystemExit as error:
+        # The only exit that typer still makes by itself: its reader has closed the pipe.
+        raise BrokenPipeError from error
     return code if isinstance(code, int) else 0

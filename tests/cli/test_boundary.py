@@ -1,0 +1,139 @@
+"""How the program ends: exit codes, one line instead of a traceback, signals, broken pipes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hiros_cli import app
+from hiros_mcap import __version__
+
+HIROS = [sys.executable, "-m", "hiros_cli"]
+
+
+def hiros(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # type: ignore[call-overload, no-any-return]
+        [*HIROS, *arguments], capture_output=True, text=True, check=False, **options
+    )
+
+
+def test_version() -> None:
+    assert hiros("--version").stdout == f"hiros {__version__}\n"
+
+
+def python(code: str) -> str:
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_help_names_every_command_and_imports_nothing_heavy() -> None:
+    code = "import sys; from hiros_cli.app import run; run(['--help']); print(sorted(sys.modules))"
+    text = python(code)
+    assert all(name in text for name in ("process", "info", "simulate", "config", "warmup"))
+    assert not any(f"'{name}'" in text for name in ("numpy", "numba", "pydantic", "mcap"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["frobnicate"], "No such command 'frobnicate'. (see hiros --help)"),
+        (["process", "--frobnicate"], "(see hiros process --help)"),
+        (["process"], "Missing argument 'IN'. (see hiros process --help)"),
+        (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str) -> None:
+    result = hiros(*arguments)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith("hiros: error: ")
+    assert result.stderr.endswith(f"{said}\n")
+    assert result.stderr.count("\n") == 1
+
+
+def test_no_command_shows_the_help() -> None:
+    result = hiros()
+    assert result.returncode == 2
+    assert result.stdout.startswith("Usage: hiros")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (MemoryError(), 2, "hiros: error: not enough memory\n"),
+        (OSError(28, "No space left on device", "x.mcap"), 2, "x.mcap: No space left on device\n"),
+        (KeyError("tibia"), 70, "(a fault of hiros, not of your input; "),
+    ],
+)
+def test_every_fault_ends_as_one_line(
+    error: Exception,
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def dispatch(_: list[str]) -> int:
+        raise error
+
+    monkeypatch.setattr(app, "catch_signals", lambda: None)
+    monkeypatch.setattr("hiros_cli.commands.dispatch", dispatch)
+    assert app.run(["info"]) == code
+    stderr = capsys.readouterr().err
+    assert said in stderr
+    assert stderr.count("\n") == 1
+
+
+def test_debug_shows_where_an_error_comes_from() -> None:
+    result = hiros("process", "missing.mcap", "--debug")
+    assert result.returncode == 2
+    assert "Traceback" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("hiros: error: ")
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    result = subprocess.run([*HIROS, "--help"], stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (result.returncode, result.stderr) == (141, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_stdout_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        result = subprocess.run(
+            [*HIROS, "--version"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert result.returncode == 2
+    assert result.stderr == "hiros: error: No space left on device\n"
+
+
+def test_closed_standard_streams_are_no_error() -> None:
+    result = subprocess.run(
+        ["sh", "-c", '"$0" -m hiros_cli --version <&- >&- 2>&-', sys.executable], check=False
+    )
+    assert result.returncode == 0
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_stops_the_compilation_without_a_traceback(name: str, tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    with subprocess.Popen([*HIROS, "warmup"], stderr=subprocess.PIPE, env=environment) as run:
+        assert run.stderr is not None
+        assert b"compiling kernels" in run.stderr.readline()
+        run.send_signal(getattr(signal, name))
+        assert run.stderr.read() == b""
+    assert run.returncode == 128 + getattr(signal, name)
+
+
+def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
+    code = (
+        "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from hiros_cli.app import catch_signals; catch_signals()\n"
+        "signal.raise_signal(signal.SIGHUP); print('alive')"
+    )
+    assert python(code) == "alive\n"
