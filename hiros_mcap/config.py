@@ -24,6 +24,7 @@ from hiros_mcap.stages.optimize import OptimizeParams
 from hiros_mcap.stages.smooth import FilterParams
 from hiros_mcap.stages.track import TrackParams
 from hiros_mcap.stages.transform import InputParams
+from hiros_mcap.validation import explain
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
@@ -76,11 +77,12 @@ def load_config(
         layers.append((str(path), _read(path)))
     layers += [("--set", _assignment(text)) for text in overrides]
     merged: Table = {}
-    origins: dict[tuple[str, str], str] = {}
+    origins: dict[tuple[str, ...], str] = {}
     for origin, table in layers:
         _check_names(table, origin)
         for section, values in table.items():
             merged.setdefault(section, {}).update(values)
+            origins[(section,)] = origin
             origins.update({(section, name): origin for name in values})
     try:
         return Config.model_validate(merged)
@@ -97,7 +99,7 @@ def _read(path: Path) -> Table:
         return tomllib.loads(raw.decode())
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: not TOML: {error}") from error
 
 
@@ -150,14 +152,11 @@ def _instead(name: str, known: Iterable[str], section: str = "") -> str:
     return f"{guess} (there are: {', '.join(names)})"
 
 
-def _explained(error: ValidationError, origins: Mapping[tuple[str, str], str]) -> ConfigError:
-    fault = error.errors(include_url=False)[0]
-    where = [str(part) for part in fault["loc"]]
-    origin = origins.get((where[0], where[1])) if len(where) > 1 else None
-    message = fault["msg"].replace("Input should", "should").replace("Value error, ", "")
-    given = "" if isinstance(fault["input"], Mapping | Params) else f", is {fault['input']!r}"
-    parts = [] if origin is None else [origin]
-    return ConfigError(": ".join([*parts, ".".join(where), message + given]))
+def _explained(error: ValidationError, origins: Mapping[tuple[str, ...], str]) -> ConfigError:
+    where, message = explain(error)
+    origin = origins.get(tuple(where[:2]))
+    key = ".".join(where)
+    return ConfigError(": ".join([*([origin] if origin else []), key, message]))
 
 
 def to_toml(config: Config) -> str:

@@ -1,5 +1,97 @@
-"""x"""
+"""``hiros simulate``: a log whose truth is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hiros_cli.options import Force, Quiet
+from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.simulate import SimulateParams
 
 
-def simulate() -> None:
-    """x"""
+def _scale(what: str) -> Any:
+    return typer.Option(metavar="SCALE", help=what, show_default="1")
+
+
+def _number(what: str, default: str) -> Any:
+    return typer.Option(help=what, show_default=default)
+
+
+def simulate(
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="The log to write.")],
+    people: Annotated[int | None, _number("Number of people.", "1")] = None,
+    cameras: Annotated[int | None, _number("Number of cameras.", "5")] = None,
+    action: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="walk, squat, wave, cross and others; a wrong name lists them.",
+            show_default="walk",
+        ),
+    ] = None,
+    seconds: Annotated[float | None, _number("Length of the log, s.", "10")] = None,
+    rate: Annotated[float | None, _number("Frames per second and camera.", "30")] = None,
+    seed: Annotated[int | None, _number("Same seed, same log, byte for byte.", "0")] = None,
+    noise: Annotated[float | None, _scale("Noise and bias of the joints.")] = None,
+    occlusion: Annotated[
+        float | None, _scale("Joints that are guessed where something hides them.")
+    ] = None,
+    flips: Annotated[float | None, _scale("Times that left and right are confused.")] = None,
+    dropouts: Annotated[float | None, _scale("Lost frames and lost people.")] = None,
+    clock_jitter: Annotated[float | None, _scale("Jitter of the frame times.")] = None,
+    calibration_error: Annotated[
+        float | None, _scale("Errors of the published camera poses.")
+    ] = None,
+    phantoms: Annotated[float | None, _scale("Bodies that are not there.")] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a synthetic multi-camera log, with the true motion on /truth/skeletons.
+
+    SCALE is 0 for none of it, 1 for as much as a real depth camera has.
+    """
+    given = {
+        "people": people,
+        "cameras": cameras,
+        "action": action,
+        "seconds": seconds,
+        "rate": rate,
+        "seed": seed,
+        "noise": noise,
+        "occlusion": occlusion,
+        "flips": flips,
+        "dropouts": dropouts,
+        "clock_jitter": clock_jitter,
+        "calibration_error": calibration_error,
+        "phantoms": phantoms,
+    }
+    from hiros_cli.kernels import prepare
+    from hiros_cli.output import check_target
+
+    check_target(output, force=force)
+    prepare(quiet=quiet)
+    from hiros_mcap.simulate import write_log
+
+    write_log(output, _params({name: value for name, value in given.items() if value is not None}))
+    if not quiet:
+        print(f"wrote {output}")
+
+
+def _params(given: dict[str, Any]) -> SimulateParams:
+    from pydantic import ValidationError
+
+    from hiros_mcap.simulate import SimulateParams
+    from hiros_mcap.validation import explain
+
+    if "rate" in given:
+        given["rig"] = {"rate": given.pop("rate")}
+    try:
+        return SimulateParams.model_validate(given)
+    except ValidationError as error:
+        where, message = explain(error)
+        raise ConfigError(f"--{where[-1].replace('_', '-')}: {message}") from None
