@@ -1,0 +1,16 @@
+"""Synthetic logs with known truth: people, depth cameras and all their faults.
+
+    simulation = simulate(SimulateParams(people=2, action="cross", seconds=5))
+    for frame in simulation.detections: ...  # what each camera reports
+    for frame in simulation.truth: ...
+
+Bodies with constant limb lengths (:mod:`body`) perform the actions of the Hi-ROS evaluation
+(:mod:`actions`); cameras with clocks of their own (:mod:`cameras`) see them as far as nothing is in
+the way (:mod:`occlusion`), and a body tracker errs about them (:mod:`detector`). Every fault is a
+parameter (:class:`SimulateParams`), and the same seed gives the same bytes.
+"""
+
+from hiros_mcap.simulate.params import DetectorParams, RigParams, SimulateParams
+from hiros_mcap.simulate.scene import Simulation, simulate
+
+__all__ = ["DetectorParams", "RigParams", "SimulateParams", "Simulation", "simulate"]

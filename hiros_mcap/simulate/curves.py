@@ -1,0 +1,117 @@
+"""Smooth scalar functions of time and the paths that people follow on the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hiros_mcap.skeletons import Floats
+
+TURN = 2 * np.pi
+
+
+def smoothstep(x: Floats) -> Floats:
+    """From 0 (x <= 0) to 1 (x >= 1) with continuous velocity and acceleration."""
+    x = np.clip(x, 0.0, 1.0)
+    step: Floats = x**3 * (10 + x * (6 * x - 15))
+    return step
+
+
+def bump(x: Floats, start: float, end: float) -> Floats:
+    """From 0 up to 1 and back to 0 within [start, end], twice continuously differentiable."""
+    s = np.clip((x - start) / (end - start), 0.0, 1.0)
+    hump: Floats = 64 * (s * (1 - s)) ** 3
+    return hump
+
+
+def hold(x: Floats, start: float, full: float, falling: float, end: float) -> Floats:
+    """Rise within [start, full], stay at 1, fall within [falling, end]."""
+    up = smoothstep((x - start) / (full - start))
+    return up - smoothstep((x - falling) / (end - falling))
+
+
+class Path(Protocol):
+    """Where somebody is on the ground at any time, and which way he faces."""
+
+    def position(self, t: Floats) -> Floats:
+        """(..., 2) position, m, at times ``t``, s."""
+        ...
+
+    def heading(self, t: Floats) -> Floats:
+        """(...) direction of facing, rad, continuous over time (it does not wrap)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Standing at a place."""
+
+    x: float
+    y: float
+    facing: float
+
+    def position(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        return np.broadcast_to(np.array([self.x, self.y]), (*t.shape, 2))
+
+    def heading(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        return np.full(t.shape, self.facing)
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """Round and round, anticlockwise, once in ``period`` seconds, starting at ``phase`` turns.
+
+    Walked at constant angular rate: slow where the curve is tight, as people are.
+    """
+
+    period: float
+    phase: float
+    semi: tuple[float, float]
+    centre: tuple[float, float] = (0.0, 0.0)
+    tilt: float = 0.0
+
+    def _angle(self, t: Floats) -> Floats:
+        return TURN * (t / self.period + self.phase)
+
+    def position(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        u = self._angle(t)
+        x, y = self.semi[0] * np.cos(u), self.semi[1] * np.sin(u)
+        c, s = np.cos(self.tilt), np.sin(self.tilt)
+        return np.stack([c * x - s * y + self.centre[0], s * x + c * y + self.centre[1]], axis=-1)
+
+    def heading(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        u = self._angle(t)
+        tangent = np.arctan2(self.semi[1] * np.cos(u), -self.semi[0] * np.sin(u))
+        return unwrapped(tangent, near=u + np.pi / 2) + self.tilt
+
+
+@dataclass(frozen=True, slots=True)
+class Eight:
+    """A figure of eight along x, ``semi`` metres long and wide to each side."""
+
+    period: float
+    phase: float
+    semi: tuple[float, float]
+
+    def position(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        u = TURN * (t / self.period + self.phase)
+        return np.stack([self.semi[0] * np.sin(u), self.semi[1] * np.sin(2 * u)], axis=-1)
+
+    def heading(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        u = TURN * (t / self.period + self.phase)
+        tangent = np.arctan2(2 * self.semi[1] * np.cos(2 * u), self.semi[0] * np.cos(u))
+        return unwrapped(tangent, near=np.full(u.shape, -np.pi / 2))
+
+
+def unwrapped(angle: Floats, near: Floats) -> Floats:
+    """``angle`` plus the whole turns that bring it within half a turn of ``near``."""
+    turns: Floats = angle - TURN * np.round((angle - near) / TURN)
+    return turns

@@ -1,0 +1,276 @@
+"""From what a person does to the pose of every segment: gait with planted feet, leg kinematics.
+
+An action prescribes where the pelvis and the toes are and the joint angles of trunk, head and arms;
+the legs follow by inverse kinematics. Everything is a function of time, evaluated for all instants
+at once, twice continuously differentiable, so that velocities and accelerations exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hiros_mcap.simulate.body import ADULT_HEIGHT, PARENT_SEGMENT, SEGMENTS, UPRIGHT, Body
+from hiros_mcap.simulate.curves import TURN, Path, bump, smoothstep
+from hiros_mcap.skeletons import Floats
+
+REACH = 0.996
+"""Longest hip-to-ankle distance relative to the straight leg: the knee never locks."""
+_SOFTNESS = 0.015  # m, over which a leg's reach saturates
+_TOE_AHEAD = 0.10  # m, toes in front of the pelvis at mid-stance
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Gait:
+    """How somebody walks or runs. Lengths in metres for a person of 1.75 m."""
+
+    cadence: float
+    """Strides (two steps) per second."""
+    duty: float
+    """Part of the stride that a foot is on the ground; below one half is running."""
+    clearance: float
+    """Height of the toes in mid-swing, m."""
+    heel_rise: float
+    """Largest plantar flexion at push-off, rad."""
+    drop: float
+    """How much lower than standing the pelvis is on average, m."""
+    bob: float
+    """Amplitude of its vertical oscillation, m; positive = highest in mid-stance."""
+    arm_swing: float
+    """Amplitude of the shoulder's flexion, rad."""
+    elbow: float
+    """Mean flexion of the elbow, rad."""
+    lean: float
+    """Forward lean of the trunk, rad."""
+
+
+WALK = Gait(0.92, 0.58, 0.05, 0.6, 0.058, 0.014, 0.42, 0.35, 0.03)
+JOG = Gait(1.30, 0.36, 0.16, 0.8, 0.045, -0.035, 0.55, 1.50, 0.14)
+
+
+@dataclass(slots=True)
+class Posture:
+    """What an action prescribes at n instants."""
+
+    pelvis: Floats
+    """(n, 3) position of the PELVIS in the world, m."""
+    heading: Floats
+    """(n,) direction that the person faces, rad."""
+    toes: Floats
+    """(n, 2, 3) position of FOOT_LEFT and FOOT_RIGHT in the world, m."""
+    foot_heading: Floats
+    """(n, 2) direction of each foot, rad."""
+    foot_pitch: Floats
+    """(n, 2) plantar flexion from flat on the ground (heel up), rad."""
+    angles: dict[str, Floats] = field(default_factory=dict)
+    """(n, 3) flexion, adduction, internal rotation of a segment in its parent, rad; absent = 0.
+    The pelvis' parent is the upright frame that faces ``heading``."""
+
+    def add(self, segment: str, angles: Floats) -> None:
+        """Add to a joint's angles."""
+        self.angles[segment] = self.angles.get(segment, 0.0) + angles
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """A body and what it does: ``posture(t)`` for times in seconds."""
+
+    body: Body
+    posture: Callable[[Floats], Posture]
+
+    def pose(self, t: Floats) -> tuple[Floats, Floats]:
+        """(n, M, 3) markers, m, and (n, S, 3, 3) segment rotations in the world at times ``t``."""
+        posture = self.posture(t)
+        rotations = segment_rotations(self.body, posture)
+        return self.body.markers(posture.pelvis, rotations), rotations
+
+
+def angles(flexion: object = 0.0, adduction: object = 0.0, internal: object = 0.0) -> Floats:
+    """(n, 3) joint angles, rad, from scalars or series."""
+    parts = np.broadcast_arrays(
+        *(np.asarray(part, np.float64) for part in (flexion, adduction, internal))
+    )
+    return np.stack(parts, axis=-1)
+
+
+def arm(side: str, flexion: object, abduction: object = 0.0, inward: object = 0.0) -> Floats:
+    """Shoulder angles (n, 3) with the same sense on both sides: positive abduction is outwards."""
+    sign = 1.0 if side == "right" else -1.0
+    return angles(
+        flexion, -sign * np.asarray(abduction, np.float64), sign * np.asarray(inward, np.float64)
+    )
+
+
+def rotation_zxy(zxy: Floats) -> Floats:
+    """(..., 3, 3) ``Rz(a) Rx(b) Ry(c)`` of angles (..., 3), rad: equation 21's sequence."""
+    (ca, cb, cc), (sa, sb, sc) = (np.moveaxis(f(zxy), -1, 0) for f in (np.cos, np.sin))
+    return np.stack(
+        [
+            np.stack([ca * cc - sa * sb * sc, -sa * cb, ca * sc + sa * sb * cc], axis=-1),
+            np.stack([sa * cc + ca * sb * sc, ca * cb, sa * sc - ca * sb * cc], axis=-1),
+            np.stack([-cb * sc, sb, cb * cc], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def facing(heading: Floats) -> Floats:
+    """(..., 3, 3) rotation of an upright neutral segment that faces ``heading``."""
+    c, s, zero, one = (
+        np.cos(heading),
+        np.sin(heading),
+        np.zeros_like(heading),
+        np.ones_like(heading),
+    )
+    turn = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1)
+    return turn.reshape(*heading.shape, 3, 3) @ UPRIGHT
+
+
+def segment_rotations(body: Body, posture: Posture) -> Floats:
+    """(n, S, 3, 3) rotation of every segment in the world."""
+    n = len(posture.heading)
+    rotations = np.empty((n, len(SEGMENTS), 3, 3))
+    for slot, segment in enumerate(SEGMENTS):
+        if segment.startswith(("thigh", "shank", "foot")):
+            continue
+        part, _, side = segment.rpartition("_")
+        parent = PARENT_SEGMENT.get(part if side in _SIDES else segment)
+        if parent in {"upper_arm", "forearm"}:
+            parent = f"{parent}_{side}"
+        base = facing(posture.heading) if parent is None else rotations[:, SEGMENTS.index(parent)]
+        given = posture.angles.get(segment)
+        rotations[:, slot] = base if given is None else base @ rotation_zxy(given)
+    for k, side in enumerate(_SIDES):
+        legs = _leg_rotations(body, posture, rotations[:, 0], k)
+        for part, rotation in zip(("thigh", "shank", "foot"), legs, strict=True):
+            rotations[:, SEGMENTS.index(f"{part}_{side}")] = rotation
+    return rotations
+
+
+def _leg_rotations(
+    body: Body, posture: Posture, pelvis: Floats, side: int
+) -> tuple[Floats, Floats, Floats]:
+    """Thigh, shank and foot by inverse kinematics: the knee is a hinge that bends backwards."""
+    name = _SIDES[side].upper()
+    flat = angles(-posture.foot_pitch[:, side])
+    foot = facing(posture.foot_heading[:, side]) @ rotation_zxy(flat)
+    hip = posture.pelvis + pelvis @ body.offset(f"HIP_{name}")
+    reach = posture.toes[:, side] - foot @ body.offset(f"FOOT_{name}") - hip
+    upper, lower = -body.offset(f"KNEE_{name}")[1], -body.offset(f"ANKLE_{name}")[1]
+    span = np.linalg.norm(reach, axis=-1, keepdims=True)
+    down = reach / span
+    longest = REACH * (upper + lower)
+    span = longest - _SOFTNESS * np.logaddexp(0.0, (longest - span) / _SOFTNESS)
+    forward = pelvis[..., 0] + foot[..., 0]
+    forward -= down * (forward * down).sum(-1, keepdims=True)
+    forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
+    cosine = (upper**2 + span**2 - lower**2) / (2 * upper * span)
+    knee = upper * (cosine * down + np.sqrt(1 - cosine**2) * forward)
+    right = np.cross(down, forward)
+    thigh = _bone_rotation(-knee / upper, right)
+    shank = _bone_rotation((knee - span * down) / lower, right)
+    return thigh, shank, foot
+
+
+def _bone_rotation(up: Floats, right: Floats) -> Floats:
+    """Rotation whose y is ``up`` and whose z is ``right``, both unit and orthogonal."""
+    return np.stack([np.cross(up, right), up, right], axis=-1)
+
+
+def standing(body: Body, path: Path, t: Floats) -> Posture:
+    """Stand on both feet, a hip's width apart."""
+    heading = path.heading(t)
+    pelvis = np.concatenate([path.position(t), np.full((*t.shape, 1), body.standing)], axis=-1)
+    ground = pelvis * [1.0, 1.0, 0.0] + [0.0, 0.0, body.toe_height]
+    ahead = 0.75 * float(body.offset("FOOT_LEFT")[0])
+    toes = [
+        beside(ground, heading, ahead, -body.offset(f"HIP_{side.upper()}")[2]) for side in _SIDES
+    ]
+    return Posture(
+        pelvis=pelvis,
+        heading=heading,
+        toes=np.stack(toes, axis=1),
+        foot_heading=np.repeat(heading[:, None], 2, axis=1),
+        foot_pitch=np.zeros((len(t), 2)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Walker:
+    """Walking or running along a path: each foot stays where it was put until it swings on.
+
+    ``phase``, in strides, is where the left foot is in its stride at t = 0; it lands at 0.
+    """
+
+    body: Body
+    path: Path
+    gait: Gait
+    phase: float
+
+    def posture(self, t: Floats) -> Posture:
+        """Posture at times ``t``, s."""
+        gait, scale = self.gait, self.body.height / ADULT_HEIGHT
+        stride = gait.cadence * t + self.phase
+        posture = standing(self.body, self.path, t)
+        middle = TURN * (stride - gait.duty / 2)
+        sway = 0.02 * scale * np.cos(middle)
+        posture.pelvis = beside(posture.pelvis, posture.heading, 0.0, sway)
+        posture.pelvis[:, 2] += scale * (gait.bob * np.cos(2 * middle) - gait.drop)
+        for side in range(2):
+            own = stride + 0.5 * side
+            posture.toes[:, side], posture.foot_heading[:, side] = self._foot(t, own, side)
+            posture.foot_pitch[:, side] = _foot_pitch(gait, own)
+        _swing_upper_body(posture, gait, TURN * stride)
+        return posture
+
+    def _foot(self, t: Floats, own: Floats, side: int) -> tuple[Floats, Floats]:
+        """Toes (n, 3) and heading (n,) of the foot that lands whenever ``own`` is whole."""
+        count, duty = np.floor(own), self.gait.duty
+        swing = (own - count - duty) / (1 - duty)
+        w = smoothstep(swing)
+        here, heading = self._print(t + (count + duty / 2 - own) / self.gait.cadence, side)
+        there, next_heading = self._print(
+            t + (count + 1 + duty / 2 - own) / self.gait.cadence, side
+        )
+        toes = here + w[:, None] * (there - here)
+        toes[:, 2] += self.gait.clearance * bump(swing, 0.0, 1.0)
+        return toes, heading + w * (next_heading - heading)
+
+    def _print(self, stance: Floats, side: int) -> tuple[Floats, Floats]:
+        """Footprint (n, 3) and its heading (n,) of the stance whose middle is at ``stance``, s."""
+        heading = self.path.heading(stance)
+        ground = np.full((*stance.shape, 1), self.body.toe_height)
+        track = np.concatenate([self.path.position(stance), ground], axis=-1)
+        lateral = 0.6 * self.body.offset("HIP_LEFT" if side == 0 else "HIP_RIGHT")[2]
+        return beside(track, heading, _TOE_AHEAD, -lateral), heading
+
+
+def beside(points: Floats, heading: Floats, ahead: float, left: Floats | float) -> Floats:
+    """Points (n, 3) moved ``ahead`` of and to the ``left`` of a heading, m."""
+    c, s = np.cos(heading), np.sin(heading)
+    shift = [ahead * c - left * s, ahead * s + left * c, np.zeros_like(c)]
+    moved: Floats = points + np.stack(shift, axis=-1)
+    return moved
+
+
+def _foot_pitch(gait: Gait, own: Floats) -> Floats:
+    """Plantar flexion: the heel rises before the toes leave, the toes rise before landing."""
+    x = own - np.floor(own)
+    leave = gait.duty
+    heel = bump(x, leave - 0.30, leave + 0.26)
+    return gait.heel_rise * heel - 0.2 * bump(x, leave + 0.20, 1.0)
+
+
+def _swing_upper_body(posture: Posture, gait: Gait, angle: Floats) -> None:
+    """Arms and shoulders go against the legs; ``angle``, rad, is 0 when the left foot lands."""
+    beat = np.cos(angle)
+    posture.add("pelvis", angles(-gait.lean, 0.04 * np.sin(angle), -0.07 * beat))
+    posture.add("thorax", angles(0.0, -0.03 * np.sin(angle), 0.14 * beat))
+    posture.add("neck", angles(gait.lean, 0.0, -0.07 * beat))
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        flexion = gait.arm_swing * sign * beat
+        posture.add(f"upper_arm_{side}", arm(side, flexion - 0.25 * gait.elbow, 0.12, 0.2))
+        posture.add(f"forearm_{side}", angles(gait.elbow + 0.4 * flexion))

@@ -1,0 +1,186 @@
+"""Everything that a simulation can be told, with units."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+)
+
+from hiros_mcap.params import Params
+
+
+def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"the first of {ends} should not be greater than the second")
+    return ends
+
+
+Range = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_ordered)]
+PositiveRange = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ordered)]
+Frames = Annotated[tuple[PositiveInt, PositiveInt], AfterValidator(_ordered)]
+Angle = Annotated[float, Field(gt=0, lt=180)]
+Share = Annotated[float, Field(ge=0, le=1)]
+ActionName = Literal[
+    "walk",
+    "squat",
+    "bend",
+    "sit",
+    "jog",
+    "jump",
+    "cross_arms",
+    "point",
+    "wave",
+    "throw",
+    "free_static",
+    "free_dynamic",
+    "circle",
+    "cross",
+    "in_out",
+    "eight",
+]
+
+
+class RigParams(Params):
+    """The cameras: where they stand, what they see, how their clocks run."""
+
+    radius: PositiveFloat = Field(3.6, description="Distance from the middle of the room, m.")
+    height: PositiveFloat = Field(2.0, description="Height of the cameras, m.")
+    aim_height: float = Field(1.0, description="Height that they look at in the middle, m.")
+    fov: tuple[Angle, Angle] = Field(
+        (75.0, 65.0), description="Field of view, deg: across, upright (Azure Kinect, narrow)."
+    )
+    range: Range = Field((0.5, 5.5), description="Nearest and farthest depth seen, m.")
+    rate: PositiveFloat = Field(30.0, description="Frames per second of each camera.")
+    synchronised: bool = Field(
+        False, description="Whether all cameras fire together; otherwise each at its own phase."
+    )
+    jitter: NonNegativeFloat = Field(0.001, description="SD of the time of a frame, s.")
+    clock_offset: NonNegativeFloat = Field(
+        0.0, description="SD of the constant error of a camera's clock, s (0.035 is a bad one)."
+    )
+    delay: Range = Field(
+        (0.020, 0.040), description="Least and greatest time from the frame to its message, s."
+    )
+    lost_frames: Share = Field(0.015, description="Share of frames that never arrive.")
+    position_error: NonNegativeFloat = Field(
+        0.004, description="SD of a camera's published position, per axis, m."
+    )
+    orientation_error: NonNegativeFloat = Field(
+        0.15, description="SD of a camera's published orientation, per axis, deg."
+    )
+
+
+class DetectorParams(Params):
+    """The errors of one camera's body tracker, as real depth cameras make them."""
+
+    coloured: NonNegativeFloat = Field(
+        0.013, description="SD of the slow part of a trunk joint's error at 3.5 m, per axis, m."
+    )
+    correlation: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.85, description="Its correlation over 1/30 s (the time constant follows, at any rate)."
+    )
+    white: NonNegativeFloat = Field(
+        0.007, description="SD of the part that is new in every frame, per axis, m."
+    )
+    bias: NonNegativeFloat = Field(
+        0.009, description="SD of the lasting error per camera, person and joint, per axis, m."
+    )
+    bias_seconds: PositiveFloat = Field(20.0, description="Time over which the bias changes, s.")
+    extremities: PositiveFloat = Field(
+        1.6, description="How much larger the errors of hands and feet are than the trunk's."
+    )
+    range_growth: NonNegativeFloat = Field(
+        1.0, description="Errors grow with this power of the distance from the camera."
+    )
+    turn_coloured: NonNegativeFloat = Field(
+        3.0, description="SD of the slow part of a link's orientation error, per axis, deg."
+    )
+    turn_white: NonNegativeFloat = Field(1.5, description="SD of its white part, per axis, deg.")
+    turn_bias: NonNegativeFloat = Field(1.5, description="SD of its bias, per axis, deg.")
+    guess: NonNegativeFloat = Field(
+        0.05, description="SD of an occluded trunk joint's additional error, per axis, m."
+    )
+    guess_extremities: PositiveFloat = Field(
+        2.2, description="How much larger the error of guessed hands and feet is."
+    )
+    guess_seconds: PositiveFloat = Field(0.4, description="Time over which a guess changes, s.")
+    guess_turn: NonNegativeFloat = Field(
+        8.0, description="SD of an occluded link's additional orientation error, per axis, deg."
+    )
+    confidence_seen: Share = Field(0.66, description="Confidence of a joint that is seen.")
+    confidence_guessed: Share = Field(0.33, description="Confidence of an occluded joint.")
+    confidence_outside: Share = Field(0.0, description="Confidence of a joint out of the picture.")
+    hidden: Share = Field(
+        0.7, description="A body of which others hide more than this share is not detected."
+    )
+    flips_per_minute: NonNegativeFloat = Field(
+        1.5, description="Left-right confusions per minute, camera and person seen from behind."
+    )
+    flip_seconds: PositiveRange = Field((0.1, 3.0), description="Shortest and longest flip, s.")
+    turn_share: Share = Field(
+        0.5,
+        description="Share of flips that turn the body by 180 deg; the others swap sides only.",
+    )
+    losses_per_minute: NonNegativeFloat = Field(
+        1.0, description="Times per minute that a camera loses a visible person."
+    )
+    loss_seconds: PositiveRange = Field((0.1, 1.0), description="Shortest and longest loss, s.")
+    spawn_frames: Frames = Field(
+        (2, 6), description="How many frames a body that re-appears is in a wrong pose."
+    )
+    spawn_error: NonNegativeFloat = Field(
+        0.15, description="SD of that pose's initial error, body and joints, per axis, m."
+    )
+    phantoms_per_minute: NonNegativeFloat = Field(
+        0.5, description="Bodies that are not there, per minute and camera."
+    )
+    phantom_frames: Frames = Field((2, 8), description="How many frames a phantom lasts.")
+    double_share: Share = Field(
+        0.5, description="Share of phantoms that are a second body on a real person."
+    )
+    static_phantoms: NonNegativeInt = Field(
+        0, description="How many cameras take a thing for a person all the time."
+    )
+    ids: Literal["none", "camera"] = Field(
+        "none", description="Ids in the log: -1 for all, or the camera's own numbering."
+    )
+
+
+class SimulateParams(Params):
+    """A scene and how badly it is seen. The scales: 1 = like a real depth camera, 0 = off."""
+
+    people: Annotated[int, Field(ge=0, le=10)] = Field(1, description="Number of people.")
+    cameras: Annotated[int, Field(ge=1, le=32)] = Field(5, description="Number of cameras.")
+    action: ActionName = Field("walk", description="What everybody does (the paper's Table 5).")
+    seconds: PositiveFloat = Field(10.0, description="Length of the log, s.")
+    seed: NonNegativeInt = Field(0, description="Same seed, same log, byte for byte.")
+    noise: NonNegativeFloat = Field(1.0, description="Scale of noise and bias of what is seen.")
+    occlusion: NonNegativeFloat = Field(
+        1.0, description="Scale of guessed joints' errors; 0 = nothing ever hides anything."
+    )
+    flips: NonNegativeFloat = Field(1.0, description="Scale of the rate of left-right flips.")
+    dropouts: NonNegativeFloat = Field(
+        1.0, description="Scale of lost frames, lost bodies and wrong poses on re-appearing."
+    )
+    clock_jitter: NonNegativeFloat = Field(1.0, description="Scale of the jitter of frame times.")
+    calibration_error: NonNegativeFloat = Field(
+        1.0, description="Scale of the errors in the published camera poses."
+    )
+    phantoms: NonNegativeFloat = Field(1.0, description="Scale of the rate of phantom bodies.")
+    heights: PositiveRange = Field((1.55, 1.95), description="Shortest and tallest person, m.")
+    proportions: NonNegativeFloat = Field(
+        0.03, description="Relative SD of trunk, arm and leg lengths at a given height."
+    )
+    start: NonNegativeInt = Field(
+        1_700_000_000_000_000_000, description="Time of the first instant, ns since the epoch."
+    )
+    truth_rate: PositiveFloat = Field(30.0, description="Frames per second of the truth.")
+    rig: RigParams = Field(RigParams(), description="The cameras.")
+    detector: DetectorParams = Field(DetectorParams(), description="Their body tracker.")

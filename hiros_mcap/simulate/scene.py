@@ -1,0 +1,184 @@
+"""The whole simulation: people, cameras, what the cameras report, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hiros_mcap.rotations import Rigid, conjugate, multiply
+from hiros_mcap.simulate.actions import ACTIONS
+from hiros_mcap.simulate.body import LINK_SEGMENTS, MODEL, Body
+from hiros_mcap.simulate.cameras import Camera, build_cameras, seconds_since
+from hiros_mcap.simulate.detector import Bodies, detect
+from hiros_mcap.simulate.motion import Person
+from hiros_mcap.simulate.occlusion import Mask
+from hiros_mcap.simulate.params import SimulateParams
+from hiros_mcap.simulate.randomness import stream
+from hiros_mcap.simulate.spatial import quaternions, vectors
+from hiros_mcap.skeletons import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    ANGULAR_VELOCITY,
+    ORIENTATION,
+    POSITION,
+    UNTRACKED,
+    VELOCITY,
+    Floats,
+    Frame,
+    Ints,
+    SkeletonModel,
+    Stamps,
+)
+
+WORLD = "world"
+_STEP = 1e-3  # s, of the central differences that give the truth's velocities
+_CHUNK = 256  # instants of truth evaluated at once
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A scene and what its cameras say about it; the same ``params``, the same numbers.
+
+    Nothing is computed before it is asked for. Frames are made one by one while iterating.
+    """
+
+    params: SimulateParams
+
+    @property
+    def model(self) -> SkeletonModel:
+        """The 32 joints and 31 links of the Azure Kinect."""
+        return MODEL
+
+    @cached_property
+    def people(self) -> list[Person]:
+        """Who is there, with his proportions and his motion as a function of time, s."""
+        params = self.params
+        rng = stream(params.seed, "people")
+        bodies = [
+            Body.of(rng.uniform(*params.heights), params.proportions, rng)
+            for _ in range(params.people)
+        ]
+        return ACTIONS[params.action].perform(bodies, stream(params.seed, "motion"))
+
+    @cached_property
+    def cameras(self) -> list[Camera]:
+        """The cameras with their true and their published poses."""
+        return build_cameras(self.params)
+
+    @property
+    def transforms(self) -> dict[str, Rigid]:
+        """Published pose in the world of each camera, by its name: what /tf_static says."""
+        return {camera.name: camera.published for camera in self.cameras}
+
+    @cached_property
+    def _bodies(self) -> list[Bodies]:
+        return [detect(self.people, camera, self.params) for camera in self.cameras]
+
+    @property
+    def detections(self) -> Iterator[Frame]:
+        """What the cameras report, in log-time order, each in its camera's coordinates.
+
+        ``stamp`` is header.stamp; ``stamps`` are the skeletons' src_time.
+        """
+        order = sorted(
+            (int(camera.ticks.logged[k]), camera.index, int(k))
+            for camera in self.cameras
+            for k in np.flatnonzero(camera.ticks.kept)
+        )
+        ids = [_ids(bodies.present, self.params) for bodies in self._bodies]
+        for _, index, k in order:
+            yield _frame(self.cameras[index], self._bodies[index], ids[index], k)
+
+    @property
+    def truth(self) -> Iterator[Frame]:
+        """Where everybody really is, in frame "world", with velocities and accelerations."""
+        params = self.params
+        count = np.arange(int(np.ceil(params.seconds * params.truth_rate)))
+        stamps = params.start + np.round(count / params.truth_rate * 1e9).astype(np.int64)
+        for start in range(0, len(stamps), _CHUNK):
+            yield from self.truth_at(stamps[start : start + _CHUNK])
+
+    def truth_at(self, stamps: Stamps) -> list[Frame]:
+        """Return the truth at any instants, ns since the epoch; ids are 0, 1, ..."""
+        markers, links = self._kinematics(seconds_since(self.params.start, stamps))
+        frames = []
+        for k, stamp in enumerate(stamps.tolist()):
+            frame = Frame.empty(len(self.people), MODEL, stamp=stamp, source=WORLD, frame_id=WORLD)
+            frame.ids[:] = np.arange(len(self.people))
+            frame.markers[:], frame.links[:] = markers[:, k], links[:, k]
+            for confidences in (
+                frame.confidences,
+                frame.marker_confidences,
+                frame.link_confidences,
+            ):
+                confidences[:] = 1.0
+            frames.append(frame)
+        return frames
+
+    def _kinematics(self, t: Floats) -> tuple[Floats, Floats]:
+        """States (P, n, M, 19) of markers and (P, n, L, 19) of links at times ``t``, s."""
+        markers = np.full((len(self.people), len(t), MODEL.n_markers, 19), np.nan)
+        links = np.full((len(self.people), len(t), MODEL.n_links, 19), np.nan)
+        for state, link_state, person in zip(markers, links, self.people, strict=True):
+            (before, q_before), (now, q_now), (after, q_after) = (
+                _markers_and_links(person, t + shift) for shift in (-_STEP, 0.0, _STEP)
+            )
+            state[..., POSITION] = now
+            state[..., VELOCITY] = (after - before) / (2 * _STEP)
+            state[..., ACCELERATION] = (after - 2 * now + before) / _STEP**2
+            link_state[..., ORIENTATION] = q_now
+            coming = vectors(multiply(q_now, conjugate(q_before))) / _STEP
+            going = vectors(multiply(q_after, conjugate(q_now))) / _STEP
+            link_state[..., ANGULAR_VELOCITY] = (coming + going) / 2
+            link_state[..., ANGULAR_ACCELERATION] = (going - coming) / _STEP
+        return markers, links
+
+
+_DEFAULT = SimulateParams()
+
+
+def simulate(params: SimulateParams = _DEFAULT) -> Simulation:
+    """Set up a scene with known truth, and cameras that see it as badly as ``params`` ask."""
+    return Simulation(params)
+
+
+def _markers_and_links(person: Person, t: Floats) -> tuple[Floats, Floats]:
+    markers, rotations = person.pose(t)
+    return markers, quaternions(rotations)[:, LINK_SEGMENTS]
+
+
+def _ids(present: Mask, params: SimulateParams) -> Ints:
+    """(n, P) ids: a camera that numbers bodies gives a new number to each that appears."""
+    ids = np.full(present.shape, UNTRACKED, np.int32)
+    if params.detector.ids == "camera":
+        appears = present.copy()
+        appears[1:] &= ~present[:-1]
+        number = np.cumsum(appears.ravel()).reshape(present.shape) - 1
+        latest = np.maximum.accumulate(np.where(appears, number, UNTRACKED), axis=0)
+        ids[present] = latest[present]
+    return ids
+
+
+def _frame(camera: Camera, bodies: Bodies, ids: Ints, k: int) -> Frame:
+    """Message ``k`` of a camera."""
+    ticks, there = camera.ticks, np.flatnonzero(bodies.present[k])
+    frame = Frame.empty(
+        len(there),
+        MODEL,
+        stamp=int(ticks.sent[k]),
+        log_time=int(ticks.logged[k]),
+        source=camera.name,
+        frame_id=camera.name,
+    )
+    frame.ids[:] = ids[k, there]
+    frame.stamps[:] = ticks.stamped[k]
+    frame.positions[:] = bodies.positions[k, there]
+    frame.orientations[:] = bodies.orientations[k, there]
+    confidences = bodies.confidences[k, there]
+    frame.marker_confidences[:] = confidences
+    frame.link_confidences[:] = np.minimum(confidences[:, 1:], confidences[:, MODEL.link_parents])
+    frame.confidences[:] = confidences.mean(axis=-1)
+    return frame
