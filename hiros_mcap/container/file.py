@@ -39,7 +39,7 @@ class LogFile:
         self._file.close()
 
     def read(self, offset: int, n: int) -> bytes:
-        """Return exactly ``n`` bytes from ``offset``; raises FormatError when the file is shorter."""
+        """Return exactly ``n`` bytes from ``offset``, or raise FormatError where the file ends."""
         if offset + n > self.size:
             raise FormatError("reaches past the end of the file")
         parts = []

@@ -1,0 +1,401 @@
+"""A log of skeletons as Frames: container, codec and transforms joined.
+
+::
+
+    with open_log("lab.mcap") as log:
+        for frame in transform_to_fixed(log.frames(), log.transforms, log.fixed_frame):
+            ...
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import hiros_schemas
+from hiros_mcap.channels import (
+    OUTPUT_PREFIX,
+    TF_TOPICS,
+    ChannelInfo,
+    channels_of,
+    select_skeletons,
+)
+from hiros_mcap.codec import Decoder, ModelBuilder, check_schema, clean
+from hiros_mcap.container import McapReader, Message
+from hiros_mcap.errors import LogError
+from hiros_mcap.layout import Layout
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.transforms import TransformTree, parse_tf, read_extrinsics
+
+STALE = "stale repeat"
+DAMAGED = "cannot be decoded"
+_FOREIGN = {b"#ROSBAG V2.0": "a ROS 1 bag", b"SQLite format 3": "a SQLite bag (.db3)"}
+
+
+@dataclass(slots=True)
+class Account:
+    """What became of every message of a topic: read = used + skipped."""
+
+    topic: str
+    read: int = 0
+    used: int = 0
+    skipped: Counter[str] = field(default_factory=Counter)
+    """Messages that gave no frame, by reason."""
+    stale: int = 0
+    """Skeletons left out because the camera had sent exactly them before."""
+    cleaned: Counter[str] = field(default_factory=Counter)
+    """Numbers taken out because they cannot be true, by kind (see codec.clean)."""
+    first_error: str = ""
+    """What was wrong with the first message that could not be decoded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A skeleton channel that is read."""
+
+    channel: ChannelInfo
+    layout: Layout
+    sources: Mapping[str, str]
+    """The name that each of its cameras goes by; usually there is one camera."""
+    frames: tuple[str, ...]
+    """Coordinate frames of its detections."""
+
+
+class Log:
+    """An open log; made by :func:`open_log`, used as a context manager.
+
+    Attributes
+    ----------
+    path : the file.
+    reader : its container.
+    channels : every channel of the file.
+    cameras : the skeleton channels that are read.
+    model : the skeleton model of all cameras.
+    transforms : where the cameras stand.
+    accounts : what became of the messages, by topic; filled while ``frames`` runs.
+    """
+
+    def __init__(
+        self,
+        reader: McapReader,
+        cameras: Sequence[Camera],
+        model: SkeletonModel,
+        transforms: TransformTree,
+        fixed_frame: str | None,
+    ) -> None:
+        self.reader = reader
+        self.path = reader.path
+        self.channels = channels_of(reader)
+        self.cameras = tuple(cameras)
+        self.model = model
+        self.transforms = transforms
+        self.strict = False
+        self.accounts: dict[str, Account] = {}
+        self._fixed_frame = fixed_frame
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.reader.close()
+
+    @cached_property
+    def fixed_frame(self) -> str:
+        """The frame that results are to be in: the root of the cameras' tree unless named.
+
+        Raises LogError if the cameras' frames are not all joined to it.
+        """
+        frames = [name for camera in self.cameras for name in camera.frames]
+        with _named(self.path):
+            fixed = self._fixed_frame or self.transforms.common_root(frames)
+            for name in frames:
+                self.transforms.lookup(name, fixed, 0)
+        return fixed
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the detections of all cameras in the order of their log times.
+
+        They are in the coordinates of the camera; ``frame_id`` says which. ``stamp`` is the
+        latest source time of the people in it, or header.stamp where the detector gives none, or
+        the log time. A skeleton that repeats one of the camera's previous message in every number
+        and in its source time is left out; a message of nothing else gives no frame.
+
+        Raises LogError where the file is damaged. A message that cannot be decoded is counted in
+        ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
+        """
+        topics = {camera.channel.topic for camera in self.cameras}
+        self.accounts = {topic: Account(topic) for topic in sorted(topics)}
+        streams = {
+            camera.channel.id: _Stream(camera, self.model, self.accounts[camera.channel.topic])
+            for camera in self.cameras
+        }
+        with _named(self.path):
+            for message in self.reader.messages(streams.keys()):
+                yield from streams[message.channel_id].frames_of(message, strict=self.strict)
+
+
+class _Stream:
+    """One channel being read: its decoder, its account and what it said last."""
+
+    def __init__(self, camera: Camera, model: SkeletonModel, account: Account) -> None:
+        self._names = dict(camera.sources)
+        self._only = next(iter(self._names)) if len(self._names) == 1 else ""
+        self._decoder = Decoder(model, topic=camera.channel.topic, layout=camera.layout)
+        self._account = account
+        self._previous: dict[str, Frame] = {}
+
+    def frames_of(self, message: Message, *, strict: bool) -> list[Frame]:
+        """Decode, clean and name what a message holds, and account for it."""
+        account = self._account
+        account.read += 1
+        try:
+            decoded = self._decoder.decode_all(message.data, message.log_time)
+        except LogError as error:
+            if strict:
+                raise
+            account.skipped[DAMAGED] += 1
+            account.first_error = account.first_error or error.fault
+            return []
+        found = []
+        for frame in decoded:
+            fresh = self._fresh(frame)
+            if fresh.n_people or not frame.n_people:
+                found.append(fresh)
+        if found:
+            account.used += 1
+        else:
+            account.skipped[STALE] += 1
+        return found
+
+    def _fresh(self, frame: Frame) -> Frame:
+        """Return the frame cleaned, named, stamped and without what was said before."""
+        source = frame.source if frame.n_people else self._only or frame.source
+        frame, cleaned = clean(frame)
+        if cleaned:
+            self._account.cleaned.update(cleaned)
+        frame = frame.replace(
+            stamp=int(frame.stamps.max(initial=0)) or frame.stamp or frame.log_time,
+            source=self._names.get(source, source or self._account.topic),
+            frame_id=frame.frame_id.lstrip("/"),
+        )
+        last, self._previous[source] = self._previous.get(source), frame
+        if last is None:
+            return frame
+        fresh = _without_repeats(frame, last)
+        self._account.stale += frame.n_people - fresh.n_people
+        return fresh
+
+
+def _without_repeats(frame: Frame, last: Frame) -> Frame:
+    """Leave out people whose source time and numbers are those of somebody in the last frame."""
+    stamps, before = frame.stamps.tolist(), last.stamps.tolist()
+    if set(stamps).isdisjoint(before):
+        return frame
+    said = {(before[q], *_numbers(last, q)) for q in range(last.n_people) if before[q]}
+    fresh = [p for p in range(frame.n_people) if (stamps[p], *_numbers(frame, p)) not in said]
+    return frame if len(fresh) == frame.n_people else frame.select(fresh)
+
+
+def _numbers(frame: Frame, person: int) -> tuple[bytes, bytes]:
+    return frame.markers[person].tobytes(), frame.links[person].tobytes()
+
+
+def open_log(
+    path: str | os.PathLike[str],
+    *,
+    topics: Sequence[str] | None = None,
+    extrinsics: str | os.PathLike[str] | None = None,
+    fixed_frame: str | None = None,
+    output_prefix: str = OUTPUT_PREFIX,
+) -> Log:
+    """Open an MCAP log and find out what is in it.
+
+    Parameters
+    ----------
+    path : the file, or a rosbag2 folder with one MCAP file in it.
+    topics : globs of the skeleton channels to read (see channels.select_skeletons).
+    extrinsics : file with the cameras' poses, instead of /tf_static and /tf.
+    fixed_frame : frame of the results, instead of the root of the transforms.
+    output_prefix : channels below it are results of hiros and not read.
+
+    Raises
+    ------
+    LogError
+        the file is not a complete, undamaged MCAP, or holds no skeletons; a camera's messages can
+        all not be decoded.
+    SchemaError
+        a chosen channel's message definition is not that of SkeletonGroup.
+    ConfigError
+        the extrinsics file is wrong.
+    """
+    tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
+    reader = McapReader(_mcap(Path(path)))
+    try:
+        with _named(reader.path):
+            chosen = select_skeletons(channels_of(reader), topics, output_prefix)
+            layouts = {info.id: _layout(reader, info) for info in chosen}
+            model, first = _learn(reader, layouts)
+            seen = [_look(reader, info, layouts[info.id], model, first) for info in chosen]
+            cameras = _name_cameras(seen)
+            transforms = _transforms(reader) if tree is None else tree
+        return Log(reader, cameras, model, transforms, fixed_frame)
+    except BaseException:
+        reader.close()
+        raise
+
+
+def _mcap(path: Path) -> Path:
+    """Return the MCAP file that is meant; raises LogError for bags of other kinds."""
+    if path.is_dir():
+        inside = sorted(path.glob("*.mcap"))
+        if len(inside) != 1:
+            raise LogError(f"is a folder with {len(inside)} MCAP files; name one", path=path)
+        return inside[0]
+    try:
+        with path.open("rb") as file:
+            start = file.read(16) if path.is_file() else b""
+    except OSError:
+        return path
+    for magic, kind in _FOREIGN.items():
+        if start.startswith(magic):
+            raise LogError(
+                f"is {kind}; convert it first: rosbags-convert --src {path.name} "
+                f"--dst {path.stem} --dst-storage mcap",
+                path=path,
+            )
+    return path
+
+
+def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
+    schema = reader.schema(reader.channels[info.id])
+    if schema is None:
+        raise LogError("has no message definition", topic=info.topic)
+    with _named(reader.path, info.topic):
+        return check_schema(schema.name, schema.encoding, schema.data)
+
+
+def _learn(
+    reader: McapReader, layouts: Mapping[int, Layout]
+) -> tuple[SkeletonModel, dict[int, Message]]:
+    """Learn the skeleton model, and each channel's first message on the way.
+
+    The first messages are enough when they hold every marker and link that the detectors claim to
+    know; at worst the whole log is read. A message that is damaged, or contradicts the former
+    ones, teaches nothing; whoever decodes it will say so.
+    """
+    builder, first, failed = ModelBuilder(), dict[int, Message](), ""
+    for message in reader.messages(layouts.keys()):
+        if not builder.complete or message.channel_id not in first:
+            topic = reader.channels[message.channel_id].topic
+            try:
+                builder.add(message.data, topic, layouts[message.channel_id])
+            except LogError as error:
+                failed = failed or f"; first error: {topic}: {error.fault}"
+        first.setdefault(message.channel_id, message)
+        if builder.complete and len(first) == len(layouts):
+            break
+    model = builder.build()
+    if not model.n_markers:
+        raise LogError(f"no message holds a skeleton with a marker{failed}")
+    return model, first
+
+
+def _look(
+    reader: McapReader,
+    info: ChannelInfo,
+    layout: Layout,
+    model: SkeletonModel,
+    first: Mapping[int, Message],
+) -> Camera:
+    """Find out the names of a channel's cameras and frames from the first skeletons on it."""
+    decoder = Decoder(model, topic=info.topic, layout=layout)
+    seen: list[Frame] = []
+    failed: LogError | None = None
+    for message in _after(first[info.id], reader, info.id):
+        try:
+            decoded = decoder.decode_all(message.data, message.log_time)
+        except LogError as error:
+            failed = failed or error
+            continue
+        if not seen or any(frame.n_people for frame in decoded):
+            seen = decoded
+        if any(frame.n_people for frame in seen):
+            break
+    if not seen and failed is not None:
+        raise failed
+    sources = {frame.source: frame.source for frame in seen}
+    return Camera(info, layout, sources, tuple({f.frame_id.lstrip("/"): 0 for f in seen}))
+
+
+def _after(first: Message, reader: McapReader, channel: int) -> Iterator[Message]:
+    """Yield a channel's first message, already at hand, and only if it does not do the others."""
+    yield first
+    messages = reader.messages({channel})
+    next(messages, None)
+    yield from messages
+
+
+def _name_cameras(seen: Sequence[Camera]) -> list[Camera]:
+    """Name each camera by what its messages call it, or by its topic where that is not unique."""
+    owners = Counter(source for camera in seen for source in camera.sources)
+    named = []
+    for camera in seen:
+        topic, alone = camera.channel.topic, len(camera.sources) == 1
+        names = {
+            source: source
+            if source and owners[source] == 1
+            else topic
+            if alone
+            else f"{topic}:{source}"
+            for source in camera.sources
+        }
+        named.append(Camera(camera.channel, camera.layout, names, camera.frames))
+    return named
+
+
+def _transforms(reader: McapReader) -> TransformTree:
+    """Gather every transform of the log; only the chunks that hold some are read."""
+    wanted = {
+        info.id: info.topic
+        for info in channels_of(reader)
+        if info.topic in TF_TOPICS
+        and info.has_type(hiros_schemas.TF_MESSAGE)
+        and info.encoding == "cdr"
+        and info.count
+    }
+    tree = TransformTree()
+    if wanted:
+        for message in reader.messages(wanted.keys()):
+            topic = wanted[message.channel_id]
+            with _named(reader.path, topic):
+                transforms = parse_tf(message.data)
+            for transform in transforms:
+                tree.add(transform, static=topic == "/tf_static")
+    return tree
+
+
+@contextmanager
+def _named(path: Path, topic: str | None = None) -> Iterator[None]:
+    """Give the LogErrors of a block the name of the file."""
+    try:
+        yield
+    except LogError as error:
+        if error.path is not None:
+            raise
+        raise type(error)(error.fault, path=path, topic=error.topic or topic) from None

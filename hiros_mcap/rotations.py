@@ -1,0 +1,122 @@
+"""Rotations and rigid transforms. Quaternions are x y z w, unit length, active, everywhere.
+
+This is the only module where the order of the components could change, and it does not: messages,
+arrays and kernels all have the scalar last.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.skeletons import Floats
+
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+def multiply(a_xyzw: Floats, b_xyzw: Floats) -> Floats:
+    """Hamilton product: the rotation ``b`` followed by ``a``. (..., 4) each, broadcast."""
+    ax, ay, az, aw = np.moveaxis(np.asarray(a_xyzw, np.float64), -1, 0)
+    bx, by, bz, bw = np.moveaxis(np.asarray(b_xyzw, np.float64), -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(xyzw: Floats) -> Floats:
+    """Inverse of a unit quaternion. (..., 4)."""
+    return np.asarray(np.asarray(xyzw, np.float64) * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
+def rotate(xyzw: Floats, vectors: Floats) -> Floats:
+    """Rotate vectors, (..., 3), by unit quaternions, (..., 4), broadcast."""
+    xyzw, vectors = np.asarray(xyzw, np.float64), np.asarray(vectors, np.float64)
+    axis, w = xyzw[..., :3], xyzw[..., 3:]
+    twice = 2.0 * np.cross(axis, vectors)
+    return vectors + w * twice + np.cross(axis, twice)
+
+
+def angle(a_xyzw: Floats, b_xyzw: Floats) -> Floats:
+    """Angle between two orientations, rad, 0..pi; q and -q are the same (Hi-ROS eq. 10)."""
+    dot = np.abs(np.sum(np.asarray(a_xyzw) * np.asarray(b_xyzw), axis=-1))
+    return np.asarray(2.0 * np.arccos(np.minimum(dot, 1.0)))
+
+
+def to_matrix(xyzw: Floats) -> Floats:
+    """Rotation matrices, (..., 3, 3), of unit quaternions, (..., 4)."""
+    columns = [rotate(xyzw, unit) for unit in np.eye(3)]
+    return np.stack(columns, axis=-1)
+
+
+def from_matrix(matrix: Floats) -> Floats:
+    """Return unit quaternions, (..., 4) with w >= 0, of rotation matrices, (..., 3, 3).
+
+    The eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix (2000): it takes
+    no cases, and the nearest rotation for a matrix that is only nearly one.
+    """
+    m = np.asarray(matrix, np.float64)
+    k = np.empty((*m.shape[:-2], 4, 4))
+    k[..., :3, :3] = m + np.swapaxes(m, -1, -2)
+    trace = np.trace(m, axis1=-2, axis2=-1)
+    k[..., range(3), range(3)] -= trace[..., None]
+    k[..., 3, 0] = k[..., 0, 3] = m[..., 2, 1] - m[..., 1, 2]
+    k[..., 3, 1] = k[..., 1, 3] = m[..., 0, 2] - m[..., 2, 0]
+    k[..., 3, 2] = k[..., 2, 3] = m[..., 1, 0] - m[..., 0, 1]
+    k[..., 3, 3] = trace
+    xyzw = np.linalg.eigh(k)[1][..., :, -1]
+    return np.asarray(np.where(xyzw[..., 3:] < 0, -xyzw, xyzw))
+
+
+def slerp(a_xyzw: Floats, b_xyzw: Floats, share: float) -> Floats:
+    """Return the rotation on the shorter way from ``a`` (share 0) to ``b`` (share 1), (4,) each."""
+    a, b = np.asarray(a_xyzw, np.float64), np.asarray(b_xyzw, np.float64)
+    dot = float(a @ b)
+    if dot < 0:
+        b, dot = -b, -dot
+    if dot > 1 - 1e-9:
+        # The sines vanish; the chord is as good as the arc here.
+        mix = (1 - share) * a + share * b
+    else:
+        whole = np.arccos(dot)
+        mix = np.sin((1 - share) * whole) * a + np.sin(share * whole) * b
+    return np.asarray(mix / np.linalg.norm(mix))
+
+
+class Rigid(NamedTuple):
+    """A rigid transform: ``point`` goes to ``rotate(xyzw, point) + translation``."""
+
+    xyzw: Floats
+    """(4,) unit quaternion."""
+    translation: Floats
+    """(3,) m."""
+
+    def __matmul__(self, first: Rigid) -> Rigid:
+        """Return the transform that does ``first``, then this one."""
+        return Rigid(
+            multiply(self.xyzw, first.xyzw),
+            rotate(self.xyzw, first.translation) + self.translation,
+        )
+
+    def inverse(self) -> Rigid:
+        """Return the transform that undoes this one."""
+        back = conjugate(self.xyzw)
+        return Rigid(back, -rotate(back, self.translation))
+
+    def towards(self, other: Rigid, share: float) -> Rigid:
+        """Return the transform between this one (share 0) and another (share 1)."""
+        return Rigid(
+            slerp(self.xyzw, other.xyzw, share),
+            (1 - share) * self.translation + share * other.translation,
+        )
+
+    @classmethod
+    def identity(cls) -> Rigid:
+        """Return the transform that leaves everything as it is."""
+        return cls(np.array(IDENTITY), np.zeros(3))
