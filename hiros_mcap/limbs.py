@@ -1,0 +1,174 @@
+"""Limb lengths per person: what the calibration finds, a session saves and the next one loads.
+
+The file is TOML, made to be read and edited by people::
+
+    [person.0.THIGH_LEFT]
+    length = 0.4213      # m
+    deviation = 0.0112   # m, of one measurement
+    frames = 300
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.skeletons import Floats, SkeletonModel
+
+
+@dataclass(frozen=True, slots=True)
+class Limb:
+    """Length of one link of one person (Hi-ROS 2023, eq. 13)."""
+
+    length: float
+    """Nominal length, m."""
+    deviation: float = 0.0
+    """Standard deviation of one measurement of it, m."""
+    frames: int = 0
+    """How many measurements it rests on."""
+
+
+@dataclass(slots=True)
+class LimbTable:
+    """The calibrated people of a session: link names to limbs, per person id."""
+
+    people: dict[int, dict[str, Limb]] = field(default_factory=dict)
+    origin: str = "limbs"
+    """Where the table comes from, for error messages: the file's name once loaded."""
+
+    def lengths(self, person: int, model: SkeletonModel) -> Floats:
+        """(L,) nominal lengths of a person, m, NaN where a link has none.
+
+        Raises
+        ------
+        ConfigError
+            If a limb's name is no link of ``model``.
+        """
+        limbs = self.people.get(person, {})
+        keys = link_keys(model)
+        unknown = sorted(limbs.keys() - set(keys))
+        if unknown:
+            raise ConfigError(
+                f"{self.origin}: person {person}: this log has no link {unknown[0]!r}"
+                f" (its links: {_some(keys)})"
+            )
+        return np.array([limbs[key].length if key in limbs else math.nan for key in keys])
+
+    def rename(self, ids: Mapping[int, int]) -> LimbTable:
+        """Return the table with people renumbered: ``{0: 3}`` makes person 0 person 3.
+
+        Raises
+        ------
+        ConfigError
+            If a person does not exist or two would share an id.
+        """
+        for old in ids:
+            if old not in self.people:
+                raise ConfigError(f"{self.origin}: no person {old} to rename")
+        new = [ids.get(person, person) for person in self.people]
+        twice = [person for person, n in Counter(new).items() if n > 1]
+        if twice:
+            raise ConfigError(f"{self.origin}: two people would have id {twice[0]}")
+        renamed = zip(new, self.people.values(), strict=True)
+        return LimbTable({person: dict(limbs) for person, limbs in renamed}, self.origin)
+
+    def to_toml(self) -> str:
+        """Text of the file, people by id, limbs in the order of the model."""
+        import tomli_w
+
+        people = {
+            str(person): {
+                name: {
+                    "length": limb.length,
+                    "deviation": limb.deviation,
+                    "frames": limb.frames,
+                }
+                for name, limb in self.people[person].items()
+            }
+            for person in sorted(self.people)
+        }
+        return tomli_w.dumps({"person": people})
+
+    def save(self, path: str | Path) -> None:
+        """Write the file.
+
+        Raises
+        ------
+        ConfigError
+            If it cannot be written.
+        """
+        try:
+            Path(path).write_text(self.to_toml(), encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{path}: {error.strerror}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> LimbTable:
+        """Read a file that :meth:`save` or a person wrote.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file, and the person and link where one is at fault.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+            content = tomllib.loads(text)
+        except OSError as error:
+            raise ConfigError(f"{path}: {error.strerror}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: not a TOML file: {error}") from error
+        if not isinstance(content.get("person"), dict) or len(content) != 1:
+            raise ConfigError(f"{path}: expects tables [person.ID.LINK] and nothing else")
+        people = content["person"]
+        return cls(
+            {_person(path, key): _limbs(path, key, people[key]) for key in people}, str(path)
+        )
+
+
+def link_keys(model: SkeletonModel) -> tuple[str, ...]:
+    """Return the names that limbs go by: the link's, or "link ID" if it has none of its own."""
+    count = Counter(model.link_names)
+    return tuple(
+        name if name and count[name] == 1 else f"link {link_id}"
+        for name, link_id in zip(model.link_names, model.link_ids, strict=True)
+    )
+
+
+def _some(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+
+
+def _person(path: str | Path, key: str) -> int:
+    if not key.isdecimal():
+        raise ConfigError(f"{path}: person {key!r} is not an id (0, 1, 2, ...)")
+    return int(key)
+
+
+def _limbs(path: str | Path, person: str, table: Any) -> dict[str, Limb]:
+    if not isinstance(table, dict):
+        raise ConfigError(f"{path}: person {person}: expects a table per link")
+    return {name: _limb(f"{path}: person {person}: {name}", row) for name, row in table.items()}
+
+
+def _limb(where: str, row: Any) -> Limb:
+    known = {"length", "deviation", "frames"}
+    if not isinstance(row, dict) or not row.keys() <= known or "length" not in row:
+        raise ConfigError(f"{where}: expects length, deviation and frames")
+    limb = Limb(row["length"], row.get("deviation", 0.0), row.get("frames", 0))
+    numbers = (limb.length, limb.deviation, limb.frames)
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
+        raise ConfigError(f"{where}: expects numbers")
+    if not (math.isfinite(limb.length) and limb.length > 0.0):
+        raise ConfigError(f"{where}: length {limb.length} m is not positive")
+    if not (limb.deviation >= 0.0 and limb.frames >= 0):
+        raise ConfigError(f"{where}: deviation and frames cannot be negative")
+    return limb
