@@ -9,7 +9,7 @@ kernel takes two arrays. NaN means absent, everywhere.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 Stamps = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
 
 # Columns of a KinematicState: pose.position, pose.orientation (x y z w), velocity.linear,
 # velocity.angular, acceleration.linear, acceleration.angular, in the order of the message.
@@ -149,15 +150,15 @@ class Frame:
 
     def replace(self, **changes: Any) -> Frame:
         """Return a copy with some fields changed; arrays that are not named are shared."""
-        return replace(self, **changes)
+        values = {name: getattr(self, name) for name in Frame.__slots__}
+        return Frame(**values | changes)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
         """Return a frame with the given rows (indices or a mask), arrays copied."""
         index = np.asarray(people)
         if index.size == 0:
             index = index.astype(np.intp)
-        return replace(
-            self,
+        return self.replace(
             ids=self.ids[index],
             stamps=self.stamps[index],
             confidences=self.confidences[index],

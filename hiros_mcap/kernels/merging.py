@@ -1,0 +1,697 @@
+"""Kernels of the merger: votes and weighted means over cameras (Hi-ROS 2023, section 3.2).
+
+A *view* is what one camera reports of one person. N views of a buffer lie in arrays (N, ...);
+``members`` are the indices of one person's views. What is remembered of each person lies in a bank
+of arrays with one row per person:
+
+- ``positions``, ``velocities`` (S, M, 3), ``turns`` (S, L, 4): the last merged pose
+- ``bias`` (S, C, M, 3): slow offset of each camera's markers from the merged ones, m
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiros_mcap.kernels.tracking import _exp, _norm3, _product, angle_between
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+
+KEPT, FLIPPED, RELABELLED = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def _compensate(dt: float, markers: Floats, links: Floats) -> None:
+    """Carry a view to the merged time by its own velocities, in place.
+
+    Cameras are not synchronised: at 3 m/s, views 16 ms apart disagree by 5 cm without this.
+    """
+    step = np.empty(4)
+    for m in range(markers.shape[0]):
+        z = markers[m]
+        if not math.isnan(z[7]):
+            for c in range(3):
+                z[c] += dt * z[7 + c]
+    for m in range(links.shape[0]):
+        z = links[m]
+        if not math.isnan(z[7]):
+            for c in range(3):
+                z[c] += dt * z[7 + c]
+        if not math.isnan(z[10]) and not math.isnan(z[3]):
+            _exp(dt * z[10], dt * z[11], dt * z[12], step)
+            _product(step, z[3:7], z[3:7])
+
+
+@njit(cache=True, nogil=True)
+def _lateral(positions: Floats, pairs: Ints, out: Floats) -> bool:
+    """Direction from the left to the right side of a body, the mean over shoulders and hips."""
+    out[0] = out[1] = out[2] = 0.0
+    for i in range(pairs.shape[0]):
+        a, b = positions[pairs[i, 0]], positions[pairs[i, 1]]
+        x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        length = _norm3(x, y, z)
+        if length > 1e-6:  # false for NaN
+            out[0] += x / length
+            out[1] += y / length
+            out[2] += z / length
+    length = _norm3(out[0], out[1], out[2])
+    if length < 1e-6:
+        return False
+    for c in range(3):
+        out[c] /= length
+    return True
+
+
+@njit("void(float64[:,::1], float64[:,::1], float64[:,::1])", cache=True, nogil=True)
+def facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
+    """(N, N) angles, rad, between the facing directions of N poses; NaN = unknown.
+
+    ``sides`` (N, 3) are the directions from left to right, ``pelvis`` (N, 4) the orientations of
+    the pelvis (compared by eq 10), NaN where unknown. Where both are known the larger angle
+    counts, since a detector may flip either.
+    """
+    n = sides.shape[0]
+    for a in range(n):
+        for b in range(n):
+            d = np.nan
+            if not (math.isnan(pelvis[a, 0]) or math.isnan(pelvis[b, 0])):
+                d = angle_between(pelvis[a], pelvis[b])
+            if not (math.isnan(sides[a, 0]) or math.isnan(sides[b, 0])):
+                dot = (
+                    sides[a, 0] * sides[b, 0] + sides[a, 1] * sides[b, 1] + sides[a, 2] * sides[b, 2]
+                )
+                angle = math.acos(min(1.0, max(-1.0, dot)))
+                d = angle if math.isnan(d) else max(d, angle)
+            out[a, b] = d
+
+
+@njit("int64(float64[:,::1], float64[::1], boolean, float64)", cache=True, nogil=True)
+def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) -> int:
+    """Index whose neighbours, at a distance below ``limit``, are the right views; -1 = no view.
+
+    ``apart`` (N, N) are distances, NaN on the diagonal for an absent view; with ``has_past`` the
+    last index is the previous merged pose, which has a vote like any camera but is not a view.
+    The largest group wins; of equal ones that nearest to the past, then that of most confidence,
+    then the tightest: never the order of the cameras.
+    """
+    n = apart.shape[0]
+    views = n - 1 if has_past else n
+    best = -1
+    best_votes, best_past, best_weight, best_spread = 0, 0.0, 0.0, 0.0
+    for k in range(views):
+        if math.isnan(apart[k, k]):
+            continue
+        votes, weight, spread = 0, 0.0, 0.0
+        for j in range(n):
+            if apart[k, j] < limit:
+                votes += 1
+                spread += apart[k, j]
+                if j < views:
+                    weight += weights[j]
+        past = 0.0
+        if has_past and not math.isnan(apart[k, n - 1]):
+            past = apart[k, n - 1]
+        better = votes > best_votes
+        if votes == best_votes and best >= 0:
+            if past != best_past:
+                better = past < best_past
+            elif abs(weight - best_weight) > 1e-12:
+                better = weight > best_weight
+            else:
+                better = spread < best_spread
+        if best < 0 or better:
+            best, best_votes, best_past, best_weight, best_spread = k, votes, past, weight, spread
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _powers(confidences: Floats, power: float) -> Floats:
+    """Weights of eq 12: confidences to a power, 1 where not given."""
+    out = np.empty_like(confidences)
+    known, known_power = 1.0, 1.0  # detectors give few distinct confidences, and pow is slow
+    for k in range(out.shape[0]):
+        for m in range(out.shape[1]):
+            c = confidences[k, m]
+            if math.isnan(c):
+                out[k, m] = 1.0
+                continue
+            if c != known:
+                known, known_power = c, c**power
+            out[k, m] = known_power
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _weigh(members: Stamps, powers: Floats, m: int, usable: Flags, out: Floats) -> None:
+    """Weight of each usable view; equal if all are zero."""
+    total = 0.0
+    for k in range(len(members)):
+        out[k] = powers[members[k], m] if usable[k] else 0.0
+        total += out[k]
+    if total <= 0.0:
+        for k in range(len(members)):
+            out[k] = 1.0 if usable[k] else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _robust_mean(
+    here: Floats, weights: Floats, start: Floats, scale: float, n: int, out: Floats
+) -> None:
+    """Weighted mean (eq 12) of the first ``n`` rows, (3,), by Cauchy weights of ``scale`` m.
+
+    The weights are multiplied by how much each row counts, so that velocities can use them.
+    """
+    for c in range(3):
+        out[c] = start[c]
+    robust = np.empty(n)
+    for _ in range(3 if scale > 0.0 else 1):
+        norm = x = y = z = 0.0
+        for k in range(n):
+            robust[k] = weights[k]
+            if weights[k] <= 0.0:
+                continue
+            if scale > 0.0:
+                dx, dy, dz = here[k, 0] - out[0], here[k, 1] - out[1], here[k, 2] - out[2]
+                robust[k] /= 1.0 + (dx * dx + dy * dy + dz * dz) / (scale * scale)
+            norm += robust[k]
+            x += robust[k] * here[k, 0]
+            y += robust[k] * here[k, 1]
+            z += robust[k] * here[k, 2]
+        out[0], out[1], out[2] = x / norm, y / norm, z / norm
+    for k in range(n):
+        weights[k] = robust[k]
+
+
+@njit(cache=True, nogil=True)
+def _mean(
+    views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats
+) -> None:
+    """Weighted mean of three columns over the views that have them; NaN where none has."""
+    norm = x = y = z = 0.0
+    for k in range(len(members)):
+        row = views[members[k], m]
+        if weights[k] > 0.0 and not math.isnan(row[first]):
+            norm += weights[k]
+            x += weights[k] * row[first]
+            y += weights[k] * row[first + 1]
+            z += weights[k] * row[first + 2]
+    if norm > 0.0:
+        out[first], out[first + 1], out[first + 2] = x / norm, y / norm, z / norm
+    else:
+        out[first] = out[first + 1] = out[first + 2] = np.nan
+
+
+@njit(cache=True, nogil=True)
+def _mean_turn(
+    views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats
+) -> None:
+    """Weighted mean of the orientations, signs aligned with member ``reference``."""
+    for c in range(4):
+        out[3 + c] = views[members[reference], m, 3 + c]
+    total = np.empty(4)
+    for _ in range(2):  # the second round aligns with the mean itself
+        for c in range(4):
+            total[c] = 0.0
+        for k in range(len(members)):
+            row = views[members[k], m]
+            if weights[k] <= 0.0 or math.isnan(row[3]):
+                continue
+            dot = row[3] * out[3] + row[4] * out[4] + row[5] * out[5] + row[6] * out[6]
+            w = weights[k] if dot >= 0.0 else -weights[k]
+            for c in range(4):
+                total[c] += w * row[3 + c]
+        norm = math.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2)
+        for c in range(4):
+            out[3 + c] = total[c] / norm
+
+
+@njit(cache=True, nogil=True)
+def _mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Floats) -> float:
+    total = norm = 0.0
+    for k in range(len(members)):
+        c = confidences[members[k], m]
+        if weights[k] > 0.0 and not math.isnan(c):
+            total += weights[k] * c
+            norm += weights[k]
+    return total / norm if norm > 0.0 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _vote(
+    apart: Floats, weights: Floats, voter: bool, limit: float, usable: Flags, lost: Flags
+) -> int:
+    """Strike out the views that are not in the largest group; return its centre."""
+    n = len(usable)
+    best = largest_group(apart, weights, voter, limit)
+    for k in range(n):
+        if usable[k] and not apart[best, k] < limit:
+            usable[k] = False
+            lost[k] = True
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _first(usable: Flags) -> int:
+    k = 0
+    while not usable[k]:
+        k += 1
+    return k
+
+
+@njit(cache=True, nogil=True)
+def _agree(here: Floats, usable: Flags, voter: bool, limit: float) -> bool:
+    """Whether all positions lie within ``limit`` of one of them, so that no vote is needed."""
+    n = len(usable)
+    centre = n if voter else _first(usable)
+    for k in range(n):
+        if usable[k]:
+            dx = here[k, 0] - here[centre, 0]
+            dy = here[k, 1] - here[centre, 1]
+            dz = here[k, 2] - here[centre, 2]
+            if dx * dx + dy * dy + dz * dz >= limit * limit:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _aligned(
+    views: Floats, members: Stamps, m: int, past: Floats, first: int, voter: bool, near: float
+) -> bool:
+    """Whether all orientations lie near one of them, so that no vote is needed."""
+    centre = past if voter else views[members[first], m, 3:7]
+    for k in range(len(members)):
+        q = views[members[k], m, 3:7]
+        dot = q[0] * centre[0] + q[1] * centre[1] + q[2] * centre[2] + q[3] * centre[3]
+        if abs(dot) <= near:
+            return False
+    return True
+
+
+@njit(
+    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1], float64[:,:,::1],"
+    " int64[::1], float64, float64, float64, float64, float64[:,::1], float64[::1], int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def merge_markers(
+    members: Stamps,
+    views: Floats,
+    confidences: Floats,
+    past: Floats,
+    bias: Floats,
+    cameras: Stamps,
+    limit: float,
+    power: float,
+    scale: float,
+    learning: float,
+    out: Floats,
+    out_confidences: Floats,
+    outliers: Stamps,
+) -> None:
+    """Merge the markers of one person's views (outlier vote, then eq 12).
+
+    Parameters
+    ----------
+    members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
+    past : (M, 3) previous merged pose at the merged time; NaN = no vote.
+    bias, cameras : (C, M, 3) of the person, and (N,) the camera of each view.
+    limit : m, views closer than this agree; <= 0 turns the vote off.
+    power : exponent of the confidences. scale : m, of the robust mean; <= 0 = plain eq 12.
+    learning : fraction by which a camera's bias follows its offset; 0 = no bias.
+    out, out_confidences : (M, 19), (M,). outliers : (N,) votes lost per view, added to.
+    """
+    n = len(members)
+    apart = np.empty((n + 1, n + 1))
+    alone = np.empty((n, n))
+    here = np.empty((n + 1, 3))
+    weights = np.empty(n)
+    usable = np.empty(n, np.bool_)
+    lost = np.empty(n, np.bool_)
+    start = np.empty(3)
+    mean = np.empty(3)
+    powers = _powers(confidences, power)
+    for m in range(views.shape[1]):
+        count = 0
+        for k in range(n):
+            row = views[members[k], m]
+            usable[k] = not math.isnan(row[0])
+            lost[k] = False
+            count += int(usable[k])
+            for c in range(3):
+                here[k, c] = row[c] - bias[cameras[members[k]], m, c]
+        if count == 0:
+            continue
+        voter = not math.isnan(past[m, 0])
+        for c in range(3):
+            here[n, c] = past[m, c]
+        _weigh(members, powers, m, usable, weights)
+        if limit > 0.0 and not _agree(here, usable, voter, 0.5 * limit):
+            for a in range(n + 1):
+                for b in range(n + 1):
+                    apart[a, b] = _norm3(
+                        here[a, 0] - here[b, 0], here[a, 1] - here[b, 1], here[a, 2] - here[b, 2]
+                    )
+            if not voter:
+                for a in range(n):
+                    for b in range(n):
+                        alone[a, b] = apart[a, b]
+            best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
+            _weigh(members, powers, m, usable, weights)
+            voter = voter and apart[best, n] < limit
+        else:
+            best = _first(usable)
+            voter = voter and limit > 0.0
+        for c in range(3):
+            start[c] = here[n, c] if voter else here[best, c]
+        _robust_mean(here, weights, start, scale, n, mean)
+        for c in range(3):
+            out[m, c] = mean[c]
+        if not math.isnan(views[members[best], m, 6]):
+            _mean_turn(views, members, m, weights, best, out[m])
+        for first in (7, 10, 13, 16):
+            _mean(views, members, m, first, weights, out[m])
+        out_confidences[m] = _mean_confidence(members, confidences, m, weights)
+        for k in range(n):
+            outliers[members[k]] += int(lost[k])
+            if learning > 0.0 and usable[k]:
+                b = bias[cameras[members[k]], m]
+                for c in range(3):
+                    b[c] += learning * (here[k, c] - mean[c])
+
+
+@njit(
+    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1],"
+    " float64, float64, float64[:,::1], float64[::1], int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def merge_links(
+    members: Stamps,
+    views: Floats,
+    confidences: Floats,
+    past: Floats,
+    limit: float,
+    power: float,
+    out: Floats,
+    out_confidences: Floats,
+    outliers: Stamps,
+) -> None:
+    """Merge the links of one person's views as :func:`merge_markers` does, by orientation.
+
+    ``past`` is (L, 4), ``limit`` in rad (eq 10). A link without orientation is averaged without a
+    vote.
+    """
+    n = len(members)
+    apart = np.empty((n + 1, n + 1))
+    alone = np.empty((n, n))
+    weights = np.empty(n)
+    usable = np.empty(n, np.bool_)
+    lost = np.empty(n, np.bool_)
+    powers = _powers(confidences, power)
+    near = math.cos(0.25 * max(limit, 0.0))  # of half the angle between two quaternions
+    for m in range(views.shape[1]):
+        turned = 0
+        for k in range(n):
+            usable[k] = not math.isnan(views[members[k], m, 3])
+            lost[k] = False
+            turned += int(usable[k])
+        if turned == 0:
+            for k in range(n):
+                row = views[members[k], m]
+                usable[k] = not (math.isnan(row[0]) and math.isnan(confidences[members[k], m]))
+        _weigh(members, powers, m, usable, weights)
+        if turned > 0:
+            voter = not math.isnan(past[m, 0])
+            best = _first(usable)
+            if limit > 0.0 and not _aligned(views, members, m, past[m], best, voter, near):
+                for a in range(n + 1):
+                    qa = past[m] if a == n else views[members[a], m, 3:7]
+                    for b in range(a + 1):
+                        qb = past[m] if b == n else views[members[b], m, 3:7]
+                        unknown = math.isnan(qa[0]) or math.isnan(qb[0])
+                        apart[a, b] = np.nan if unknown else angle_between(qa, qb)
+                        apart[b, a] = apart[a, b]
+                if not voter:
+                    for a in range(n):
+                        for b in range(n):
+                            alone[a, b] = apart[a, b]
+                best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
+                _weigh(members, powers, m, usable, weights)
+            _mean_turn(views, members, m, weights, best, out[m])
+        for first in (0, 7, 10, 13, 16):
+            _mean(views, members, m, first, weights, out[m])
+        out_confidences[m] = _mean_confidence(members, confidences, m, weights)
+        for k in range(n):
+            outliers[members[k]] += int(lost[k])
+
+
+@njit(cache=True, nogil=True)
+def _right_views(
+    apart: Floats, trust: Floats, has_past: bool, patient: bool, limit: float, right: Flags
+) -> bool:
+    """Mark the views that face as the largest group does; whether the past decided against all.
+
+    With ``patient``, the past wins over views that face the other way unless they are more than
+    those on its side (it counts as one).
+    """
+    n = len(trust)
+    for k in range(apart.shape[0]):
+        apart[k, k] = 0.0
+    best = largest_group(apart, trust, has_past, limit)
+    if has_past and patient and apart[best, n] >= limit:
+        with_best = with_past = 0
+        for k in range(n + 1):
+            with_best += int(apart[best, k] < limit)
+            with_past += int(apart[n, k] < limit)
+        if with_past >= with_best:
+            best = n
+    none = True
+    for k in range(n):
+        right[k] = not apart[best, k] >= limit
+        none = none and not right[k]
+    return none
+
+
+@njit(cache=True, nogil=True)
+def _mend(
+    view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats,
+    mirror: Ints, reference: Floats, relabel: bool, drop: bool,
+) -> int:  # fmt: skip
+    """Swap the sides of a view if that brings it near ``reference``; otherwise drop it."""
+    as_is = swapped = 0.0
+    both = 0
+    n_markers = markers.shape[1]
+    for m in range(n_markers):
+        d = _norm3(
+            markers[view, m, 0] - reference[m, 0],
+            markers[view, m, 1] - reference[m, 1],
+            markers[view, m, 2] - reference[m, 2],
+        )
+        s = _norm3(
+            markers[view, mirror[m], 0] - reference[m, 0],
+            markers[view, mirror[m], 1] - reference[m, 1],
+            markers[view, mirror[m], 2] - reference[m, 2],
+        )
+        if not math.isnan(d) and not math.isnan(s):
+            as_is += d
+            swapped += s
+            both += 1
+    if relabel and both > 0 and swapped < as_is:
+        for m in range(n_markers):
+            other = mirror[m]
+            if other > m:
+                for c in range(markers.shape[2]):
+                    value = markers[view, m, c]
+                    markers[view, m, c] = markers[view, other, c]
+                    markers[view, other, c] = value
+                value = confidences[view, m]
+                confidences[view, m] = confidences[view, other]
+                confidences[view, other] = value
+        verdict = RELABELLED
+    elif drop:
+        for m in range(n_markers):
+            markers[view, m, 0] = np.nan
+        verdict = FLIPPED
+    else:
+        return KEPT
+    # A detector that turns a body round turns the links' frames, too, each by its own convention:
+    # they are unknown now.
+    for k in range(links.shape[1]):
+        link_confidences[view, k] = np.nan
+        for c in range(links.shape[2]):
+            links[view, k, c] = np.nan
+    return verdict
+
+
+@njit(cache=True, nogil=True)
+def _settle_flips(
+    members: Stamps, markers: Floats, confidences: Floats, links: Floats,
+    link_confidences: Floats, past: Floats, past_turn: Floats, has_past: bool, patient: bool,
+    mirror: Ints, pairs: Ints, pelvis: int, limit: float, relabel: bool, verdicts: Stamps,
+) -> bool:  # fmt: skip
+    """Mend the views of one person that face the wrong way; whether a view faced as the result."""
+    n = len(members)
+    size = n + 1 if has_past else n
+    if size == 1:
+        return True
+    sides = np.full((size, 3), np.nan)
+    turns = np.full((size, 4), np.nan)
+    trust = np.zeros(n)
+    for k in range(n):
+        view = members[k]
+        if not _lateral(markers[view], pairs, sides[k]):
+            sides[k, 0] = np.nan
+        if pelvis >= 0:
+            for c in range(4):
+                turns[k, c] = links[view, pelvis, 3 + c]
+        for m in range(confidences.shape[1]):
+            trust[k] += 1.0 if math.isnan(confidences[view, m]) else confidences[view, m]
+    if has_past:
+        if not _lateral(past, pairs, sides[n]):
+            sides[n, 0] = np.nan
+        if pelvis >= 0:
+            for c in range(4):
+                turns[n, c] = past_turn[pelvis, c]
+    apart = np.empty((size, size))
+    facing_angles(sides, turns, apart)
+    conflict = False
+    for a in range(size):
+        for b in range(size):
+            conflict = conflict or apart[a, b] >= limit
+    if not conflict:
+        return True
+    right = np.empty(n, np.bool_)
+    none = _right_views(apart, trust, has_past, patient, limit, right)
+    reference = past
+    if not none:
+        reference = np.full(past.shape, np.nan)
+        for m in range(past.shape[0]):
+            count = x = y = z = 0.0
+            for k in range(n):
+                row = markers[members[k], m]
+                if right[k] and not math.isnan(row[0]):
+                    count += 1.0
+                    x += row[0]
+                    y += row[1]
+                    z += row[2]
+            if count > 0.0:
+                reference[m, 0], reference[m, 1], reference[m, 2] = x / count, y / count, z / count
+    for k in range(n):
+        if not right[k]:
+            verdicts[members[k]] = _mend(
+                members[k], markers, confidences, links, link_confidences, mirror, reference,
+                relabel, not none,
+            )  # fmt: skip
+    return not none
+
+
+@njit(
+    "void(int64, float64[::1], int64[::1], int64[::1], float64[:,:,::1], float64[:,::1],"
+    " float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64[:,:,::1],"
+    " float64[:,:,::1], float64[:,:,::1], float64[:,:,:,::1], int32[::1], int32[:,::1],"
+    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
+    " int64[::1], int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def fuse(
+    stamp: int,
+    delays: Floats,
+    person_of: Stamps,
+    cameras: Stamps,
+    markers: Floats,
+    confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    rows: Stamps,
+    seen: Stamps,
+    facing_seen: Stamps,
+    positions: Floats,
+    velocities: Floats,
+    turns: Floats,
+    bias: Floats,
+    mirror: Ints,
+    pairs: Ints,
+    numbers: Floats,
+    out: Floats,
+    out_confidences: Floats,
+    out_links: Floats,
+    out_link_confidences: Floats,
+    verdicts: Stamps,
+    outliers: Stamps,
+) -> None:
+    """Merge a whole buffer: carry to the mean time, settle flips, vote, average (H25).
+
+    Parameters
+    ----------
+    stamp : merged time, ns. delays : (N,) s from each view to it.
+    person_of, cameras : (N,) output row and camera of each view.
+    markers, confidences, links, link_confidences : the views; overwritten.
+    rows : (P,) bank row of each output row. The bank, by row: ``seen`` and ``facing_seen`` (S,)
+        stamps, 0 = never; ``positions``, ``velocities``, ``turns``, ``bias``; brought to ``stamp``.
+    mirror, pairs : of the skeleton's symmetry.
+    numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
+        pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
+        stages/merge.py packs them).
+    out, out_confidences, out_links, out_link_confidences : (P, ...) rows without views untouched.
+    verdicts, outliers : (N,) KEPT, FLIPPED or RELABELLED, and votes lost, per view.
+    """
+    n_markers, n_links = markers.shape[1], links.shape[1]
+    past = np.empty((n_markers, 3))
+    past_turn = np.empty((n_links, 4))
+    no_pairs = pairs[:0]
+    if numbers[11] > 0.0:
+        for k in range(len(delays)):
+            _compensate(delays[k], markers[k], links[k])
+    for p in range(len(rows)):
+        members = np.nonzero(person_of == p)[0]
+        if len(members) == 0:
+            continue
+        row = rows[p]
+        age = (stamp - seen[row]) * 1e-9
+        fresh = seen[row] > 0 and age <= numbers[0]
+        has_past = fresh and numbers[8] > 0.0
+        for m in range(n_markers):
+            for c in range(3):
+                past[m, c] = np.nan
+                if fresh:
+                    past[m, c] = positions[row, m, c] + max(age, 0.0) * velocities[row, m, c]
+        for k in range(n_links):
+            for c in range(4):
+                past_turn[k, c] = turns[row, k, c] if fresh else np.nan
+        faced = True
+        if numbers[3] > 0.0:
+            patient = (stamp - facing_seen[row]) * 1e-9 <= numbers[10]
+            faced = _settle_flips(
+                members, markers, confidences, links, link_confidences, past, past_turn, has_past,
+                patient, mirror, pairs if numbers[7] > 0.0 else no_pairs, int(numbers[6]),
+                numbers[3], numbers[9] > 0.0, verdicts,
+            )  # fmt: skip
+        if faced:
+            facing_seen[row] = stamp
+        if not has_past:
+            for m in range(n_markers):
+                past[m, 0] = np.nan
+            for k in range(n_links):
+                past_turn[k, 0] = np.nan
+        learning = 0.0
+        if numbers[12] > 0.0 and fresh:
+            learning = 1.0 - math.exp(-max(age, 0.0) / numbers[12])
+        merge_markers(
+            members, markers, confidences, past, bias[row], cameras, numbers[1], numbers[4],
+            numbers[5], learning, out[p], out_confidences[p], outliers,
+        )  # fmt: skip
+        merge_links(
+            members, links, link_confidences, past_turn, numbers[2], numbers[4], out_links[p],
+            out_link_confidences[p], outliers,
+        )  # fmt: skip
+        seen[row] = stamp
+        for m in range(n_markers):
+            for c in range(3):
+                positions[row, m, c] = out[p, m, c]
+                v = out[p, m, 7 + c]
+                velocities[row, m, c] = 0.0 if math.isnan(v) else v
+        for k in range(n_links):
+            for c in range(4):
+                turns[row, k, c] = out_links[p, k, 3 + c]

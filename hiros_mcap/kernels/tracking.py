@@ -1,0 +1,620 @@
+"""Kernels of the tracker: predict, compare, assign, update (Hi-ROS 2023, section 3.1).
+
+A bank of tracks is a few arrays with one row per track:
+
+- ``motion`` (T, M, 3, 3): position, velocity, acceleration of each marker; m, m/s, m/s2
+- ``spread`` (T, M, 6): covariance of one coordinate (all three share it), upper triangle
+- ``seen`` (T, M): stamp of the last update, ns; 0 = this marker was never seen
+- ``turn`` (T, L, 4), ``spin`` (T, L, 2, 3), ``turn_spread`` (T, L, 6), ``turn_seen`` (T, L):
+  the same for link orientations, angular velocities and angular accelerations
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+
+_INFINITE = 1e18
+_NOT_MIRRORED = 0.1  # m: a body whose sides are swapped is farther than this from its track
+
+
+@njit(cache=True, nogil=True)
+def _product(a: Floats, b: Floats, out: Floats) -> None:
+    """Quaternion product ``out = a b``; x y z w."""
+    x = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1]
+    y = a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0]
+    z = a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3]
+    w = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2]
+    out[0], out[1], out[2], out[3] = x, y, z, w
+
+
+@njit(cache=True, nogil=True)
+def _exp(rx: float, ry: float, rz: float, out: Floats) -> None:
+    """Quaternion of a rotation vector, rad."""
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    s = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
+    out[0], out[1], out[2], out[3] = s * rx, s * ry, s * rz, math.cos(0.5 * angle)
+
+
+@njit(cache=True, nogil=True)
+def angle_between(a: Floats, b: Floats) -> float:
+    """Rotation angle between two unit quaternions, eq 10, in [0, pi]."""
+    dot = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
+    return 2.0 * math.acos(min(1.0, dot))
+
+
+@njit(cache=True, nogil=True)
+def _norm3(x: float, y: float, z: float) -> float:
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@njit(
+    "void(int64, int64[::1], float64[:,:,:,::1], int64[:,::1], float64[:,:,::1],"
+    " float64[:,:,:,::1], int64[:,::1], float64, float64[:,:,::1], float64[:,:,::1])",
+    cache=True,
+    nogil=True,
+)
+def predict(
+    stamp: int,
+    rows: Stamps,
+    motion: Floats,
+    seen: Stamps,
+    turn: Floats,
+    spin: Floats,
+    turn_seen: Stamps,
+    horizon: float,
+    out_positions: Floats,
+    out_turns: Floats,
+) -> None:
+    """Pose of each track in ``rows`` at ``stamp``, by constant velocity (eq 7).
+
+    Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
+    Unseen markers and links become NaN. Outputs are (len(rows), M, 3) and (len(rows), L, 4).
+    """
+    step = np.empty(4)
+    for i in range(len(rows)):
+        row = rows[i]
+        for m in range(motion.shape[1]):
+            if seen[row, m] == 0:
+                for c in range(3):
+                    out_positions[i, m, c] = np.nan
+                continue
+            dt = min(max((stamp - seen[row, m]) * 1e-9, 0.0), horizon)
+            for c in range(3):
+                out_positions[i, m, c] = motion[row, m, 0, c] + dt * motion[row, m, 1, c]
+        for k in range(turn.shape[1]):
+            if turn_seen[row, k] == 0:
+                for c in range(4):
+                    out_turns[i, k, c] = np.nan
+                continue
+            dt = min(max((stamp - turn_seen[row, k]) * 1e-9, 0.0), horizon)
+            w = spin[row, k, 0]
+            _exp(dt * w[0], dt * w[1], dt * w[2], step)
+            _product(step, turn[row, k], out_turns[i, k])
+
+
+@njit(cache=True, nogil=True)
+def _slow_down(velocities: Floats, decay: float, out: Floats) -> None:
+    """Velocity weight of eq 11 for each row."""
+    for m in range(velocities.shape[0]):
+        v = velocities[m]
+        out[m] = (1.0 + _norm3(v[0], v[1], v[2])) ** -decay
+
+
+@njit(cache=True, nogil=True)
+def _marker_distance(
+    positions: Floats, motion: Floats, markers: Floats, confidences: Floats, weights: Floats,
+    by_confidence: bool, velocity_weight: float, exponent: float, linear: Floats, gap: Floats,
+) -> None:  # fmt: skip
+    """Write eq 8 and the weighted mean distance; leave both where nothing is in common."""
+    cost = 0.0
+    total = 0.0
+    norm = 0.0
+    common = 0
+    for m in range(positions.shape[0]):
+        d = _norm3(
+            positions[m, 0] - markers[m, 0],
+            positions[m, 1] - markers[m, 1],
+            positions[m, 2] - markers[m, 2],
+        )
+        if math.isnan(d):
+            continue
+        weight = weights[m]
+        if by_confidence and not math.isnan(confidences[m]):
+            weight *= confidences[m]
+        common += 1
+        norm += weight
+        total += weight * d
+        if velocity_weight > 0.0 and not math.isnan(markers[m, 7]):
+            d += velocity_weight * _norm3(
+                motion[m, 1, 0] - markers[m, 7],
+                motion[m, 1, 1] - markers[m, 8],
+                motion[m, 1, 2] - markers[m, 9],
+            )
+        cost += weight * d
+    if norm > 0.0:
+        linear[0] = cost / common**exponent
+        gap[0] = total / norm
+
+
+@njit(cache=True, nogil=True)
+def _mirrored_distance(
+    positions: Floats, markers: Floats, confidences: Floats, weights: Floats, mirror: Ints,
+    by_confidence: bool,
+) -> float:  # fmt: skip
+    """Weighted mean distance to the detection with its sides swapped; infinite if undefined."""
+    total = 0.0
+    norm = 0.0
+    for m in range(positions.shape[0]):
+        other = mirror[m]
+        d = _norm3(
+            positions[m, 0] - markers[other, 0],
+            positions[m, 1] - markers[other, 1],
+            positions[m, 2] - markers[other, 2],
+        )
+        if math.isnan(d):
+            continue
+        weight = weights[m]
+        if by_confidence and not math.isnan(confidences[other]):
+            weight *= confidences[other]
+        norm += weight
+        total += weight * d
+    return total / norm if norm > 0.0 else np.inf
+
+
+@njit(cache=True, nogil=True)
+def _link_distance(
+    turns: Floats, spin: Floats, links: Floats, confidences: Floats, weights: Floats,
+    by_confidence: bool, velocity_weight: float, exponent: float,
+) -> float:  # fmt: skip
+    """Eq 9; 0 where no link is in common."""
+    cost = 0.0
+    common = 0
+    for k in range(turns.shape[0]):
+        if math.isnan(turns[k, 0]) or math.isnan(links[k, 3]):
+            continue
+        weight = weights[k]
+        if by_confidence and not math.isnan(confidences[k]):
+            weight *= confidences[k]
+        d = angle_between(turns[k], links[k, 3:7])
+        common += 1
+        if velocity_weight > 0.0 and not math.isnan(links[k, 10]):
+            d += velocity_weight * _norm3(
+                spin[k, 0, 0] - links[k, 10],
+                spin[k, 0, 1] - links[k, 11],
+                spin[k, 0, 2] - links[k, 12],
+            )
+        cost += weight * d
+    return cost / common**exponent if common else 0.0
+
+
+@njit(
+    "void(float64[:,:,::1], float64[:,:,::1], int64[::1], float64[:,:,:,::1], float64[:,:,:,::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
+    " int32[::1], boolean, boolean, float64, float64, float64, float64, float64,"
+    " float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def distances(
+    positions: Floats,
+    turns: Floats,
+    rows: Stamps,
+    motion: Floats,
+    spin: Floats,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    mirror: Ints,
+    by_confidence: bool,
+    by_velocity: bool,
+    velocity_decay: float,
+    velocity_weight: float,
+    angular_velocity_weight: float,
+    exponent: float,
+    gate: float,
+    linear: Floats,
+    angular: Floats,
+    gap: Floats,
+    mirrored_gap: Floats,
+) -> None:
+    """Distances of every (predicted track, detection) pair; all outputs are (T, P).
+
+    ``linear`` and ``angular`` are eq 8 and 9 with the weights of eq 11. ``gap`` is the weighted
+    mean distance of the common markers, m (what gates are compared with: unlike eq 8 it does not
+    depend on the exponent or on velocities); ``mirrored_gap`` the same with the detection's left
+    and right swapped. Without a common marker all four are infinite (eq 8 has no value there).
+    """
+    n_tracks, n_people = positions.shape[0], markers.shape[0]
+    marker_weights = np.ones(positions.shape[1])
+    link_weights = np.ones(turns.shape[1])
+    for i in range(n_tracks):
+        row = rows[i]
+        if by_velocity:
+            _slow_down(motion[row, :, 1], velocity_decay, marker_weights)
+            _slow_down(spin[row, :, 0], velocity_decay, link_weights)
+        for j in range(n_people):
+            linear[i, j] = angular[i, j] = gap[i, j] = mirrored_gap[i, j] = np.inf
+            _marker_distance(
+                positions[i], motion[row], markers[j], marker_confidences[j], marker_weights,
+                by_confidence, velocity_weight, exponent, linear[i, j : j + 1], gap[i, j : j + 1],
+            )  # fmt: skip
+            if gap[i, j] > _NOT_MIRRORED:
+                mirrored_gap[i, j] = _mirrored_distance(
+                    positions[i], markers[j], marker_confidences[j], marker_weights, mirror,
+                    by_confidence,
+                )  # fmt: skip
+            if min(gap[i, j], mirrored_gap[i, j]) <= gate:
+                angular[i, j] = _link_distance(
+                    turns[i], spin[row], links[j], link_confidences[j], link_weights,
+                    by_confidence, angular_velocity_weight, exponent,
+                )  # fmt: skip
+
+
+@njit("int64[::1](float64[:,::1])", cache=True, nogil=True)
+def assign(cost: Floats) -> Stamps:
+    """Row assigned to each column with the least total cost; -1 = none.
+
+    ``cost`` is (R, C); infinite entries are never assigned. Shortest augmenting paths with
+    potentials, the modern form of the Munkres algorithm that section 3.1.2 names: as many finite
+    pairs as possible, then the least sum.
+    """
+    n_rows, n_columns = cost.shape
+    result = np.full(n_columns, -1, np.int64)
+    if n_rows == 0 or n_columns == 0:
+        return result
+    size = max(n_rows, n_columns)
+    # Forbidden pairs and padding cost more than any set of allowed ones together.
+    largest = 0.0
+    for i in range(n_rows):
+        for j in range(n_columns):
+            if cost[i, j] < _INFINITE:
+                largest = max(largest, abs(cost[i, j]))
+    forbidden = (2.0 * largest + 1.0) * (size + 1)
+    u = np.zeros(size + 1)
+    v = np.zeros(size + 1)
+    row_of = np.zeros(size + 1, np.int64)
+    way = np.zeros(size + 1, np.int64)
+    for i in range(1, size + 1):
+        row_of[0] = i
+        j0 = 0
+        least = np.full(size + 1, np.inf)
+        used = np.zeros(size + 1, np.bool_)
+        while True:
+            used[j0] = True
+            i0 = row_of[j0]
+            delta = np.inf
+            j1 = 0
+            for j in range(1, size + 1):
+                if used[j]:
+                    continue
+                entry = forbidden
+                if i0 <= n_rows and j <= n_columns and cost[i0 - 1, j - 1] < _INFINITE:
+                    entry = cost[i0 - 1, j - 1]
+                reduced = entry - u[i0] - v[j]
+                if reduced < least[j]:
+                    least[j] = reduced
+                    way[j] = j0
+                if least[j] < delta:
+                    delta = least[j]
+                    j1 = j
+            for j in range(size + 1):
+                if used[j]:
+                    u[row_of[j]] += delta
+                    v[j] -= delta
+                else:
+                    least[j] -= delta
+            j0 = j1
+            if row_of[j0] == 0:
+                break
+        while j0 != 0:
+            row_of[j0] = row_of[way[j0]]
+            j0 = way[j0]
+    for j in range(1, n_columns + 1):
+        i = row_of[j]
+        if i <= n_rows and cost[i - 1, j - 1] < _INFINITE:
+            result[j - 1] = i - 1
+    return result
+
+
+@njit(
+    "void(int64, int64[::1], float64[:,:,:,::1], int64[:,::1], float64[:,:,::1],"
+    " float64[:,:,:,::1], int64[:,::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1],"
+    " float64[:,::1], int32[::1], float64[::1], boolean[::1], float64[:,::1], int64[::1],"
+    " boolean[::1])",
+    cache=True,
+    nogil=True,
+)
+def associate(
+    stamp: int,
+    rows: Stamps,
+    motion: Floats,
+    seen: Stamps,
+    turn: Floats,
+    spin: Floats,
+    turn_seen: Stamps,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    mirror: Ints,
+    numbers: Floats,
+    wanted: Flags,
+    gap: Floats,
+    match: Stamps,
+    flipped: Flags,
+) -> None:
+    """Associate the ``wanted`` (P,) detections with the tracks in ``rows`` (eq 6 to 11).
+
+    ``numbers``: horizon, gate, weight of the angular cost, by confidence, by velocity, velocity
+    decay, velocity weight, angular velocity weight, exponent, flip aware (as stages/track.py packs
+    them). Outputs: ``gap`` (T, P) mean distance of each pair, the mirrored one where that is less
+    than half; ``match`` (P,) index into ``rows``, -1 = none within the gate; ``flipped`` (P,).
+    """
+    n_tracks, n_people = len(rows), len(wanted)
+    positions = np.empty((n_tracks, motion.shape[1], 3))
+    turns = np.empty((n_tracks, turn.shape[1], 4))
+    predict(stamp, rows, motion, seen, turn, spin, turn_seen, numbers[0], positions, turns)
+    linear = np.empty((n_tracks, n_people))
+    angular = np.empty((n_tracks, n_people))
+    mirrored = np.empty((n_tracks, n_people))
+    distances(
+        positions, turns, rows, motion, spin, markers, marker_confidences, links,
+        link_confidences, mirror, numbers[3] > 0.0, numbers[4] > 0.0, numbers[5], numbers[6],
+        numbers[7], numbers[8], numbers[1], linear, angular, gap, mirrored,
+    )  # fmt: skip
+    turned = np.zeros((n_tracks, n_people), np.bool_)
+    for i in range(n_tracks):
+        for j in range(n_people):
+            linear[i, j] += numbers[2] * angular[i, j]
+            if numbers[9] > 0.0 and mirrored[i, j] < 0.5 * gap[i, j]:
+                turned[i, j] = True
+                linear[i, j] = mirrored[i, j]
+                gap[i, j] = mirrored[i, j]
+            if gap[i, j] > numbers[1] or not wanted[j]:
+                linear[i, j] = np.inf
+    found = assign(linear)
+    for j in range(n_people):
+        match[j] = found[j]
+        flipped[j] = found[j] >= 0 and turned[found[j], j]
+
+
+@njit(cache=True, nogil=True)
+def _grow(p: Floats, dt: float, jerk: float) -> None:
+    """Covariance prediction of a constant-acceleration state driven by white jerk."""
+    p00, p01, p02, p11, p12, p22 = p[0], p[1], p[2], p[3], p[4], p[5]
+    h = 0.5 * dt * dt
+    q = jerk * jerk
+    dt2 = dt * dt
+    dt3 = dt2 * dt
+    p[0] = (
+        p00 + 2 * dt * p01 + 2 * h * p02 + dt2 * p11 + 2 * dt * h * p12 + h * h * p22
+        + q * dt3 * dt2 / 20
+    )  # fmt: skip
+    p[1] = p01 + dt * p02 + dt * p11 + (dt2 + h) * p12 + dt * h * p22 + q * dt2 * dt2 / 8
+    p[2] = p02 + dt * p12 + h * p22 + q * dt3 / 6
+    p[3] = p11 + 2 * dt * p12 + dt2 * p22 + q * dt3 / 3
+    p[4] = p12 + dt * p22 + q * dt2 / 2
+    p[5] = p22 + q * dt
+
+
+@njit(cache=True, nogil=True)
+def _absorb(p: Floats, noise: float, error: float, gate: float) -> tuple[float, float, float]:
+    """Kalman gain for an innovation of length ``error``; ``p`` becomes the posterior covariance.
+
+    An innovation beyond ``gate`` standard deviations gets its noise inflated until it lies on the
+    gate (as eq 10 of Malaguti 2019 does): a guessed joint moves the track a little, not at all a
+    real fast motion, whose innovations agree with each other.
+    """
+    total = p[0] + noise
+    excess = error * error / (gate * gate * total)
+    if excess > 1.0:
+        total *= excess
+    k0, k1, k2 = p[0] / total, p[1] / total, p[2] / total
+    p00, p01, p02 = p[0], p[1], p[2]
+    p[0] -= k0 * p00
+    p[1] -= k0 * p01
+    p[2] -= k0 * p02
+    p[3] -= k1 * p01
+    p[4] -= k1 * p02
+    p[5] -= k2 * p02
+    return k0, k1, k2
+
+
+@njit(cache=True, nogil=True)
+def _update_markers(
+    stamp: int,
+    row: int,
+    person: int,
+    motion: Floats,
+    spread: Floats,
+    seen: Stamps,
+    markers: Floats,
+    marker_confidences: Floats,
+    flipped: bool,
+    mirror: Ints,
+    numbers: Floats,
+) -> None:
+    horizon, position_noise, jerk = numbers[0], numbers[1], numbers[2]
+    gate, fastest = numbers[5], numbers[6]
+    for m in range(motion.shape[1]):
+        slot = mirror[m] if flipped else m
+        z = markers[person, slot]
+        if math.isnan(z[0]):
+            continue
+        x = motion[row, m]
+        p = spread[row, m]
+        dt = (stamp - seen[row, m]) * 1e-9
+        confidence = marker_confidences[person, slot]
+        noise = position_noise * position_noise
+        if not math.isnan(confidence):
+            noise /= max(confidence, 0.05)
+        if seen[row, m] == 0 or dt > 4.0 * horizon:
+            for c in range(3):
+                x[0, c] = z[c]
+                x[1, c] = 0.0
+                x[2, c] = 0.0
+            p[0], p[1], p[2], p[3], p[4], p[5] = noise, 0.0, 0.0, 1.0, 0.0, 25.0
+            seen[row, m] = stamp
+        else:
+            if dt > 0.0:
+                if dt > horizon:
+                    for c in range(3):
+                        x[2, c] = 0.0
+                reach = min(dt, horizon)
+                for c in range(3):
+                    x[0, c] += reach * (x[1, c] + 0.5 * reach * x[2, c])
+                    x[1, c] += reach * x[2, c]
+                _grow(p, dt, jerk)
+                seen[row, m] = stamp
+            ex, ey, ez = z[0] - x[0, 0], z[1] - x[0, 1], z[2] - x[0, 2]
+            k0, k1, k2 = _absorb(p, noise, _norm3(ex, ey, ez), gate)
+            x[0, 0] += k0 * ex
+            x[0, 1] += k0 * ey
+            x[0, 2] += k0 * ez
+            x[1, 0] += k1 * ex
+            x[1, 1] += k1 * ey
+            x[1, 2] += k1 * ez
+            x[2, 0] += k2 * ex
+            x[2, 1] += k2 * ey
+            x[2, 2] += k2 * ez
+            speed = _norm3(x[1, 0], x[1, 1], x[1, 2])
+            if speed > fastest:
+                for c in range(3):
+                    x[1, c] *= fastest / speed
+                    x[2, c] = 0.0
+        if math.isnan(z[7]):
+            for c in range(3):
+                z[7 + c] = x[1, c]
+        if math.isnan(z[13]):
+            for c in range(3):
+                z[13 + c] = x[2, c]
+
+
+@njit(cache=True, nogil=True)
+def _update_links(
+    stamp: int,
+    row: int,
+    person: int,
+    turn: Floats,
+    spin: Floats,
+    turn_spread: Floats,
+    turn_seen: Stamps,
+    links: Floats,
+    numbers: Floats,
+) -> None:
+    horizon, orientation_noise, angular_jerk, gate = numbers[0], numbers[3], numbers[4], numbers[5]
+    error = np.empty(4)
+    inverse = np.empty(4)
+    for k in range(turn.shape[1]):
+        z = links[person, k]
+        if math.isnan(z[3]):
+            continue
+        q = turn[row, k]
+        w = spin[row, k]
+        p = turn_spread[row, k]
+        dt = (stamp - turn_seen[row, k]) * 1e-9
+        noise = orientation_noise * orientation_noise
+        if turn_seen[row, k] == 0 or dt > 4.0 * horizon:
+            for c in range(4):
+                q[c] = z[3 + c]
+            for c in range(3):
+                w[0, c] = 0.0
+                w[1, c] = 0.0
+            p[0], p[1], p[2], p[3], p[4], p[5] = noise, 0.0, 0.0, 4.0, 0.0, 100.0
+            turn_seen[row, k] = stamp
+        else:
+            if dt > 0.0:
+                reach = min(dt, horizon)
+                _exp(
+                    reach * (w[0, 0] + 0.5 * reach * w[1, 0]),
+                    reach * (w[0, 1] + 0.5 * reach * w[1, 1]),
+                    reach * (w[0, 2] + 0.5 * reach * w[1, 2]),
+                    error,
+                )
+                _product(error, q, q)
+                for c in range(3):
+                    w[0, c] += reach * w[1, c]
+                _grow(p, dt, angular_jerk)
+                turn_seen[row, k] = stamp
+            inverse[0], inverse[1], inverse[2], inverse[3] = -q[0], -q[1], -q[2], q[3]
+            _product(z[3:7], inverse, error)
+            if error[3] < 0.0:
+                for c in range(4):
+                    error[c] = -error[c]
+            sine = _norm3(error[0], error[1], error[2])
+            angle = 2.0 * math.atan2(sine, error[3])
+            scale = 2.0 if sine < 1e-9 else angle / sine
+            ex, ey, ez = scale * error[0], scale * error[1], scale * error[2]
+            k0, k1, k2 = _absorb(p, noise, angle, gate)
+            _exp(k0 * ex, k0 * ey, k0 * ez, error)
+            _product(error, q, q)
+            norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+            for c in range(4):
+                q[c] /= norm
+            w[0, 0] += k1 * ex
+            w[0, 1] += k1 * ey
+            w[0, 2] += k1 * ez
+            w[1, 0] += k2 * ex
+            w[1, 1] += k2 * ey
+            w[1, 2] += k2 * ez
+        if math.isnan(z[10]):
+            for c in range(3):
+                z[10 + c] = w[0, c]
+        if math.isnan(z[16]):
+            for c in range(3):
+                z[16 + c] = w[1, c]
+
+
+@njit(
+    "void(int64, int64[::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
+    " float64[:,:,::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], boolean[::1],"
+    " int32[::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def update(
+    stamp: int,
+    row_of: Stamps,
+    motion: Floats,
+    spread: Floats,
+    seen: Stamps,
+    turn: Floats,
+    spin: Floats,
+    turn_spread: Floats,
+    turn_seen: Stamps,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    flipped: Flags,
+    mirror: Ints,
+    numbers: Floats,
+) -> None:
+    """Bring the tracks to ``stamp`` with their detections; fill the detections' velocities.
+
+    ``row_of`` (P,) is the track of each detection, -1 = none; ``numbers``: horizon, position
+    noise, jerk, orientation noise, angular jerk, innovation gate, greatest speed.
+
+    Constant-acceleration Kalman filter per marker, driven by white jerk; a filter, not finite
+    differences, because two cameras may see the same person 0.2 ms apart (a quotient by that
+    explodes). ``markers`` and ``links`` are the frame's own copy: where the detector left
+    velocities and accelerations open, the track's are written. A flipped detection moves the track
+    with its sides swapped and leaves orientations alone.
+    """
+    for person in range(len(row_of)):
+        if row_of[person] >= 0:
+            _update_markers(
+                stamp, row_of[person], person, motion, spread, seen, markers,
+                marker_confidences, flipped[person], mirror, numbers,
+            )  # fmt: skip
+            if not flipped[person]:
+                _update_links(
+                    stamp, row_of[person], person, turn, spin, turn_spread, turn_seen, links,
+                    numbers,
+                )  # fmt: skip

@@ -1,0 +1,504 @@
+"""Skeleton tracker: one id per person over all cameras (Hi-ROS 2023, section 3.1).
+
+Each camera's message is compared with the tracks as they are predicted for its time, assigned,
+and moves them. Beyond the paper: frames pass a small buffer that puts cameras' clocks in order; a
+track must earn its id before it counts (see :class:`_Evidence`); frames are held for a moment so
+that it has its id from its first detection on; a body with swapped sides is compared, and moves
+its track, with the sides swapped back.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from hiros_mcap.events import Events
+from hiros_mcap.kernels import tracking as kernels
+from hiros_mcap.params import Params
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.stages.coverage import Coverage
+from hiros_mcap.symmetry import symmetry_of
+
+Indices = npt.NDArray[np.intp]
+
+
+class TrackParams(Params):
+    """Parameters of the tracker."""
+
+    max_distance: float = Field(
+        0.6,
+        gt=0,
+        description="Gate, m: a detection whose markers are on average farther than this from a "
+        "track is not of that person (H16). Views of one person differ by 0.05 to 0.35 m; the "
+        "peer's workable value is 0.8 m, which also swallows a neighbour.",
+    )
+    min_distance: float = Field(
+        0.25,
+        ge=0,
+        description="m: a body this near to a tracked person is a second detection of that person "
+        "and starts no track (H19).",
+    )
+    max_gap: float = Field(
+        1.5,
+        gt=0,
+        description="t_m, s: a person that nobody sees for longer is forgotten (H17; X12).",
+    )
+    orientation_weight: float = Field(
+        0.05,
+        ge=0,
+        description="m per rad: what eq 9 weighs against eq 8 in eq 6. The paper adds metres and "
+        "radians one to one, so that a turned-round detection outweighs 3 m of distance.",
+    )
+    velocity_weight: float = Field(
+        0.05, ge=0, description="w_v of eq 8, s, used where detections carry velocities."
+    )
+    angular_velocity_weight: float = Field(
+        0.0, ge=0, description="w_omega of eq 9, s, used where detections carry velocities."
+    )
+    velocity_decay: float = Field(
+        0.25, ge=0, le=1, description="gamma of eq 11; 0 = speed has no say (0.25: published code)."
+    )
+    exponent: float = Field(1.0, ge=1, description="alpha of eq 8 and 9 (1: published code).")
+    weight_by_confidence: bool = Field(True, description="kappa of eq 11.")
+    weight_by_velocity: bool = Field(True, description="w_v of eq 11.")
+    flip_aware: bool = Field(
+        True,
+        description="Compare detections with left and right swapped, too; needs marker names.",
+    )
+    min_skeleton_confidence: float = Field(
+        0.0, ge=0, le=1, description="Detections below are not tracked (H19)."
+    )
+    min_marker_confidence: float = Field(
+        0.0, ge=0, le=1, description="Markers and links below count as absent (H19)."
+    )
+    min_markers: int = Field(
+        4, ge=1, description="A detection with fewer markers starts no track (H19)."
+    )
+    tentative_gap: float = Field(
+        0.5, gt=0, description="s: as max_gap, for a body that is not a person yet."
+    )
+    reorder: float = Field(
+        0.1,
+        ge=0,
+        description="s: frames wait this long for older ones of slower cameras; later ones are "
+        "still tracked, at their own time.",
+    )
+    lookahead: float = Field(
+        1.0,
+        ge=0,
+        description="s: frames are held this long, so that somebody who is confirmed meanwhile "
+        "has the id from the first detection. 0 = a live system without delay.",
+    )
+    confirm_detections: int = Field(
+        5, ge=1, description="Detections, by two cameras or more, that make a body a person."
+    )
+    confirm_seconds: float = Field(
+        0.5,
+        ge=0,
+        description="s during which a body that only one camera reports must last to count, "
+        "provided that no other camera ought to see it.",
+    )
+    contradiction: float = Field(
+        0.5,
+        ge=0,
+        description="A body that one camera reports, while others look there and see nobody, is "
+        "doubted once they have missed it this many times per report.",
+    )
+    min_motion: float = Field(
+        0.3,
+        ge=0,
+        description="m: a doubted body counts after all when it has walked this far; a coat on a "
+        "stand never does.",
+    )
+    horizon: float = Field(
+        0.2, gt=0, description="s: constant velocity is trusted this long (eq 7), then standstill."
+    )
+    position_noise: float = Field(
+        0.04, gt=0, description="m: SD of one camera's marker, for velocities (57 mm raw error)."
+    )
+    jerk: float = Field(
+        150.0, gt=0, description="m/s3/sqrt(Hz): how fast markers' accelerations may change."
+    )
+    orientation_noise: float = Field(0.15, gt=0, description="rad: SD of one camera's link.")
+    angular_jerk: float = Field(500.0, gt=0, description="rad/s3/sqrt(Hz), as jerk.")
+    innovation_gate: float = Field(
+        3.0, gt=0, description="SDs from which a marker counts less in its track's motion."
+    )
+    max_speed: float = Field(
+        12.0, gt=0, description="m/s: no marker of a person is faster (a thrown hand reaches 10)."
+    )
+
+
+@dataclass(slots=True, eq=False)
+class _Evidence:
+    """What speaks for and against a body being a person.
+
+    For: a report by a camera. Against: a message of another camera that looks at that place,
+    with nobody in between, and reports nobody. Two cameras that agree confirm at once (after
+    ``confirm_detections``); one camera confirms by lasting, unless contradicted; a contradicted
+    body has to walk.
+    """
+
+    first: int
+    birthplace: Floats
+    reports: dict[str, int] = field(default_factory=dict)
+    misses: int = 0
+    travelled: float = 0.0
+
+    def confirms(self, stamp: int, params: TrackParams) -> bool:
+        """Whether the evidence is enough for a body that was last seen at ``stamp``."""
+        total = sum(self.reports.values())
+        if total < params.confirm_detections:
+            return False
+        strongest = max(self.reports.values())
+        if total - strongest >= min(2, params.confirm_detections - 1) > 0:
+            return True
+        lasted = (stamp - self.first) * 1e-9 >= params.confirm_seconds
+        return lasted and (not self.doubted(params) or self.travelled > params.min_motion)
+
+    def doubted(self, params: TrackParams) -> bool:
+        """Whether only one camera ever saw the body while others ought to."""
+        return len(self.reports) < 2 and self.misses > params.contradiction * sum(
+            self.reports.values()
+        )
+
+
+@dataclass(slots=True, eq=False)
+class _Track:
+    """A person, or what may become one."""
+
+    row: int
+    seen: int
+    evidence: _Evidence
+    person: int = UNTRACKED
+
+
+class _Bank:
+    """Motion of all tracks, as arrays that the kernels take; rows are reused."""
+
+    def __init__(self, model: SkeletonModel) -> None:
+        self.model = model
+        self.free: list[int] = []
+        self._allocate(8)
+
+    def _allocate(self, size: int) -> None:
+        m, n = self.model.n_markers, self.model.n_links
+        old = 0 if not hasattr(self, "seen") else len(self.seen)
+        shapes: dict[str, tuple[int, ...]] = {
+            "motion": (m, 3, 3), "spread": (m, 6), "turn": (n, 4), "spin": (n, 2, 3),
+            "turn_spread": (n, 6), "seen": (m,), "turn_seen": (n,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            kind = np.int64 if "seen" in name else np.float64
+            array = np.zeros((size, *shape), kind)
+            if old:
+                array[:old] = getattr(self, name)
+            setattr(self, name, array)
+        self.free += range(size - 1, old - 1, -1)
+
+    motion: Floats
+    spread: Floats
+    turn: Floats
+    spin: Floats
+    turn_spread: Floats
+    seen: Stamps
+    turn_seen: Stamps
+
+    def take(self) -> int:
+        """Give a row of a person that nobody has seen yet."""
+        if not self.free:
+            self._allocate(2 * len(self.seen))
+        row = self.free.pop()
+        self.seen[row] = 0
+        self.turn_seen[row] = 0
+        return row
+
+
+@dataclass(slots=True, eq=False)
+class _Held:
+    """A frame that waits for its people to be confirmed."""
+
+    frame: Frame
+    tracks: list[_Track | None]
+    reasons: list[str]
+
+
+def track(
+    frames: Iterable[Frame],
+    model: SkeletonModel,
+    params: TrackParams | None = None,
+    events: Events | None = None,
+    cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Frame]:
+    """Give every detection the id of its person (section 3.1.2).
+
+    Parameters
+    ----------
+    frames : detections of all cameras in the fixed frame, roughly in time order.
+    model : names and hierarchy of the skeleton.
+    params, events : parameters; where counts and events go.
+    cameras : source -> (3,) position of the camera in the fixed frame, m. With it, a body that one
+        camera reports and others ought to see but do not is doubted.
+
+    Yields
+    ------
+    The same frames in order of their stamps, with ids (-1 = of nobody that counts) and with the
+    tracks' velocities and accelerations where the detector gave none.
+    """
+    params = params or TrackParams()
+    tracker = _Tracker(model, params, events or Events(), cameras or {})
+    held: deque[_Held] = deque()
+    for frame in in_time_order(frames, params.reorder):
+        held.append(tracker.step(frame))
+        while held and (held[0].frame.stamp + params.lookahead * 1e9) <= frame.stamp:
+            yield tracker.release(held.popleft(), frame.log_time)
+    for waiting in held:
+        yield tracker.release(waiting, held[-1].frame.log_time)
+
+
+def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
+    """Sort frames by (stamp, source), holding each until one ``delay`` seconds younger came.
+
+    A frame that is later still goes on at once: it is used, out of order, and not dropped.
+    """
+    waiting: list[tuple[int, str, int, Frame]] = []
+    newest = 0
+    count = itertools.count()
+    for frame in frames:
+        heapq.heappush(waiting, (frame.stamp, frame.source, next(count), frame))
+        newest = max(newest, frame.stamp)
+        while waiting and waiting[0][0] <= newest - delay * 1e9:
+            yield heapq.heappop(waiting)[3]
+    while waiting:
+        yield heapq.heappop(waiting)[3]
+
+
+class _Tracker:
+    """The tracks of a run and one step of the paper's loop."""
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        params: TrackParams,
+        events: Events,
+        cameras: Mapping[str, Floats],
+    ) -> None:
+        self.params = params
+        self.events = events
+        self.bank = _Bank(model)
+        self.coverage = Coverage(cameras)
+        self.tracks: list[_Track] = []
+        self.people = itertools.count()
+        symmetry = symmetry_of(model)
+        self.flip_aware = params.flip_aware and symmetry.known
+        self.mirror: Ints = symmetry.mirror
+        self.association = np.array([
+            params.horizon, params.max_distance, params.orientation_weight,
+            params.weight_by_confidence, params.weight_by_velocity, params.velocity_decay,
+            params.velocity_weight, params.angular_velocity_weight, params.exponent,
+            self.flip_aware,
+        ], np.float64)  # fmt: skip
+        self.dynamics = np.array([
+            params.horizon, params.position_noise, params.jerk, params.orientation_noise,
+            params.angular_jerk, params.innovation_gate, params.max_speed,
+        ])  # fmt: skip
+
+    def step(self, frame: Frame) -> _Held:
+        """Associate, update, add and remove (the three parts of section 3.1.2)."""
+        self._forget(frame.stamp)
+        frame = self._own(frame)
+        found: list[_Track | None] = [None] * frame.n_people
+        reasons = [""] * frame.n_people
+        usable = [j for j in range(frame.n_people) if self._usable(frame, j, reasons)]
+        known = [t for t in self.tracks if t.person != UNTRACKED]
+        gap = self._match(frame, known, usable, found)
+        rest = [j for j in usable if found[j] is None]
+        if rest or len(known) < len(self.tracks):
+            tentative = [t for t in self.tracks if t.person == UNTRACKED]
+            rest = self._drop_second_bodies(known, gap, rest, found, reasons)
+            self._match(frame, tentative, rest, found)
+            self._add([j for j in rest if found[j] is None], frame, found, reasons)
+        self._judge(frame, found)
+        return _Held(frame, found, reasons)
+
+    def release(self, held: _Held, log_time: int) -> Frame:
+        """Write the ids that the tracks have by now."""
+        frame = held.frame
+        for j, body in enumerate(held.tracks):
+            frame.ids[j] = UNTRACKED if body is None else body.person
+            if frame.ids[j] == UNTRACKED:
+                self.events.count(held.reasons[j] or "not confirmed", frame.source)
+        return frame.replace(log_time=max(log_time, frame.log_time))
+
+    def _own(self, frame: Frame) -> Frame:
+        """Copy what this stage writes into, without what is below the confidence threshold."""
+        own = Frame(
+            frame.stamp, frame.log_time, frame.source, frame.frame_id, frame.ids.copy(),
+            frame.stamps, frame.confidences, frame.markers.copy(), frame.marker_confidences,
+            frame.links.copy(), frame.link_confidences, frame.boxes,
+        )  # fmt: skip
+        least = self.params.min_marker_confidence
+        if least > 0:
+            own.markers[frame.marker_confidences < least] = np.nan
+            own.links[frame.link_confidences < least] = np.nan
+        return own
+
+    def _usable(self, frame: Frame, j: int, reasons: list[str]) -> bool:
+        if self._is_empty(frame, j):
+            reasons[j] = "no markers"
+        elif frame.confidences[j] < self.params.min_skeleton_confidence:
+            reasons[j] = "low confidence"
+        return not reasons[j]
+
+    @staticmethod
+    def _is_empty(frame: Frame, j: int) -> bool:
+        first = frame.markers[j, 0, 0] if frame.markers.shape[1] else np.nan
+        return first != first and bool(np.isnan(frame.markers[j, :, 0]).all())
+
+    def _match(
+        self, frame: Frame, tracks: list[_Track], people: list[int], found: list[_Track | None]
+    ) -> Floats:
+        """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update; return the gaps."""
+        shape = (len(tracks), frame.n_people)
+        gap = np.full(shape, np.inf)
+        if not tracks or not people:
+            return gap
+        bank = self.bank
+        rows = np.array([t.row for t in tracks], np.int64)
+        wanted = np.zeros(frame.n_people, np.bool_)
+        wanted[people] = True
+        match = np.empty(frame.n_people, np.int64)
+        flipped = np.empty(frame.n_people, np.bool_)
+        kernels.associate(
+            frame.stamp, rows, bank.motion, bank.seen, bank.turn, bank.spin, bank.turn_seen,
+            frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
+            self.mirror, self.association, wanted, gap, match, flipped,
+        )  # fmt: skip
+        for j, i in enumerate(match.tolist()):
+            if i >= 0:
+                found[j] = tracks[i]
+        self._update(frame, [None if i < 0 else tracks[i] for i in match.tolist()], flipped)
+        return gap
+
+    def _update(self, frame: Frame, bodies: list[_Track | None], flipped: Flags) -> None:
+        """Move the tracks of the people in ``frame``; fill their velocities in it."""
+        bank = self.bank
+        row_of = np.array([UNTRACKED if t is None else t.row for t in bodies], np.int64)
+        kernels.update(
+            frame.stamp, row_of, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
+            bank.turn_spread, bank.turn_seen, frame.markers, frame.marker_confidences,
+            frame.links, flipped, self.mirror, self.dynamics,
+        )  # fmt: skip
+        for body in bodies:
+            if body is not None:
+                body.seen = max(body.seen, frame.stamp)
+
+    def _drop_second_bodies(
+        self,
+        known: list[_Track],
+        gap: Floats,
+        rest: list[int],
+        found: list[_Track | None],
+        reasons: list[str],
+    ) -> list[int]:
+        """Leave out detections on top of a person whom this camera has reported already."""
+        left = []
+        for j in rest:
+            near = [t for i, t in enumerate(known) if gap[i, j] < self.params.min_distance]
+            if near and any(t in found for t in near):
+                reasons[j] = "second body"
+            else:
+                left.append(j)
+        return left
+
+    def _add(
+        self, people: list[int], frame: Frame, found: list[_Track | None], reasons: list[str]
+    ) -> None:
+        born: list[_Track | None] = [None] * frame.n_people
+        for j in people:
+            here = frame.markers[j, :, :3]
+            if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
+                reasons[j] = "too few markers"
+                continue
+            evidence = _Evidence(frame.stamp, np.nanmean(here, axis=0))
+            body = _Track(self.bank.take(), frame.stamp, evidence)
+            self.tracks.append(body)
+            found[j] = born[j] = body
+        self._update(frame, born, np.zeros(frame.n_people, np.bool_))
+
+    def _judge(self, frame: Frame, found: list[_Track | None]) -> None:
+        """Weigh the evidence that this message adds to bodies that are not people yet."""
+        teaches = self.coverage.is_due(frame.source, frame.stamp)
+        for body in self.tracks:
+            if body.person != UNTRACKED and len(body.evidence.reports) > 1:
+                if teaches and body in found:
+                    self.coverage.learn(frame.source, self._centre(body), frame.stamp)
+                continue
+            evidence = body.evidence
+            if body in found:
+                evidence.reports[frame.source] = evidence.reports.get(frame.source, 0) + 1
+                step = self._centre(body) - evidence.birthplace
+                evidence.travelled = max(evidence.travelled, float(np.linalg.norm(step)))
+            elif frame.source not in evidence.reports and self._ought_to_see(frame.source, body):
+                evidence.misses += 1
+            self._settle(body, frame)
+
+    def _settle(self, body: _Track, frame: Frame) -> None:
+        """Make a body a person, or take that back, as the evidence now says."""
+        confirmed = body.evidence.confirms(body.seen, self.params)
+        if body.person == UNTRACKED and confirmed and not self._shadows(body):
+            body.person = next(self.people)
+            self.events.note(
+                frame.stamp, "track born", person=body.person, source=frame.source,
+                detail=f"seen by {', '.join(sorted(body.evidence.reports))}",
+            )  # fmt: skip
+        elif body.person != UNTRACKED and self._refuted(body):
+            self.events.note(frame.stamp, "track doubted", person=body.person)
+            body.person = UNTRACKED
+
+    def _refuted(self, body: _Track) -> bool:
+        evidence = body.evidence
+        return evidence.doubted(self.params) and evidence.travelled <= self.params.min_motion
+
+    def _shadows(self, body: _Track) -> bool:
+        """Whether the body lies on a person: a second view of that person, not somebody new."""
+        here = self.bank.motion[body.row, :, 0]
+        for other in self.tracks:
+            if other.person != UNTRACKED and other is not body:
+                there = self.bank.motion[other.row, :, 0]
+                common = (self.bank.seen[body.row] > 0) & (self.bank.seen[other.row] > 0)
+                distance = np.linalg.norm(here[common] - there[common], axis=1).mean()
+                if common.any() and distance < self.params.min_distance:
+                    return True
+        return False
+
+    def _ought_to_see(self, source: str, body: _Track) -> bool:
+        others = [self._centre(t) for t in self.tracks if t is not body and t.person != UNTRACKED]
+        return self.coverage.sees(source, self._centre(body), others)
+
+    def _centre(self, body: _Track) -> Floats:
+        known = self.bank.seen[body.row] > 0
+        centre: Floats = self.bank.motion[body.row, known, 0].mean(axis=0)
+        return centre
+
+    def _forget(self, stamp: int) -> None:
+        """Remove tracks that nobody saw for t_m; bodies that were nobody yet go sooner."""
+        kept = []
+        for body in self.tracks:
+            unseen = (stamp - body.seen) * 1e-9
+            person = body.person != UNTRACKED
+            if unseen <= (self.params.max_gap if person else self.params.tentative_gap):
+                kept.append(body)
+                continue
+            self.bank.free.append(body.row)
+            if person:
+                self.events.note(body.seen, "track lost", person=body.person)
+        if len(kept) < len(self.tracks):
+            self.tracks = kept
