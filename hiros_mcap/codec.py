@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.kernels import cdr, cleaning
+from hiros_mcap.kernels import cdr, cdr_encode, cleaning
 from hiros_mcap.layout import PUBLISHED, Bytes, Layout, check_schema
 from hiros_mcap.skeletons import BOX, STATE, Frame, SkeletonModel
 
@@ -98,7 +98,7 @@ class ModelBuilder:
         Raises :class:`LogError` if the message is damaged, or gives an id another name or a link
         other ends than a former one did.
         """
-        data = layout(data)
+        data = layout(data, topic)
         rows = np.empty((len(data) // cdr.MIN_MARKER + 1, cdr.OUTLINE), np.int64)
         report = np.zeros(cdr.REPORT, np.int64)
         code = cdr.outline(_as_array(data), rows, report)
@@ -106,8 +106,8 @@ class ModelBuilder:
             raise _fault(code, report, data, topic)
         self._max_markers = max(self._max_markers, int(report[cdr.MOST_MARKERS]))
         self._max_links = max(self._max_links, int(report[cdr.MOST_LINKS]))
-        for is_link, key, start, length, parent, child in rows[: report[cdr.ROWS]].tolist():
-            name = _text(data, start, length, topic)
+        for is_link, key, start, end, parent, child in rows[: report[cdr.ROWS]].tolist():
+            name = _text(data, start, end, topic)
             if is_link:
                 self._add_link(key, (name, parent, child), topic)
             else:
@@ -210,7 +210,7 @@ class Decoder:
             self._report,
             self._sources,
         )
-        self._n_people = 1  # a guess, corrected when a message has another number
+        self._resize(1)  # a guess, corrected when a message has another number of people
 
     def decode(self, data: Bytes, log_time: int) -> Frame:
         """Read a message, exactly.
@@ -223,7 +223,9 @@ class Decoder:
         for markers and links that are not in the model, have another name or ends than there, or
         come twice in one skeleton.
         """
-        return self._read(self._layout(data), log_time)
+        return self._decode(
+            data if self._layout is PUBLISHED else self._layout(data, self._topic), log_time
+        )
 
     def decode_all(self, data: Bytes, log_time: int) -> list[Frame]:
         """Read a message as one Frame per distinct src_frame, in the order of their appearance.
@@ -231,48 +233,54 @@ class Decoder:
         For a channel on which several cameras' skeletons share a message. A message whose
         skeletons have one src_frame, or that has none, is one Frame, as :meth:`decode` gives it.
         """
-        data = self._layout(data)
-        frame = self._read(data, log_time)
+        if self._layout is not PUBLISHED:
+            data = self._layout(data, self._topic)
+        frame = self._decode(data, log_time)
         if not self._report[cdr.MIXED]:
             return [frame]
+        header = frame.frame_id  # without a common src_frame it is the header's
         people: dict[str, list[int]] = {}
-        for person, (start, length) in enumerate(self._sources[: frame.n_people].tolist()):
-            people.setdefault(_text(data, start, length, self._topic), []).append(person)
-        start, length = self._report[cdr.FRAME : cdr.FRAME_LENGTH + 1].tolist()
-        header = _text(data, start, length, self._topic)
+        for person, (start, end) in enumerate(self._sources[: frame.n_people].tolist()):
+            people.setdefault(_text(data, start, end, self._topic), []).append(person)
         return [
             frame.select(rows).replace(source=source or header, frame_id=header or source)
             for source, rows in people.items()
         ]
 
-    def _read(self, data: Bytes, log_time: int) -> Frame:
+    def _decode(self, data: Bytes, log_time: int) -> Frame:
         buffer = _as_array(data)
         arrays = self._room()
         code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
         if code == cdr.PEOPLE:
-            self._n_people = int(self._report[cdr.COUNT])
+            self._resize(int(self._report[cdr.COUNT]))
             arrays = self._room()
             code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
         if code != cdr.OK:
             raise _fault(code, self._report, data, self._topic)
-        _, _, _, _, _, _, stamp, start, length, source, source_length, mixed = self._report.tolist()
-        frame_id = _text(data, start, length, self._topic)
-        common = "" if mixed else _text(data, source, source_length, self._topic)
+        *_, stamp, header, header_end, source, source_end, mixed = self._report.tolist()
+        frame_id = _text(data, header, header_end, self._topic)
+        common = "" if mixed else _text(data, source, source_end, self._topic)
         return Frame(stamp, log_time, common or frame_id, frame_id or common, *arrays)
+
+    def _resize(self, n_people: int) -> None:
+        """Prepare the shapes of a Frame's arrays."""
+        p, m, n = n_people, self.model.n_markers, self.model.n_links
+        self._shapes = (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
 
     def _room(self) -> tuple[Any, ...]:
         """Return new arrays for a Frame, not filled."""
-        p, m, n = self._n_people, self.model.n_markers, self.model.n_links
+        markers, marker_confidences, links, link_confidences, boxes = self._shapes
+        p = markers[0]
         empty = np.empty
         return (
             empty(p, np.int32),
             empty(p, np.int64),
             empty(p),
-            empty((p, m, STATE)),
-            empty((p, m)),
-            empty((p, n, STATE)),
-            empty((p, n)),
-            empty((p, BOX)),
+            empty(markers),
+            empty(marker_confidences),
+            empty(links),
+            empty(link_confidences),
+            empty(boxes),
         )
 
 
@@ -303,13 +311,13 @@ class Encoder:
             frame.stamps,
             *_measured(frame),
         )
-        size = cdr.encode(self._out, *arguments)
-        if size < -cdr.STAMP:
+        size = cdr_encode.encode(self._out, *arguments)
+        if size < -cdr_encode.STAMP:
             self._out = np.empty(-2 * size, np.uint8)
-            size = cdr.encode(self._out, *arguments)
-        if size == -cdr.SHAPE:
+            size = cdr_encode.encode(self._out, *arguments)
+        if size == -cdr_encode.SHAPE:
             raise ValueError("the arrays of the frame do not fit each other or the model")
-        if size == -cdr.STAMP:
+        if size == -cdr_encode.STAMP:
             raise LogError("a stamp lies outside the years 1901 to 2038")
         return self._out[:size].tobytes()
 
@@ -330,16 +338,16 @@ def _as_array(data: Bytes) -> npt.NDArray[np.uint8]:
     return np.frombuffer(data, np.uint8)
 
 
-def _text(data: Bytes, start: int, length: int, topic: str | None) -> str:
+def _text(data: Bytes, start: int, end: int, topic: str | None) -> str:
     try:
-        return str(data[start : start + length], "utf-8")
+        return str(data[start:end], "utf-8")
     except UnicodeDecodeError as error:
         raise LogError("message has a string that is not UTF-8", topic=topic) from error
 
 
 def _fault(code: int, report: npt.NDArray[np.int64], data: Bytes, topic: str | None) -> LogError:
     """Say what is wrong with a message and where."""
-    at, person, key, start, length, *_ = report.tolist()
+    at, person, key, start, end, *_ = report.tolist()
     if code == cdr.ENCAPSULATION:
         number = int.from_bytes(data[:2], "big")
         kind = _ENCAPSULATIONS.get(number, "unknown")
@@ -347,7 +355,7 @@ def _fault(code: int, report: npt.NDArray[np.int64], data: Bytes, topic: str | N
     if code in _FAULTS:
         where = f" (byte {at}, skeleton {person})" if person >= 0 else f" (byte {at})"
         return LogError(_FAULTS[code] + where, topic=topic)
-    name = str(bytes(data[start : start + min(length, 80)]), "utf-8", "replace")
+    name = str(bytes(data[start : min(end, start + 80)]), "utf-8", "replace")
     return LogError(
         {
             cdr.UNKNOWN_MARKER: f"marker {key} {name!r} is not in the skeleton model",

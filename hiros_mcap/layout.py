@@ -54,33 +54,32 @@ class Layout:
     difference : the first field that is not as published; "" when there is none.
     """
 
-    def __init__(self, definitions: hiros_schemas.Definitions | None = None, difference: str = ""):
-        self._definitions = definitions
-        self._read: Callable[[bytes], Any] | None = None
+    def __init__(self, read: Callable[[bytes], Any] | None = None, difference: str = "") -> None:
+        self._read = read
         self.difference = difference
 
     @property
     def is_published(self) -> bool:
         """Whether messages need no translation (which is a thousand times slower than reading)."""
-        return self._definitions is None
+        return self._read is None
 
-    def __call__(self, data: Bytes) -> Bytes:
+    def __call__(self, data: Bytes, topic: str | None = None) -> Bytes:
         """Return the message in the published layout. Raises :class:`LogError` if unreadable."""
-        if self._definitions is None:
-            return data
         if self._read is None:
-            self._read = _generic_reader(self._definitions)
+            return data
         if len(data) < 4 or data[0] != 0 or data[1] > 1:
-            raise LogError(f"message encapsulation 0x{bytes(data[:2]).hex()} is not plain CDR")
+            kind = bytes(data[:2]).hex()
+            raise LogError(f"message encapsulation 0x{kind} is not plain CDR", topic=topic)
         out = bytearray(b"\0\1\0\0")
         try:
             _write(out, _PUBLISHED, hiros_schemas.short_name(_NAME), self._read(bytes(data)))
         except _UNREADABLE as error:
-            raise LogError(f"message cannot be read by its own schema: {error}") from error
+            fault = f"message cannot be read by its own schema: {error}"
+            raise LogError(fault, topic=topic) from error
         return bytes(out)
 
 
-def check_schema(name: str, encoding: str, data: bytes) -> Layout:
+def check_schema(name: str, encoding: str, data: bytes, *, topic: str | None = None) -> Layout:
     """Compare a channel's schema with the published SkeletonGroup, field by field.
 
     Comments, constants, default values, upper bounds and the names of nested types do not matter.
@@ -90,19 +89,23 @@ def check_schema(name: str, encoding: str, data: bytes) -> Layout:
     SchemaError
         The schema cannot be parsed, or a needed field is missing or of an incompatible type.
     """
-    if encoding != "ros2msg":
-        raise SchemaError(f"schema encoding {encoding!r} is not supported, only 'ros2msg'")
     try:
-        definitions = _parse(name, data)
-        found = hiros_schemas.leaves(definitions, name)
+        return _layout(name, encoding, data)
     except hiros_schemas.DefinitionError as error:
-        raise SchemaError(str(error)) from error
+        raise SchemaError(str(error), topic=topic) from error
+
+
+def _layout(name: str, encoding: str, data: bytes) -> Layout:
+    if encoding != "ros2msg":
+        raise hiros_schemas.DefinitionError(f"schema encoding {encoding!r} is not 'ros2msg'")
+    definitions = _parse(name, data)
+    found = hiros_schemas.leaves(definitions, name)
     difference = _difference(found)
     if not difference:
         return PUBLISHED
     _refuse_missing(found)
     _refuse_endless(found)
-    return Layout(definitions, difference)
+    return Layout(_generic_reader(definitions), difference)
 
 
 def _parse(name: str, data: bytes) -> hiros_schemas.Definitions:
@@ -135,9 +138,11 @@ def _refuse_missing(found: list[tuple[str, str]]) -> None:
     kinds = {re.sub(r"\[\d*\]", "[]", path): kind for path, kind in found}
     for path, kind in _LEAVES:
         if path not in kinds:
-            raise SchemaError(f"schema lacks the field {path} ({kind}) of {_NAME}")
+            fault = f"schema lacks the field {path} ({kind}) of {_NAME}"
+            raise hiros_schemas.DefinitionError(fault)
         if kinds[path] not in _COMPATIBLE[kind]:
-            raise SchemaError(f"schema has {kinds[path]} instead of {kind} for the field {path}")
+            fault = f"schema has {kinds[path]} instead of {kind} for the field {path}"
+            raise hiros_schemas.DefinitionError(fault)
 
 
 def _refuse_endless(found: list[tuple[str, str]]) -> None:
@@ -155,7 +160,8 @@ def _refuse_endless(found: list[tuple[str, str]]) -> None:
             solid[element] = solid.get(element, False) or "[]" in rest or not is_bytes
     for element, has_size in solid.items():
         if not has_size:
-            raise SchemaError(f"schema has an array {element[:-1]} of nothing but bytes")
+            fault = f"schema has an array {element[:-1]} of nothing but bytes"
+            raise hiros_schemas.DefinitionError(fault)
 
 
 def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[bytes], Any]:
@@ -173,9 +179,12 @@ def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[bytes],
     schema = Schema(
         id=1, name=first, encoding="ros2msg", data=f"{'=' * 80}\n".join(blocks).encode()
     )
-    reader = DecoderFactory().decoder_for("cdr", schema)
+    try:
+        reader = DecoderFactory().decoder_for("cdr", schema)
+    except Exception as error:  # the library does not export what it raises
+        raise hiros_schemas.DefinitionError(f"schema cannot be used: {error}") from error
     if reader is None:
-        raise SchemaError("the generic decoder does not take this schema")
+        raise hiros_schemas.DefinitionError("the generic decoder does not take this schema")
     return reader
 
 

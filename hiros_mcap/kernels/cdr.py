@@ -1,4 +1,4 @@
-"""Read and write SkeletonGroup messages in CDR, byte by byte (DDSI-RTPS 10.2, XCDR version 1).
+"""Read SkeletonGroup messages in CDR, byte by byte (DDSI-RTPS 10.2, XCDR version 1).
 
 A message is four bytes of encapsulation, then the fields in order, each aligned to its size
 counted from byte 4. Strings carry their length with the final NUL, sequences their count. Nothing
@@ -16,12 +16,17 @@ Tables, one row per slot, ids increasing::
                                  ABSENT for a marker that the log never shows
 """
 
+# mypy: disable-error-code="no-any-return"
+# (numba's decorator hides the types of the helpers from their callers)
+
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+import numpy.typing as npt
+from numba import types
+
+from hiros_mcap.kernels.unaligned import copy, kernel, load32, load64, swap32, swap64, to_double
+from hiros_mcap.skeletons import Floats, Ints
 
 OK = 0
 # Faults of a message.
@@ -41,9 +46,6 @@ REPEATED_MARKER = 13
 REPEATED_LINK = 14
 # What the caller has to put right.
 PEOPLE = 20  # the arrays are for another number of people
-# Faults of a frame.
-SHAPE = 30
-STAMP = 31
 
 MAX_PEOPLE = 1000
 MAX_STRING = 65536
@@ -54,13 +56,13 @@ MAX_PADDING = 3
 ABSENT = 0xFFFFFFFF
 
 # Elements of the report.
-AT, PERSON, ID, NAME, NAME_LENGTH = 0, 1, 2, 3, 4
-COUNT, HEADER_STAMP, FRAME, FRAME_LENGTH, SOURCE, SOURCE_LENGTH, MIXED = 5, 6, 7, 8, 9, 10, 11
+AT, PERSON, ID, NAME, NAME_END = 0, 1, 2, 3, 4
+COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED = 5, 6, 7, 8, 9, 10, 11
 ROWS, MOST_MARKERS, MOST_LINKS = 9, 10, 11
 REPORT = 12
 
 # Columns of an outline.
-IS_LINK, ROW_ID, ROW_NAME, ROW_LENGTH, PARENT, CHILD = 0, 1, 2, 3, 4, 5
+IS_LINK, ROW_ID, ROW_NAME, ROW_END, PARENT, CHILD = 0, 1, 2, 3, 4, 5
 OUTLINE = 6
 
 # The fewest bytes that an element takes: its numbers and an empty string.
@@ -68,138 +70,64 @@ MIN_PERSON = 216
 MIN_MARKER = 168
 MIN_LINK = 176
 
-_ORIGIN = 4
-_STATE = 19
-_BOX = 22
-_NANO = 1_000_000_000
-_SLACK = 16
+ORIGIN = 4
+STATE = 19
+BOX = 22
+NANO = 1_000_000_000
+
+Bytes = npt.NDArray[np.uint8]
+Table = npt.NDArray[np.int64]
+Words = npt.NDArray[np.uint64]
 
 _BYTES = types.Array(types.uint8, 1, "C", readonly=True)
-_OUT = types.uint8[::1]
 _WORDS = types.uint64[::1]
 _I1, _I2 = types.int64[::1], types.int64[:, ::1]
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 
 
-def _place(context, builder, array_type, array, offset, bits):  # type: ignore[no-untyped-def]
-    """Emit the pointer to ``bits`` bits at a byte offset of an array of bytes."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [offset]), ir.IntType(bits).as_pointer())
-
-
-def _loader(bits, result):  # type: ignore[no-untyped-def]
-    """Make a load of an integer at any byte offset: numba has none that is not aligned."""
-
-    @intrinsic
-    def load(typing_context, data, offset):  # type: ignore[no-untyped-def]
-        def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            pointer = _place(context, builder, signature.args[0], args[0], args[1], bits)
-            word = builder.load(pointer)
-            word.align = 1
-            return word
-
-        return result(data, types.int64), generate
-
-    return load
-
-
-def _storer(bits, value_type):  # type: ignore[no-untyped-def]
-    """Make a store of an integer at any byte offset."""
-
-    @intrinsic
-    def store(typing_context, data, offset, value):  # type: ignore[no-untyped-def]
-        def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            pointer = _place(context, builder, signature.args[0], args[0], args[1], bits)
-            builder.store(args[2], pointer).align = 1
-            return context.get_dummy_value()
-
-        return types.void(data, types.int64, value_type), generate
-
-    return store
-
-
-def _caster(source, target, bits):  # type: ignore[no-untyped-def]
-    """Make a change of type that keeps the 64 bits, the payload of a NaN included."""
-
-    @intrinsic
-    def cast(typing_context, value):  # type: ignore[no-untyped-def]
-        def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            return builder.bitcast(args[0], bits)
-
-        return target(source), generate
-
-    return cast
-
-
-@intrinsic
-def _swap32(typing_context, value):  # type: ignore[no-untyped-def]
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.bswap(args[0])
-
-    return types.uint32(types.uint32), generate
-
-
-@intrinsic
-def _swap64(typing_context, value):  # type: ignore[no-untyped-def]
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.bswap(args[0])
-
-    return types.uint64(types.uint64), generate
-
-
-_load32 = _loader(32, types.uint32)
-_load64 = _loader(64, types.uint64)
-_store32 = _storer(32, types.uint32)
-_store64 = _storer(64, types.uint64)
-_to_double = _caster(types.uint64, types.float64, ir.DoubleType())
-_to_word = _caster(types.float64, types.uint64, ir.IntType(64))
-
-
-# --- reading -----------------------------------------------------------------------------------
-
-
-@njit(cache=True, nogil=True)
-def _align4(at: int) -> int:
+@kernel
+def align4(at: int) -> int:
+    """Return the next byte offset of a message that suits four bytes."""
     return (at + 3) & ~3
 
 
-@njit(cache=True, nogil=True)
-def _align8(at: int) -> int:
-    return ((at - _ORIGIN + 7) & ~7) + _ORIGIN
+@kernel
+def align8(at: int) -> int:
+    """Return the next byte offset of a message that suits eight bytes."""
+    return ((at - ORIGIN + 7) & ~7) + ORIGIN
 
 
-@njit(cache=True, nogil=True)
-def _unsigned(data: np.ndarray, at: int, swap: bool) -> int:
-    word = _load32(data, at)
-    return np.int64(_swap32(word) if swap else word)
+@kernel
+def _unsigned(data: Bytes, at: int, swap: bool) -> np.int64:
+    word = load32(data, at)
+    return np.int64(swap32(word) if swap else word)
 
 
-@njit(cache=True, nogil=True)
-def _signed(data: np.ndarray, at: int, swap: bool) -> int:
-    word = _load32(data, at)
-    return np.int64(np.int32(_swap32(word) if swap else word))
+@kernel
+def _signed(data: Bytes, at: int, swap: bool) -> np.int64:
+    word = load32(data, at)
+    return np.int64(np.int32(swap32(word) if swap else word))
 
 
-@njit(cache=True, nogil=True)
-def _double(data: np.ndarray, at: int, swap: bool) -> float:
-    word = _load64(data, at)
-    return _to_double(_swap64(word) if swap else word)
+@kernel
+def _double(data: Bytes, at: int, swap: bool) -> float:
+    word = load64(data, at)
+    return to_double(swap64(word) if swap else word)
 
 
-@njit(cache=True, nogil=True)
-def _doubles(data: np.ndarray, at: int, swap: bool, out: np.ndarray, n: int) -> None:
+@kernel
+def _doubles(data: Bytes, at: int, swap: bool, out: Floats, first: int, n: int) -> None:
     if swap:
         for k in range(n):
-            out[k] = _to_double(_swap64(_load64(data, at + 8 * k)))
+            out[first + k] = _double(data, at + 8 * k, True)
     else:
-        for k in range(n):
-            out[k] = _to_double(_load64(data, at + 8 * k))
+        copy(out, 8 * first, data, at, 8 * n)
 
 
-@njit(cache=True, nogil=True)
-def _string(data: np.ndarray, at: int, swap: bool) -> tuple[int, int, int, int]:
-    """Return fault, first byte, bytes without the NUL, and where the next field may start."""
-    at = _align4(at)
+@kernel
+def _string(data: Bytes, at: int, swap: bool) -> tuple[int, int, int, int]:
+    """Return fault, first byte, the byte after the last one, and where the next field may start."""
+    at = align4(at)
     if at + 4 > data.size:
         return TRUNCATED, at, 0, at
     length = _unsigned(data, at, swap)
@@ -209,16 +137,16 @@ def _string(data: np.ndarray, at: int, swap: bool) -> tuple[int, int, int, int]:
     if length > MAX_STRING:
         return STRING_LENGTH, at, 0, at
     if length == 0:  # some writers give an empty string no NUL
-        return OK, start, 0, start
+        return OK, start, start, start
     if data[start + length - 1] != 0:
         return STRING_END, at, 0, at
-    return OK, start, length - 1, start + length
+    return OK, start, start + length - 1, start + length
 
 
-@njit(cache=True, nogil=True)
-def _count(data: np.ndarray, at: int, swap: bool, smallest: int) -> tuple[int, int]:
+@kernel
+def _count(data: Bytes, at: int, swap: bool, smallest: int) -> tuple[int, int]:
     """Return the count of a sequence, -1 if that many elements cannot follow, and its end."""
-    at = _align4(at)
+    at = align4(at)
     if at + 4 > data.size:
         return -1, at
     count = _unsigned(data, at, swap)
@@ -227,33 +155,33 @@ def _count(data: np.ndarray, at: int, swap: bool, smallest: int) -> tuple[int, i
     return count, at + 4
 
 
-@njit(cache=True, nogil=True)
-def _stamp(data: np.ndarray, at: int, swap: bool) -> tuple[int, int]:
+@kernel
+def _stamp(data: Bytes, at: int, swap: bool) -> tuple[int, int]:
     """Return fault and ns since the epoch; the eight bytes must be there."""
     nanosec = _unsigned(data, at + 4, swap)
-    if nanosec >= _NANO:
+    if nanosec >= NANO:
         return NANOSEC, 0
-    return OK, _signed(data, at, swap) * _NANO + nanosec
+    return OK, _signed(data, at, swap) * NANO + nanosec
 
 
-@njit(cache=True, nogil=True)
-def _header(data: np.ndarray, report: np.ndarray) -> tuple[int, int, bool]:
+@kernel
+def _header(data: Bytes, report: Table) -> tuple[int, int, bool]:
     """Read up to the number of people; return fault, where they start, whether to swap bytes."""
     report[AT] = 0
     report[PERSON] = -1
-    if data.size < _ORIGIN:
+    if data.size < ORIGIN:
         return TRUNCATED, 0, False
     if data[0] != 0 or data[1] > 1:
         return ENCAPSULATION, 0, False
     swap = data[1] == 0
-    at = _ORIGIN
+    at = ORIGIN
     report[AT] = at
     if data.size < at + 8:
         return TRUNCATED, at, swap
     fault, report[HEADER_STAMP] = _stamp(data, at, swap)
     if fault != OK:
         return fault, at, swap
-    fault, report[FRAME], report[FRAME_LENGTH], at = _string(data, at + 8, swap)
+    fault, report[FRAME], report[FRAME_END], at = _string(data, at + 8, swap)
     report[AT] = at
     if fault != OK:
         return fault, at, swap
@@ -266,9 +194,9 @@ def _header(data: np.ndarray, report: np.ndarray) -> tuple[int, int, bool]:
     return OK, at, swap
 
 
-@njit(cache=True, nogil=True)
-def _person(data: np.ndarray, at: int, swap: bool) -> tuple[int, int, int, int, int]:
-    """Read id to src_frame; return fault, stamp, the string's place and length, and the end.
+@kernel
+def _person(data: Bytes, at: int, swap: bool) -> tuple[int, int, int, int, int]:
+    """Read id to src_frame; return fault, stamp, first byte and end of the string, and its end.
 
     On success the numbers up to the count of markers are known to lie in the buffer.
     """
@@ -277,36 +205,36 @@ def _person(data: np.ndarray, at: int, swap: bool) -> tuple[int, int, int, int, 
     fault, stamp = _stamp(data, at + 4, swap)
     if fault != OK:
         return fault, 0, 0, 0, at
-    fault, start, length, after = _string(data, at + 12, swap)
+    fault, start, end, after = _string(data, at + 12, swap)
     if fault != OK:
         return fault, 0, 0, 0, after
-    after = _align4(after)
-    if _align8(after + 8) + 8 * (1 + _BOX) > data.size:
+    after = align4(after)
+    if align8(after + 8) + 8 * (1 + BOX) > data.size:
         return TRUNCATED, 0, 0, 0, after
-    return OK, stamp, start, length, after
+    return OK, stamp, start, end, after
 
 
-@njit(cache=True, nogil=True)
-def _end(data: np.ndarray, at: int, report: np.ndarray) -> int:
+@kernel
+def _end(data: Bytes, at: int, report: Table) -> int:
     report[AT] = at
     report[PERSON] = -1
     return TRAILING if data.size - at > MAX_PADDING else OK
 
 
-@njit(cache=True, nogil=True)
-def _element(data: np.ndarray, at: int, swap: bool, report: np.ndarray) -> tuple[int, int]:
+@kernel
+def _element(data: Bytes, at: int, swap: bool, report: Table) -> tuple[int, int]:
     """Read the id and the name of a marker or a link into the report; return fault and end."""
-    at = _align4(at)
+    at = align4(at)
     report[AT] = at
     if at + 4 > data.size:
         return TRUNCATED, at
     report[ID] = _signed(data, at, swap)
-    fault, report[NAME], report[NAME_LENGTH], after = _string(data, at + 4, swap)
+    fault, report[NAME], report[NAME_END], after = _string(data, at + 4, swap)
     return fault, after
 
 
-@njit(types.int64(_BYTES, _I2, _I1), cache=True, nogil=True)
-def outline(data: np.ndarray, rows: np.ndarray, report: np.ndarray) -> int:
+@kernel(types.int64(_BYTES, _I2, _I1))
+def outline(data: Bytes, rows: Table, report: Table) -> int:
     """List the markers and the links of a message: ids, names and ends.
 
     ``rows`` is (n, 6), n at least ``data.size // MIN_MARKER + 1``; the first ``report[ROWS]`` rows
@@ -319,14 +247,14 @@ def outline(data: np.ndarray, rows: np.ndarray, report: np.ndarray) -> int:
     report[MOST_MARKERS] = 0
     report[MOST_LINKS] = 0
     for person in range(report[COUNT]):
-        report[AT] = at = _align4(at)
+        report[AT] = at = align4(at)
         report[PERSON] = person
         fault, _, _, _, at = _person(data, at, swap)
         if fault != OK:
             return fault
         report[MOST_MARKERS] = max(report[MOST_MARKERS], _unsigned(data, at, swap))
         report[MOST_LINKS] = max(report[MOST_LINKS], _unsigned(data, at + 4, swap))
-        at = _align8(at + 8) + 8 * (1 + _BOX)
+        at = align8(at + 8) + 8 * (1 + BOX)
         for is_link in range(2):
             count, at = _count(data, at, swap, MIN_LINK if is_link else MIN_MARKER)
             report[AT] = at
@@ -340,15 +268,15 @@ def outline(data: np.ndarray, rows: np.ndarray, report: np.ndarray) -> int:
                 row[IS_LINK] = is_link
                 row[ROW_ID] = report[ID]
                 row[ROW_NAME] = report[NAME]
-                row[ROW_LENGTH] = report[NAME_LENGTH]
+                row[ROW_END] = report[NAME_END]
                 if is_link:
-                    at = _align4(at)
+                    at = align4(at)
                     if at + 8 > data.size:
                         return TRUNCATED
                     row[PARENT] = _signed(data, at, swap)
                     row[CHILD] = _signed(data, at + 4, swap)
                     at += 8
-                at = _align8(at) + 8 * (1 + _STATE)
+                at = align8(at) + 8 * (1 + STATE)
                 if at > data.size:
                     return TRUNCATED
                 n_rows += 1
@@ -356,36 +284,34 @@ def outline(data: np.ndarray, rows: np.ndarray, report: np.ndarray) -> int:
     return _end(data, at, report)
 
 
-@njit(cache=True, nogil=True)
-def _starts_with(data: np.ndarray, at: int, words: np.ndarray, first: int, length: int) -> bool:
+@kernel
+def _starts_with(data: Bytes, at: int, words: Words, first: int, length: int) -> bool:
     """Whether the prepared bytes stand at ``at``; seven bytes more than they are may be read."""
     whole = length >> 3
     for k in range(whole):
-        if _load64(data, at + 8 * k) != words[first + k]:
+        if load64(data, at + 8 * k) != words[first + k]:
             return False
     rest = length & 7
     if rest == 0:
         return True
-    difference = _load64(data, at + 8 * whole) ^ words[first + whole]
+    difference = load64(data, at + 8 * whole) ^ words[first + whole]
     return difference << np.uint64(64 - 8 * rest) == 0
 
 
-@njit(cache=True, nogil=True)
-def _same_name(
-    data: np.ndarray, start: int, length: int, words: np.ndarray, row: np.ndarray
-) -> bool:
-    """Whether the ``length`` bytes at ``start`` are the name within a row's prepared bytes."""
-    if length != row[2] - 9:  # id, length and NUL
+@kernel
+def _same_name(data: Bytes, start: int, end: int, words: Words, row: Table) -> bool:
+    """Whether the bytes from ``start`` to ``end`` are the name within a row's prepared bytes."""
+    if end - start != row[2] - 9:  # id, length and NUL
         return False
-    for k in range(length):
+    for k in range(end - start):
         byte = words[row[1] + ((8 + k) >> 3)] >> np.uint64(8 * (k & 7)) & np.uint64(255)
         if byte != data[start + k]:
             return False
     return True
 
 
-@njit(cache=True, nogil=True)
-def _slot(table: np.ndarray, wanted: int) -> int:
+@kernel
+def _slot(table: Table, wanted: int) -> int:
     """Return the row of an id by bisection, -1 if it has none."""
     low, high = 0, len(table)
     while low < high:
@@ -397,21 +323,21 @@ def _slot(table: np.ndarray, wanted: int) -> int:
     return low if low < len(table) and table[low, 0] == wanted else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _identify(
-    data: np.ndarray,
+    data: Bytes,
     at: int,
     swap: bool,
     guess: int,
-    table: np.ndarray,
-    words: np.ndarray,
-    report: np.ndarray,
+    table: Table,
+    words: Words,
+    report: Table,
 ) -> tuple[int, int, int]:
     """Read id and name of an element; return fault, slot and end.
 
     ``guess`` is the slot that comes next if nothing is left out. The faults are those of a marker.
     """
-    at = _align4(at)
+    at = align4(at)
     if not swap and guess < len(table):
         length = table[guess, 2]
         if at + length + 7 <= data.size and _starts_with(data, at, words, table[guess, 1], length):
@@ -422,51 +348,53 @@ def _identify(
     slot = _slot(table, report[ID])
     if slot < 0:
         return UNKNOWN_MARKER, -1, after
-    if not _same_name(data, report[NAME], report[NAME_LENGTH], words, table[slot]):
+    if not _same_name(data, report[NAME], report[NAME_END], words, table[slot]):
         return MARKER_NAME, slot, after
     return OK, slot, after
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _numbers(
-    data: np.ndarray, at: int, swap: bool, states: np.ndarray, confidences: np.ndarray, slot: int
+    data: Bytes, at: int, swap: bool, states: Floats, confidences: Floats, row: int
 ) -> int:
-    """Read the confidence and the KinematicState of a slot; return their end, -1 if truncated."""
-    at = _align8(at)
-    if at + 8 * (1 + _STATE) > data.size:
+    """Read the confidence and the KinematicState of a row; return their end, -1 if truncated."""
+    at = align8(at)
+    if at + 8 * (1 + STATE) > data.size:
         return -1
-    confidences[slot] = _double(data, at, swap)
-    _doubles(data, at + 8, swap, states[slot], _STATE)
-    return at + 8 * (1 + _STATE)
+    confidences[row] = _double(data, at, swap)
+    _doubles(data, at + 8, swap, states, row * STATE, STATE)
+    return at + 8 * (1 + STATE)
 
 
-@njit(cache=True, nogil=True)
-def _leave_out(seen: np.ndarray, person: int, states: np.ndarray, confidences: np.ndarray) -> None:
-    """Mark as absent what the person does not have."""
-    for slot in range(len(seen)):
+@kernel
+def _leave_out(seen: Table, person: int, n: int, states: Floats, confidences: Floats) -> None:
+    """Mark as absent what the person does not have of its ``n`` markers or links."""
+    for slot in range(n):
         if seen[slot] != person:
-            confidences[slot] = np.nan
-            for k in range(_STATE):
-                states[slot, k] = np.nan
+            row = person * n + slot
+            confidences[row] = np.nan
+            for k in range(row * STATE, (row + 1) * STATE):
+                states[k] = np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _markers(
-    data: np.ndarray,
+    data: Bytes,
     at: int,
     swap: bool,
-    table: np.ndarray,
-    words: np.ndarray,
-    seen: np.ndarray,
-    report: np.ndarray,
-    states: np.ndarray,
-    confidences: np.ndarray,
+    table: Table,
+    words: Words,
+    seen: Table,
+    report: Table,
+    states: Floats,
+    confidences: Floats,
 ) -> tuple[int, int]:
     """Read the markers of a person; return fault and end."""
     report[AT] = at
     count, at = _count(data, at, swap, MIN_MARKER)
     if count < 0:
         return TRUNCATED, at
+    first = report[PERSON] * len(table)
     slot = -1
     for _ in range(count):
         report[AT] = at
@@ -477,37 +405,39 @@ def _markers(
             report[ID] = table[slot, 0]
             return REPEATED_MARKER, at
         seen[slot] = report[PERSON]
-        at = _numbers(data, at, swap, states, confidences, slot)
+        at = _numbers(data, at, swap, states, confidences, first + slot)
         if at < 0:
             return TRUNCATED, at
-    _leave_out(seen, report[PERSON], states, confidences)
+    if count < len(table):
+        _leave_out(seen, report[PERSON], len(table), states, confidences)
     return OK, at
 
 
-@njit(cache=True, nogil=True)
-def _is_end(marker: int, expected: int, marker_table: np.ndarray) -> bool:
+@kernel
+def _is_end(marker: int, expected: int, marker_table: Table) -> bool:
     """Whether a link's parent or child is the marker that the model has there."""
     return marker == expected or (expected == ABSENT and _slot(marker_table, marker) < 0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _links(
-    data: np.ndarray,
+    data: Bytes,
     at: int,
     swap: bool,
-    marker_table: np.ndarray,
-    table: np.ndarray,
-    words: np.ndarray,
-    seen: np.ndarray,
-    report: np.ndarray,
-    states: np.ndarray,
-    confidences: np.ndarray,
+    marker_table: Table,
+    table: Table,
+    words: Words,
+    seen: Table,
+    report: Table,
+    states: Floats,
+    confidences: Floats,
 ) -> tuple[int, int]:
     """Read the links of a person; return fault and end."""
     report[AT] = at
     count, at = _count(data, at, swap, MIN_LINK)
     if count < 0:
         return TRUNCATED, at
+    first = report[PERSON] * len(table)
     slot = -1
     for _ in range(count):
         report[AT] = at
@@ -519,7 +449,7 @@ def _links(
         if fault != OK:
             return fault, at
         report[ID] = table[slot, 0]
-        at = _align4(at)
+        at = align4(at)
         if at + 8 > data.size:
             return TRUNCATED, at
         for end in range(2):
@@ -528,55 +458,53 @@ def _links(
         if seen[slot] == report[PERSON]:
             return REPEATED_LINK, at
         seen[slot] = report[PERSON]
-        at = _numbers(data, at + 8, swap, states, confidences, slot)
+        at = _numbers(data, at + 8, swap, states, confidences, first + slot)
         if at < 0:
             return TRUNCATED, at
-    _leave_out(seen, report[PERSON], states, confidences)
+    if count < len(table):
+        _leave_out(seen, report[PERSON], len(table), states, confidences)
     return OK, at
 
 
-@njit(cache=True, nogil=True)
-def _note_source(
-    data: np.ndarray, person: int, start: int, length: int, report: np.ndarray
-) -> None:
+@kernel
+def _note_source(data: Bytes, person: int, start: int, end: int, report: Table) -> None:
     """Keep the first person's src_frame and whether another one differs."""
     if person == 0:
         report[SOURCE] = start
-        report[SOURCE_LENGTH] = length
+        report[SOURCE_END] = end
         return
-    if length != report[SOURCE_LENGTH]:
+    first = report[SOURCE]
+    same = end - start == report[SOURCE_END] - first
+    k = 0
+    while same and k < end - start:
+        same = data[start + k] == data[first + k]
+        k += 1
+    if not same:
         report[MIXED] = 1
-        return
-    for k in range(length):
-        if data[start + k] != data[report[SOURCE] + k]:
-            report[MIXED] = 1
-            return
 
 
-@njit(
+@kernel(
     types.int64(
         _BYTES, _I2, _I2, _WORDS, _I1, _I1, _I2,
         types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _F2,
     ),
-    cache=True,
-    nogil=True,
 )  # fmt: skip
 def decode(
-    data: np.ndarray,
-    marker_table: np.ndarray,
-    link_table: np.ndarray,
-    words: np.ndarray,
-    seen: np.ndarray,
-    report: np.ndarray,
-    sources: np.ndarray,
-    ids: np.ndarray,
-    stamps: np.ndarray,
-    confidences: np.ndarray,
-    markers: np.ndarray,
-    marker_confidences: np.ndarray,
-    links: np.ndarray,
-    link_confidences: np.ndarray,
-    boxes: np.ndarray,
+    data: Bytes,
+    marker_table: Table,
+    link_table: Table,
+    words: Words,
+    seen: Table,
+    report: Table,
+    sources: Table,
+    ids: Ints,
+    stamps: Table,
+    confidences: Floats,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    boxes: Floats,
 ) -> int:
     """Fill the arrays of a Frame of P people from a message.
 
@@ -589,194 +517,39 @@ def decode(
         return fault
     if report[COUNT] != len(ids):
         return PEOPLE
-    report[SOURCE_LENGTH] = 0
+    report[SOURCE] = 0
+    report[SOURCE_END] = 0
     report[MIXED] = 0
-    n_markers = len(marker_table)
-    for slot in range(len(seen)):
-        seen[slot] = -1
+    seen[:] = -1
+    seen_markers, seen_links = seen[: len(marker_table)], seen[len(marker_table) :]
+    # Helpers get flat arrays and a row: a slice per row would cost more than its numbers.
+    flat_boxes, flat_markers, flat_links = boxes.reshape(-1), markers.reshape(-1), links.reshape(-1)
+    flat_marker_confidences = marker_confidences.reshape(-1)
+    flat_link_confidences = link_confidences.reshape(-1)
     for person in range(len(ids)):
-        report[AT] = at = _align4(at)
+        report[AT] = at = align4(at)
         report[PERSON] = person
-        fault, stamp, start, length, after = _person(data, at, swap)
+        fault, stamp, start, end, after = _person(data, at, swap)
         if fault != OK:
             return fault
         ids[person] = _signed(data, at, swap)
         stamps[person] = stamp
         sources[person, 0] = start
-        sources[person, 1] = length
-        _note_source(data, person, start, length, report)
-        at = _align8(after + 8)
+        sources[person, 1] = end
+        _note_source(data, person, start, end, report)
+        at = align8(after + 8)
         confidences[person] = _double(data, at, swap)
-        _doubles(data, at + 8, swap, boxes[person], _BOX)
+        _doubles(data, at + 8, swap, flat_boxes, person * BOX, BOX)
         fault, at = _markers(
-            data, at + 8 * (1 + _BOX), swap, marker_table, words, seen[:n_markers], report,
-            markers[person], marker_confidences[person],
+            data, at + 8 * (1 + BOX), swap, marker_table, words, seen_markers, report,
+            flat_markers, flat_marker_confidences,
         )  # fmt: skip
         if fault != OK:
             return fault
         fault, at = _links(
-            data, at, swap, marker_table, link_table, words, seen[n_markers:], report,
-            links[person], link_confidences[person],
+            data, at, swap, marker_table, link_table, words, seen_links, report,
+            flat_links, flat_link_confidences,
         )  # fmt: skip
         if fault != OK:
             return fault
     return _end(data, at, report)
-
-
-# --- writing -----------------------------------------------------------------------------------
-
-
-@njit(cache=True, nogil=True)
-def _pad8(out: np.ndarray, at: int) -> int:
-    _store64(out, at, np.uint64(0))
-    return _align8(at)
-
-
-@njit(cache=True, nogil=True)
-def _put(out: np.ndarray, at: int, value: int) -> int:
-    _store32(out, at, np.uint32(value))
-    return at + 4
-
-
-@njit(cache=True, nogil=True)
-def _put_doubles(out: np.ndarray, at: int, values: np.ndarray, n: int) -> int:
-    for k in range(n):
-        _store64(out, at + 8 * k, _to_word(values[k]))
-    return at + 8 * n
-
-
-@njit(cache=True, nogil=True)
-def _put_stamp(out: np.ndarray, at: int, stamp: int) -> int:
-    seconds = stamp // _NANO
-    at = _put(out, at, seconds)
-    return _put(out, at, stamp - seconds * _NANO)
-
-
-@njit(cache=True, nogil=True)
-def _put_string(out: np.ndarray, at: int, text: np.ndarray) -> int:
-    at = _put(out, at, len(text) + 1)
-    for k in range(len(text)):
-        out[at + k] = text[k]
-    at += len(text)
-    _store32(out, at, np.uint32(0))  # the NUL and the padding up to a multiple of four
-    return _align4(at + 1)
-
-
-@njit(cache=True, nogil=True)
-def _has_seconds(stamp: int) -> bool:
-    """Whether the seconds fit the message's int32."""
-    return -2147483648 <= stamp // _NANO <= 2147483647
-
-
-@njit(cache=True, nogil=True)
-def _is_present(state: np.ndarray, confidence: float) -> bool:
-    present = not np.isnan(confidence)
-    k = 0
-    while not present and k < _STATE:
-        present = not np.isnan(state[k])
-        k += 1
-    return present
-
-
-@njit(cache=True, nogil=True)
-def _put_elements(
-    out: np.ndarray,
-    at: int,
-    table: np.ndarray,
-    words: np.ndarray,
-    states: np.ndarray,
-    confidences: np.ndarray,
-) -> int:
-    """Write the markers or the links of a person that are present, after their count."""
-    count_at = at
-    count = 0
-    at += 4
-    for slot in range(len(table)):
-        if not _is_present(states[slot], confidences[slot]):
-            continue
-        count += 1
-        length = table[slot, 2]
-        for k in range((length + 7) >> 3):
-            _store64(out, at + 8 * k, words[table[slot, 1] + k])
-        at += length
-        if table.shape[1] == 5:
-            _store32(out, at, np.uint32(0))
-            at = _put(out, _put(out, _align4(at), table[slot, 3]), table[slot, 4])
-        at = _pad8(out, at)
-        _store64(out, at, _to_word(confidences[slot]))
-        at = _put_doubles(out, at + 8, states[slot], _STATE)
-    _put(out, count_at, count)
-    return at
-
-
-@njit(cache=True, nogil=True)
-def _size(n_people: int, texts: int, marker_table: np.ndarray, link_table: np.ndarray) -> int:
-    """Bytes that are enough for any message of so many people, with the padding."""
-    person = MIN_PERSON + texts + 2 * _SLACK
-    for slot in range(len(marker_table)):
-        person += marker_table[slot, 2] + 8 * (1 + _STATE) + _SLACK
-    for slot in range(len(link_table)):
-        person += link_table[slot, 2] + 8 * (2 + _STATE) + _SLACK
-    return 24 + texts + n_people * person + 2 * _SLACK
-
-
-@njit(
-    types.int64(
-        _OUT, _BYTES, _BYTES, types.int64, types.int64, types.int64, _I2, _I2, _WORDS,
-        types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _F2,
-    ),
-    cache=True,
-    nogil=True,
-)  # fmt: skip
-def encode(
-    out: np.ndarray,
-    frame_id: np.ndarray,
-    source: np.ndarray,
-    stamp: int,
-    max_markers: int,
-    max_links: int,
-    marker_table: np.ndarray,
-    link_table: np.ndarray,
-    words: np.ndarray,
-    ids: np.ndarray,
-    stamps: np.ndarray,
-    confidences: np.ndarray,
-    markers: np.ndarray,
-    marker_confidences: np.ndarray,
-    links: np.ndarray,
-    link_confidences: np.ndarray,
-    boxes: np.ndarray,
-) -> int:
-    """Write a message, little-endian, into ``out``; return its length.
-
-    Negative results: -SHAPE and -STAMP for a frame that cannot be written, else minus the size
-    that ``out`` must have.
-    """
-    n, m, n_links = len(ids), len(marker_table), len(link_table)
-    if (
-        len(stamps) != n or len(confidences) != n or boxes.shape != (n, _BOX)
-        or markers.shape != (n, m, _STATE) or marker_confidences.shape != (n, m)
-        or links.shape != (n, n_links, _STATE) or link_confidences.shape != (n, n_links)
-    ):  # fmt: skip
-        return -SHAPE
-    size = _size(n, len(frame_id) + len(source), marker_table, link_table)
-    if len(out) < size:
-        return -size
-    if not _has_seconds(stamp):
-        return -STAMP
-    at = _put(out, 0, 0x0100)
-    at = _put_string(out, _put_stamp(out, at, stamp), frame_id)
-    at = _put(out, at, n)
-    for person in range(n):
-        if not _has_seconds(stamps[person]):
-            return -STAMP
-        at = _put_stamp(out, _put(out, at, ids[person]), stamps[person])
-        at = _put_string(out, at, source)
-        at = _pad8(out, _put(out, _put(out, at, max_markers), max_links))
-        _store64(out, at, _to_word(confidences[person]))
-        at = _put_doubles(out, at + 8, boxes[person], _BOX)
-        at = _put_elements(
-            out, at, marker_table, words, markers[person], marker_confidences[person]
-        )
-        at = _put_elements(out, at, link_table, words, links[person], link_confidences[person])
-    return at

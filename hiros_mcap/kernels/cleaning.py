@@ -1,9 +1,15 @@
 """Turn numbers that cannot be true into NaN, so that no stage has to look for them."""
 
+# mypy: disable-error-code="no-any-return"
+# (numba's decorator hides the types of the helpers from their callers)
+
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
+
+from hiros_mcap.kernels.unaligned import kernel
+from hiros_mcap.skeletons import Floats, Stamps
 
 LIMIT = 1e4
 """Largest believable number: m, m/s, rad/s, m/s2, rad/s2."""
@@ -26,15 +32,15 @@ _SHORTEST = 1e-6
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 
 
-@njit(cache=True, nogil=True)
-def _unset(vector: np.ndarray, first: int, n: int, fix: bool) -> None:
+@kernel
+def _unset(vector: Floats, first: int, n: int, fix: bool) -> None:
     if fix:
         for k in range(first, first + n):
             vector[k] = np.nan
 
 
-@njit(cache=True, nogil=True)
-def _vector(state: np.ndarray, first: int, n: int, counts: np.ndarray, fix: bool) -> bool:
+@kernel
+def _vector(state: Floats, first: int, n: int, counts: Stamps, fix: bool) -> bool:
     """Look at ``n`` numbers that belong together; return whether all of them are given."""
     unknown = 0
     absurd = False
@@ -51,8 +57,8 @@ def _vector(state: np.ndarray, first: int, n: int, counts: np.ndarray, fix: bool
     return unknown == 0
 
 
-@njit(cache=True, nogil=True)
-def _rotation(state: np.ndarray, counts: np.ndarray, fix: bool) -> bool:
+@kernel
+def _rotation(state: Floats, counts: Stamps, fix: bool) -> bool:
     """Look at the quaternion; return whether it needs a change that is too small to count."""
     if not _vector(state, _ORIENTATION, 4, counts, fix):
         return False
@@ -74,16 +80,16 @@ def _rotation(state: np.ndarray, counts: np.ndarray, fix: bool) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
-def _state(state: np.ndarray, counts: np.ndarray, fix: bool) -> bool:
+@kernel
+def _state(state: Floats, counts: Stamps, fix: bool) -> bool:
     _vector(state, 0, 3, counts, fix)
     for first in range(7, _STATE, 3):
         _vector(state, first, 3, counts, fix)
     return _rotation(state, counts, fix)
 
 
-@njit(cache=True, nogil=True)
-def _confidence(confidences: np.ndarray, k: int, counts: np.ndarray, fix: bool) -> None:
+@kernel
+def _confidence(confidences: Floats, k: int, counts: Stamps, fix: bool) -> None:
     value = confidences[k]
     if np.isinf(value):
         counts[ABSURD] += 1
@@ -95,20 +101,18 @@ def _confidence(confidences: np.ndarray, k: int, counts: np.ndarray, fix: bool) 
         confidences[k] = value
 
 
-@njit(
+@kernel(
     types.boolean(types.int64[::1], types.boolean, _F1, _F3, _F2, _F3, _F2, _F2),
-    cache=True,
-    nogil=True,
 )
 def clean(
-    counts: np.ndarray,
+    counts: Stamps,
     fix: bool,
-    confidences: np.ndarray,
-    markers: np.ndarray,
-    marker_confidences: np.ndarray,
-    links: np.ndarray,
-    link_confidences: np.ndarray,
-    boxes: np.ndarray,
+    confidences: Floats,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    boxes: Floats,
 ) -> bool:
     """Count what is wrong with a frame's numbers and, if asked to, put it right in place.
 

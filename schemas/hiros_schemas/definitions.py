@@ -74,7 +74,7 @@ def parse_fields(name: str, text: str) -> tuple[Field, ...]:
         if not statement:
             continue
         match = _FIELD.fullmatch(statement)
-        if match is None:
+        if match is None or match["array"] == "[0]":
             raise DefinitionError(f"{name} has a line that is no field: {statement[:80]!r}")
         if not match["rest"].startswith("="):
             fields.append(
@@ -144,6 +144,4 @@ def _full_type(name: str, package: str) -> str:
         return name
     if "<=" in name:
         raise DefinitionError(f"{name!r} is not a type")
-    if name == "Header":
-        return "std_msgs/Header"
     return short_name(name if "/" in name else f"{package}/{name}")
