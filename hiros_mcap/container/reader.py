@@ -221,14 +221,17 @@ class McapReader:
     def _complete_definitions(self) -> None:
         """Look into chunks for the definitions and counts that the walk could not see."""
         chunks, channels = self._contents.chunks, self._contents.channels
+        schemas = self._contents.schemas
         known = all(i in channels for chunk in chunks for i in chunk.counts or ())
+        # The summary may repeat the channels and not their schemas.
+        known &= all(c.schema_id in schemas for c in channels.values() if c.schema_id)
         unseen = [i for i, c in enumerate(chunks) if c.counts is None or not known]
         loaded = read_ahead(self._load_quietly, [chunks[i] for i in unseen])
         for i, records in zip(unseen, loaded, strict=True):
             counts = Counter(records.messages[:, CHANNEL].tolist())
             chunks[i] = replace(chunks[i], counts=dict(counts))
         for channel in channels.values():
-            if channel.schema_id and channel.schema_id not in self._contents.schemas:
+            if channel.schema_id and channel.schema_id not in schemas:
                 raise LogError(
                     f"has no schema {channel.schema_id}", path=self.path, topic=channel.topic
                 )

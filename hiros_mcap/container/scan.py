@@ -100,7 +100,8 @@ class _Scan:
         self._ahead_at = 0
         self._run: _Run | None = None
         self._chunk_indexes: list[r.ChunkIndex] = []
-        self._after_chunk = False
+        self._index: dict[int, int] | None = None  # counts by channel, right after a chunk only
+        self._index_end = 0
 
     def run(self) -> Contents:
         try:
@@ -144,13 +145,14 @@ class _Scan:
             opcode, body, stop = self._next()
             if opcode not in (r.SCHEMA_OP, r.CHANNEL_OP, r.MESSAGE_OP):
                 self._end_run()
+            if opcode != r.MESSAGE_INDEX_OP:
+                self._end_index()
             if opcode == last:
                 return
             if opcode in known:
                 known[opcode](body, stop)
             elif opcode < r.PRIVATE_OP:
                 raise FormatError(f"a {r.name_of(opcode)} record has no place here")
-            self._after_chunk = opcode in (r.CHUNK_OP, r.MESSAGE_INDEX_OP)
             self.at = stop
 
     def _data_records(self) -> dict[int, Callable[[int, int], None]]:
@@ -190,7 +192,8 @@ class _Scan:
 
     def _closed(self) -> bool:
         """Whether the file ends as a complete one does."""
-        return self.file.read(self.file.size - len(r.MAGIC), len(r.MAGIC)) == r.MAGIC
+        end = self.file.size - len(r.MAGIC)
+        return end >= len(r.MAGIC) and self.file.read(end, len(r.MAGIC)) == r.MAGIC
 
     def _short(self, where: str) -> Exception:
         if self._closed():
@@ -263,21 +266,27 @@ class _Scan:
         self.found.chunks.append(
             r.Chunk(self.at, stop, start, end, size, crc, compression, data, data_size, stop, None)
         )
+        self._index = {}
 
     def _message_index(self, body: int, stop: int) -> None:
-        if not self._after_chunk:
+        if self._index is None:
             raise FormatError("a message index does not follow a chunk")
         if stop - body < 6:
             raise FormatError("a message index is shorter than its fixed fields")
         channel, size = struct.unpack("<HI", self._peek(body, 6))
         if size % 16 or size > stop - body - 6:
             raise FormatError("a message index does not fit its record")
-        chunk = self.found.chunks[-1]
-        counts = dict(chunk.counts or {})
-        if channel in counts:
+        if channel in self._index:
             raise FormatError(f"a chunk has two message indexes of channel {channel}")
-        counts[channel] = size // 16
-        self.found.chunks[-1] = replace(chunk, index_end=stop, counts=counts)
+        self._index[channel] = size // 16
+        self._index_end = stop
+
+    def _end_index(self) -> None:
+        """Give the chunk the counts of the message indexes that followed it."""
+        index, self._index = self._index, None
+        if index:
+            chunk = self.found.chunks[-1]
+            self.found.chunks[-1] = replace(chunk, index_end=self._index_end, counts=index)
 
     def _attachment(self, body: int, stop: int) -> None:
         at = r.Cursor(self._peek(body, min(stop - body, _NAMES)))

@@ -80,7 +80,7 @@ def index_records(
     -------
     status : OK or what is wrong.
     where : first byte of the record that is wrong.
-    messages : (n, 6) channel, sequence, log time, publish time, first and past-the-end byte of data.
+    messages : (n, 6) channel, sequence, log time, publish time, first and past-the-end data byte.
     definitions : (k, 3) opcode (3 schema, 4 channel), first and past-the-end byte of content.
     """
     none = np.empty((0, COLUMNS), np.uint64)
