@@ -1,9 +1,42 @@
 """Turns a log of several cameras' 3D skeletons into one clean, smooth skeleton per person."""
 
 import logging
+from typing import TYPE_CHECKING, Any
 
 from hiros_mcap._version import __version__
 
+if TYPE_CHECKING:
+    from hiros_mcap.config import Config, load_config
+    from hiros_mcap.log import open_log
+    from hiros_mcap.pipeline import ProcessOptions, process
+    from hiros_mcap.transforms import transform_to_fixed
+
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
-__all__ = ["__version__"]
+__all__ = [
+    "Config",
+    "ProcessOptions",
+    "__version__",
+    "load_config",
+    "open_log",
+    "process",
+    "transform_to_fixed",
+]
+
+_HOMES = {
+    "Config": "config",
+    "ProcessOptions": "pipeline",
+    "load_config": "config",
+    "open_log": "log",
+    "process": "pipeline",
+    "transform_to_fixed": "transforms",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: ``hiros --version`` shall not wait for numba."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"hiros_mcap.{_HOMES[name]}"), name)

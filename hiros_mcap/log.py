@@ -128,6 +128,16 @@ class Log:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
 
+    @property
+    def span(self) -> tuple[int, int]:
+        """Log times, ns, between which the file's messages lie."""
+        statistics = self.reader.contents.statistics
+        chunks = self.reader.contents.chunks
+        if statistics is not None and statistics.end_time:
+            return statistics.start_time, statistics.end_time
+        starts = [chunk.start_time for chunk in chunks if chunk.end_time]
+        return min(starts, default=0), max((chunk.end_time for chunk in chunks), default=0)
+
     def frames(self) -> Iterator[Frame]:
         """Yield the detections of all cameras in the order of their log times.
 

@@ -1,0 +1,271 @@
+"""A log in, a log out: read, track, merge, optimize, filter, write.
+
+::
+
+    summary = hiros_mcap.process("lab.mcap", "lab.hiros.mcap")
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from hiros_mcap._version import __version__
+from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, add_skeleton_channel
+from hiros_mcap.codec import Encoder
+from hiros_mcap.config import Config, to_toml
+from hiros_mcap.container import ChunkCopier, McapWriter
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.events import Events
+from hiros_mcap.limbs import LimbTable
+from hiros_mcap.log import Log, open_log
+from hiros_mcap.observe import Observer, Stopwatch
+from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.stages.calibrate import calibrate
+from hiros_mcap.summary import Summary
+from hiros_mcap.systems import SYSTEMS, Run, Stages
+from hiros_mcap.transforms import transform_to_fixed
+
+LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
+CHAINS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
+"""Chains of Hi-ROS that make sense: merging and filtering need the tracker's ids (Fig. 2)."""
+
+
+class Progress(Protocol):
+    """Is told how far a run is."""
+
+    def update(self, done: int, total: int) -> None:
+        """Say that ``done`` of ``total`` ns of the log are done."""
+
+
+class Silent:
+    """A progress that nobody watches."""
+
+    def update(self, done: int, total: int) -> None:
+        """Do nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessOptions:
+    """What is read, run and written, besides the parameters of the stages."""
+
+    stages: str = "TMOF"
+    """One of CHAINS: T tracker, M merger, O optimizer, F filter."""
+    topics: tuple[str, ...] = ()
+    """Globs of the detection channels; empty = every SkeletonGroup channel."""
+    keep: tuple[str, ...] | None = None
+    """Globs of the input channels to copy; None = the read ones and the transforms."""
+    extrinsics: Path | None = None
+    """File with the cameras' poses, instead of the log's transforms."""
+    limbs_in: Path | None = None
+    """File with limb lengths of an earlier session."""
+    limbs_out: Path | None = None
+    """Where to save the limb lengths."""
+    strict: bool = False
+    """Refuse a log of which a message has to be skipped."""
+    compression: str = "zstd"
+    """Of the output: zstd, lz4 or "" for none."""
+
+
+def process(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str] | None = None,
+    *,
+    config: Config | None = None,
+    options: ProcessOptions | None = None,
+    progress: Progress | None = None,
+) -> Summary:
+    """Turn the detections of a log into clean skeletons.
+
+    Parameters
+    ----------
+    source : MCAP log with SkeletonGroup channels and the cameras' transforms.
+    target : output log; None runs without writing one.
+    config : parameters of the stages. options : what is read, run and written.
+    progress : is told how far the run is.
+
+    Raises
+    ------
+    LogError
+        ``source`` is damaged, holds no skeletons or lacks a transform; ``target`` cannot be
+        written, or is ``source``.
+    ConfigError
+        a parameter or a side file is wrong.
+    """
+    config, options = config or Config(), options or ProcessOptions()
+    chain = _chain(options.stages)
+    watch = Stopwatch()
+    limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
+    log = open_log(
+        source,
+        topics=options.topics or None,
+        extrinsics=options.extrinsics,
+        fixed_frame=config.input.fixed_frame or None,
+    )
+    with log:
+        run = Run(
+            log.model, config, Events(), limbs, camera_positions(log), log.fixed_frame
+        )
+        if "optimized" in chain and config.optimize.calibration == "two-pass" and not limbs.people:
+            limbs.people.update(_calibrate_first(log, run, chain).people)
+        observer = Observer(log, run, chain, watch)
+        if target is None:
+            _consume(_frames(log, run, chain, observer, _ignore), log, progress)
+        else:
+            _write(log, run, chain, observer, Path(target), options, progress)
+        _refuse_skipped(log, options.strict)
+        if options.limbs_out:
+            limbs.save(options.limbs_out)
+        return observer.summary(None if target is None else str(target))
+
+
+def camera_positions(log: Log) -> dict[str, Floats]:
+    """Source -> (3,) position of each camera in the fixed frame, m.
+
+    A camera whose detections already are in the fixed frame has no known position.
+    """
+    positions: dict[str, Floats] = {}
+    for camera in log.cameras:
+        if len(camera.frames) == 1 and camera.frames[0] != log.fixed_frame:
+            pose = log.transforms.lookup(camera.frames[0], log.fixed_frame, 0)
+            positions.update(dict.fromkeys(camera.sources.values(), pose.translation))
+    return positions
+
+
+def _chain(stages: str) -> tuple[str, ...]:
+    if stages.upper() not in CHAINS:
+        raise ConfigError(
+            f"no chain of stages {stages!r}: merging, optimizing and filtering need the tracker's "
+            f"ids, in this order (there are: {', '.join(CHAINS)})"
+        )
+    return tuple(LETTERS[letter] for letter in stages.upper())
+
+
+def _stages(run: Run, chain: Sequence[str]) -> Stages:
+    table = SYSTEMS["hiros"](run)
+    return {name: table[name] for name in chain}
+
+
+Sink = Callable[[str, Frame], None]
+
+
+def _ignore(channel: str, frame: Frame) -> None:
+    """Write nowhere."""
+
+
+def _frames(
+    log: Log, run: Run, chain: Sequence[str], observer: Observer, sink: Sink
+) -> Iterator[Frame]:
+    """The whole of a run: every stage pulls from the one before, every output is observed."""
+    watch = observer.watch
+    frames: Iterable[Frame] = watch.timed("read", log.frames())
+    frames = observer.watch_input(frames)
+    frames = watch.timed("transform", transform_to_fixed(frames, log.transforms, run.fixed_frame))
+    for name, stage in _stages(run, chain).items():
+        frames = watch.timed(name, stage(frames))
+        frames = watch.timed("write", _tap(frames, partial(sink, name)))
+        frames = observer.watch_output(name, frames)
+    yield from frames
+
+
+def _tap(frames: Iterable[Frame], sink: Callable[[Frame], None]) -> Iterator[Frame]:
+    for frame in frames:
+        sink(frame)
+        yield frame
+
+
+def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
+    """First of two passes: everything before the optimizer, to measure the limbs."""
+    blind = Run(run.model, run.config, Events(), LimbTable(), run.cameras, run.fixed_frame)
+    frames: Iterable[Frame] = transform_to_fixed(log.frames(), log.transforms, run.fixed_frame)
+    for stage in _stages(blind, chain[: chain.index("optimized")]).values():
+        frames = stage(frames)
+    return calibrate(frames, run.model, run.config.optimize, run.events)
+
+
+def _consume(frames: Iterator[Frame], log: Log, progress: Progress | None) -> None:
+    """Run to the end, telling how far it is."""
+    progress = progress or Silent()
+    start, end = log.span
+    for frame in frames:
+        progress.update(frame.log_time - start, end - start)
+    progress.update(end - start, end - start)
+
+
+def _write(
+    log: Log,
+    run: Run,
+    chain: Sequence[str],
+    observer: Observer,
+    target: Path,
+    options: ProcessOptions,
+    progress: Progress | None,
+) -> None:
+    """Run and write; nothing appears at ``target`` unless everything went well."""
+    encoder = Encoder(log.model)
+    with McapWriter(target, inputs=[log.path], compression=options.compression) as writer:
+        copier = ChunkCopier(log.reader, writer, _kept(log, options))
+        channels = {name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain}
+
+        def sink(channel: str, frame: Frame) -> None:
+            copier.until(frame.log_time)
+            writer.write(channels[channel], frame.log_time, encoder.encode(frame))
+
+        _consume(_frames(log, run, chain, observer, sink), log, progress)
+        with observer.watch.timing("write"):
+            copier.finish()
+            _refuse_skipped(log, options.strict)
+            _add_provenance(writer, log, run, chain, observer)
+            writer.commit()
+
+
+def _kept(log: Log, options: ProcessOptions) -> list[int]:
+    """Ids of the input channels that are copied."""
+    if options.keep is None:
+        read = {camera.channel.id for camera in log.cameras}
+        # Transforms that a file replaced would contradict the result.
+        transforms = () if options.extrinsics else TF_TOPICS
+        return [i.id for i in log.channels if i.id in read or i.topic in transforms]
+    outputs = {f"{OUTPUT_PREFIX}/{name}" for name in LETTERS.values()}
+    return [
+        info.id
+        for info in log.channels
+        if info.topic not in outputs and any(fnmatchcase(info.topic, g) for g in options.keep)
+    ]
+
+
+def _add_provenance(
+    writer: McapWriter, log: Log, run: Run, chain: Sequence[str], observer: Observer
+) -> None:
+    """Say in the file how it came about; nothing that differs from run to run."""
+    config = to_toml(run.config).encode()
+    writer.add_metadata(
+        "hiros.provenance",
+        {
+            "version": __version__,
+            "system": "hiros",
+            "stages": ",".join(chain),
+            "fixed_frame": run.fixed_frame,
+            "config_sha256": hashlib.sha256(config).hexdigest(),
+            "input_messages": str(sum(log.reader.counts.values())),
+        },
+    )
+    writer.add_attachment("hiros/config.toml", config, "application/toml")
+    writer.add_attachment("hiros/limbs.toml", run.limbs.to_toml().encode(), "application/toml")
+    report = json.dumps(observer.summary(None).reproducible(), indent=1, sort_keys=True)
+    writer.add_attachment("hiros/report.json", report.encode(), "application/json")
+
+
+def _refuse_skipped(log: Log, strict: bool) -> None:
+    """With ``strict``, a message that was skipped is an error."""
+    for topic, account in log.accounts.items() if strict else ():
+        for reason, n in account.skipped.items():
+            detail = f" ({account.first_error})" if account.first_error else ""
+            raise LogError(f"{n} messages skipped: {reason}{detail}", path=log.path, topic=topic)
