@@ -26,28 +26,29 @@ from hiros_mcap.kernels.filters import (
     POSE,
     RATE,
     Floats,
+    block_of,
+    clear,
     difference,
     displace,
     erase,
     is_present,
-    locate,
     measure,
     solve,
     write,
 )
 
-# Rows of what butterworth_push carries on, (STATE_ROWS + 3 * (order - 1), T).
+# Columns of what butterworth_push carries on, (T, STATE + 3 * (order - 1)).
 NOW_POSE = 0
 NOW_INPUT = 4
 NOW_AGE = 8
 NOW_CONFIDENCE = 9
-STATE_ROWS = 10  # then the derivatives 1 to order - 1, the i-th divided by scale^i
+STATE = 10  # then the derivatives 1 to order - 1, the i-th divided by scale^i
 
-ROWS = 16  # of a ring: POSE to CONFIDENCE
+COLUMNS = 16  # of a ring: POSE to CONFIDENCE
 CACHED = 8  # sample times whose matrices are kept during one push
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def coefficients(order: int) -> Any:
     """Ascending coefficients of the normalised Butterworth polynomial, (order + 1)."""
     a = np.ones(order + 1)
@@ -57,7 +58,7 @@ def coefficients(order: int) -> Any:
     return a
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def multiply(a: Any, b: Any, out: Any) -> None:
     """``out = a @ b`` for small square matrices."""
     n = a.shape[0]
@@ -69,7 +70,7 @@ def multiply(a: Any, b: Any, out: Any) -> None:
             out[i, j] = total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def exponential(m: Any) -> Any:
     """Matrix exponential by scaling, Taylor's series and squaring."""
     n = m.shape[0]
@@ -97,7 +98,7 @@ def exponential(m: Any) -> Any:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def transition(a: Any, rate: float, scale: float, dt: float, out: Any) -> None:
     """Into ``out`` (n, n + 2): ``s' = out[:, :n] s + out[:, n] u + out[:, n + 1] u'`` over dt.
 
@@ -119,7 +120,9 @@ def transition(a: Any, rate: float, scale: float, dt: float, out: Any) -> None:
         out[i, n + 1] = whole[i, n + 1]
 
 
-@njit("float64(int64, float64, float64, int64, float64)", cache=True, nogil=True)
+@njit(
+    "float64(int64, float64, float64, int64, float64)", cache=True, nogil=True, error_model="numpy"
+)
 def butterworth_gain(order: int, rate: float, dt: float, ahead: int, frequency: float) -> float:
     """Magnitude response at a constant sample time ``dt``; ``ahead`` in samples, 0 = causal."""
     step = np.empty((order, order + 2))
@@ -148,7 +151,7 @@ def butterworth_gain(order: int, rate: float, dt: float, ahead: int, frequency: 
     return float(abs(state[0]))
 
 
-@njit("float64(int64, float64, float64, int64)", cache=True, nogil=True)
+@njit("float64(int64, float64, float64, int64)", cache=True, nogil=True, error_model="numpy")
 def butterworth_rate(order: int, cutoff: float, dt: float, ahead: int) -> float:
     """Corner in rad/s that puts the -3 dB point of :func:`butterworth_gain` at ``cutoff``, Hz."""
     middle = np.log(2.0 * np.pi * cutoff)
@@ -162,7 +165,7 @@ def butterworth_rate(order: int, cutoff: float, dt: float, ahead: int) -> float:
     return float(np.exp(middle))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def matrix(a: Any, rate: float, scale: float, dt: float, cache: Any, count: int) -> int:
     """Slot of ``cache`` (CACHED, n, n + 3) with the transition over ``dt``, made when missing.
 
@@ -178,7 +181,7 @@ def matrix(a: Any, rate: float, scale: float, dt: float, cache: Any, count: int)
     return int(i)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def advance(step: Any, state: Any, u0: Any, u1: Any) -> None:
     """One step of the filter on ``state`` (n, 3), whose row 0 is zero: relative to the output."""
     n = state.shape[0]
@@ -192,9 +195,9 @@ def advance(step: Any, state: Any, u0: Any, u1: Any) -> None:
             state[i, c] = new[i]
 
 
-@njit(cache=True, nogil=True)
-def derive(a: Any, rate: float, scale: float, state: Any, u: Any, slope: Any, slot: Any) -> None:
-    """Velocity and acceleration of the output into rows RATE and BEND of ``slot`` (rows, 1).
+@njit(cache=True, nogil=True, error_model="numpy")
+def derive(a: Any, rate: float, scale: float, state: Any, u: Any, slope: Any, row: Any) -> None:
+    """Velocity and acceleration of the output into columns RATE and BEND of ``row``.
 
     ``state`` (n, 3) and the input ``u`` (3) are relative to the output, ``slope`` (3) is the
     input's. What the state does not hold follows from the differential equation.
@@ -209,48 +212,40 @@ def derive(a: Any, rate: float, scale: float, state: Any, u: Any, slope: Any, sl
         else:
             velocity = scale * state[1, c]
             acceleration = scale * scale * (top if n == 2 else state[2, c])
-        slot[RATE + c] = velocity
-        slot[BEND + c] = acceleration
+        row[RATE + c] = velocity
+        row[BEND + c] = acceleration
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill_gap(ring: Any, times: Any, step: int, t: int, turning: bool) -> None:
     """Let the outputs of the steps since track ``t`` was last seen lead evenly up to ``step``."""
     mask = ring.shape[0] - 1
     last = step - 1
-    while last > 0 and last > step - mask and ring[last & mask, AGE, t] > 0.0:
+    while last > 0 and last > step - mask and ring[last & mask, t, AGE] > 0.0:
         last -= 1
-    start, pose, whole, part = np.empty(4), np.empty(4), np.empty(3), np.empty(3)
-    for c in range(4):
-        start[c], pose[c] = ring[last & mask, POSE + c, t], ring[step & mask, POSE + c, t]
-    difference(pose, start, turning, whole)
+    start, whole, part = ring[last & mask, t], np.empty(3), np.empty(3)
+    difference(ring[step & mask, t], start, turning, whole)
     total = times[step & mask] - times[last & mask]
     for i in range(last + 1, step + 1):
+        row = ring[i & mask, t]
         share = (times[i & mask] - times[last & mask]) / total
         own = (times[i & mask] - times[(i - 1) & mask]) / total
         for c in range(3):
             part[c] = share * whole[c]
-            ring[i & mask, DELTA + c, t] = own * whole[c]
-        displace(part, start, turning, pose)
-        for c in range(4):
-            ring[i & mask, POSE + c, t] = pose[c]
+            row[DELTA + c] = own * whole[c]
+        if i < step:
+            displace(part, start, turning, row)
 
 
-@njit(cache=True, nogil=True)
-def coast(before: Any, slot: Any, t: int, turning: bool, dt: float) -> None:
-    """Carry track ``t`` on from the slot ``before`` at its velocity."""
-    pose, move = np.empty(4), np.empty(3)
-    for c in range(4):
-        pose[c] = before[POSE + c, t]
+@njit(cache=True, nogil=True, error_model="numpy")
+def coast(before: Any, row: Any, turning: bool, dt: float) -> None:
+    """Carry a track on from its row in the previous slot, at its velocity."""
     for c in range(3):
-        move[c] = dt * before[RATE + c, t]
-        slot[DELTA + c, t] = move[c]
-        slot[RATE + c, t] = before[RATE + c, t]
-        slot[BEND + c, t] = 0.0
-    displace(move, pose, turning, pose)
-    for c in range(4):
-        slot[POSE + c, t] = pose[c]
-    slot[CONFIDENCE, t] = before[CONFIDENCE, t]
+        row[DELTA + c] = dt * before[RATE + c]
+        row[RATE + c] = before[RATE + c]
+        row[BEND + c] = 0.0
+    displace(row[DELTA:], before, turning, row)
+    row[CONFIDENCE] = before[CONFIDENCE]
 
 
 @njit(
@@ -258,6 +253,7 @@ def coast(before: Any, slot: Any, t: int, turning: bool, dt: float) -> None:
     " float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
     cache=True,
     nogil=True,
+    error_model="numpy",
 )
 def butterworth_push(
     markers: Floats,
@@ -283,60 +279,59 @@ def butterworth_push(
     dt = times[step & mask] - times[(step - 1) & mask] if step > 0 else 0.0
     a, rate, scale = coefficients(order), tuning[0], tuning[1]
     cache, cached = np.zeros((CACHED, order, order + 3)), 0
-    z, pose, former = np.zeros(4), np.zeros(4), np.zeros(4)
-    u0, u1, slope, state = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((order, 3))
-    for t in range(slot.shape[1]):
-        of_marker, k, turning = locate(t, n_markers, n_links)
-        seen = measure(markers[k] if of_marker else links[k], turning, z)
-        elapsed = now[NOW_AGE, t] + dt
-        active = elapsed <= max_gap
-        slot[CONTINUES, t] = 1.0 if active else 0.0
-        for c in range(3):
-            slot[DELTA + c, t] = 0.0
-        if not seen:
-            now[NOW_AGE, t] = slot[AGE, t] = elapsed if active else np.inf
-            if active:
-                coast(before, slot, t, turning, dt)
-            continue
-        if active:
+    z, former, u0, u1, slope = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3)
+    state = np.zeros((order, 3))
+    for block in range(4):
+        of_markers, turning, start, size = block_of(block, n_markers, n_links)
+        elements = markers if of_markers else links
+        confidences = marker_confidences if of_markers else link_confidences
+        for k in range(size):
+            t = start + k
+            seen = measure(elements, k, turning, z)
+            own, row = now[t], slot[t]
+            elapsed = own[NOW_AGE] + dt
+            active = elapsed <= max_gap
+            if not seen and not active:
+                own[NOW_AGE] = np.inf
+                clear(slot, t)
+                continue
+            row[CONTINUES] = 1.0 if active else 0.0
+            if not seen:
+                own[NOW_AGE] = row[AGE] = elapsed
+                coast(before[t], row, turning, dt)
+                continue
             for c in range(4):
-                pose[c] = former[c] = now[NOW_POSE + c, t]
-            for i in range(3, 3 * order):
-                state[i // 3, i % 3] = now[STATE_ROWS + i - 3, t]
-            at = matrix(a, rate, scale, elapsed, cache, cached)
-            cached = max(cached, at + 1)
-            difference(now[NOW_INPUT : NOW_INPUT + 4, t], pose, turning, u0)
-            difference(z, pose, turning, u1)
-            advance(cache[at], state, u0, u1)
-            displace(state[0], pose, turning, pose)
-            for c in range(3):
-                slope[c] = (u1[c] - u0[c]) / (scale * elapsed)
-            difference(z, pose, turning, u1)
-        else:
-            for c in range(4):
-                pose[c] = former[c] = z[c]
+                former[c] = own[NOW_POSE + c] if active else z[c]
+                row[POSE + c] = former[c]
             for i in range(3 * order):
-                state[i // 3, i % 3] = 0.0
+                state[i // 3, i % 3] = own[STATE + i - 3] if active and i >= 3 else 0.0
             for c in range(3):
-                u1[c] = slope[c] = 0.0
-        derive(a, rate, scale, state, u1, slope, slot[:, t])
-        difference(pose, former, turning, u1)
-        for c in range(3):
-            slot[DELTA + c, t] = u1[c]
-        for c in range(4):
-            slot[POSE + c, t] = now[NOW_POSE + c, t] = pose[c]
-            now[NOW_INPUT + c, t] = z[c]
-        for i in range(3, 3 * order):
-            now[STATE_ROWS + i - 3, t] = state[i // 3, i % 3]
-        now[NOW_CONFIDENCE, t] = marker_confidences[k] if of_marker else link_confidences[k]
-        slot[CONFIDENCE, t] = now[NOW_CONFIDENCE, t]
-        slot[AGE, t] = 0.0
-        if active and now[NOW_AGE, t] > 0.0:
-            fill_gap(ring, times, step, t, turning)
-        now[NOW_AGE, t] = 0.0
+                slope[c] = 0.0
+            if active:
+                at = matrix(a, rate, scale, elapsed, cache, cached)
+                cached = max(cached, at + 1)
+                difference(own[NOW_INPUT:], former, turning, u0)
+                difference(z, former, turning, u1)
+                advance(cache[at], state, u0, u1)
+                displace(state[0], former, turning, row)
+                for c in range(3):
+                    slope[c] = (u1[c] - u0[c]) / (scale * elapsed)
+            difference(z, row, turning, u1)
+            derive(a, rate, scale, state, u1, slope, row)
+            difference(row, former, turning, row[DELTA:])
+            for c in range(4):
+                own[NOW_POSE + c], own[NOW_INPUT + c] = row[POSE + c], z[c]
+            for i in range(3, 3 * order):
+                own[STATE + i - 3] = state[i // 3, i % 3]
+            own[NOW_CONFIDENCE] = confidences[k]
+            row[CONFIDENCE] = own[NOW_CONFIDENCE]
+            row[AGE] = 0.0
+            if active and own[NOW_AGE] > 0.0:
+                fill_gap(ring, times, step, t, turning)
+            own[NOW_AGE] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def backward_weights(times: Any, mask: int, first: int, end: int, tuning: Any, order: int) -> Any:
     """Weight of the forward output of each step in the backward output at ``first``; sum 1."""
     a, step = coefficients(order), np.empty((order, order + 2))
@@ -360,32 +355,32 @@ def backward_weights(times: Any, mask: int, first: int, end: int, tuning: Any, o
     return weights
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sum_backwards(ring: Any, first: int, t: int, weights: Any, shift: Any, motion: Any) -> None:
     """Weighted mean of a track's forward outputs, relative to that of ``first``, and motions.
 
     Where the track ends within the window, it is taken to stay as it was last.
     """
     mask = ring.shape[0] - 1
-    slot, rest = ring[first & mask], 1.0
+    row, rest = ring[first & mask, t], 1.0
     for c in range(3):
         shift[c] = motion[c] = motion[3 + c] = 0.0
     for i in range(len(weights)):
-        later = ring[(first + i) & mask]
         if i > 0:
-            if later[CONTINUES, t] == 0.0:
+            later = ring[(first + i) & mask, t]
+            if later[CONTINUES] == 0.0:
                 break
-            slot = later
+            row = later
             for c in range(3):
-                shift[c] += rest * slot[DELTA + c, t]
+                shift[c] += rest * row[DELTA + c]
         share = weights[i]
         rest -= share
         for c in range(6):
-            motion[c] += share * slot[RATE + c, t]
+            motion[c] += share * row[RATE + c]
     else:
         rest = 0.0
     for c in range(6):
-        motion[c] += rest * slot[RATE + c, t]
+        motion[c] += rest * row[RATE + c]
 
 
 @njit(
@@ -393,6 +388,7 @@ def sum_backwards(ring: Any, first: int, t: int, weights: Any, shift: Any, motio
     " float64[:,::1], float64[:,::1], float64[::1], float64[::1])",
     cache=True,
     nogil=True,
+    error_model="numpy",
 )
 def butterworth_emit(
     ring: Floats,
@@ -412,22 +408,22 @@ def butterworth_emit(
     Velocity and acceleration are the forward filter's, filtered backwards like its output.
     """
     n_markers, n_links, mask = markers.shape[0], links.shape[0], ring.shape[0] - 1
-    slot = ring[first & mask]
     pose, shift, motion = np.zeros(4), np.zeros(3), np.zeros(6)
     weights = backward_weights(times, mask, first, end, tuning, order)
-    for t in range(ring.shape[2]):
-        if not slot[AGE, t] < np.inf:
-            continue
-        of_marker, k, turning = locate(t, n_markers, n_links)
-        element = markers[k] if of_marker else links[k]
-        if not is_present(ring, times, first, end, t, bridge):
-            erase(element, turning)
-            continue
-        sum_backwards(ring, first, t, weights, shift, motion)
-        for c in range(4):
-            pose[c] = slot[POSE + c, t]
-        displace(shift, pose, turning, pose)
-        write(element, pose, motion, turning)
-        confidences = marker_confidences if of_marker else link_confidences
-        if slot[AGE, t] > 0.0 and np.isnan(confidences[k]):
-            confidences[k] = 0.5 * slot[CONFIDENCE, t]
+    for block in range(4):
+        of_markers, turning, start, size = block_of(block, n_markers, n_links)
+        elements = markers if of_markers else links
+        confidences = marker_confidences if of_markers else link_confidences
+        for k in range(size):
+            t = start + k
+            row = ring[first & mask, t]
+            if not row[AGE] < np.inf:
+                continue
+            if not is_present(ring, times, first, end, t, bridge):
+                erase(elements, k, turning)
+                continue
+            sum_backwards(ring, first, t, weights, shift, motion)
+            displace(shift, row, turning, pose)
+            write(elements, k, pose, motion, turning)
+            if row[AGE] > 0.0 and np.isnan(confidences[k]):
+                confidences[k] = 0.5 * row[CONFIDENCE]

@@ -24,8 +24,8 @@ from numba import njit
 Floats = npt.NDArray[np.float64]
 Links = npt.NDArray[np.int32]
 
-# Rows of a ring (R, ROWS, T). POSE to CONFIDENCE are common to every filter, POSE to BEND being
-# what the filter predicted (state space) or filtered (Butterworth).
+# Columns of a ring (R, T, COLUMNS). POSE to CONFIDENCE are common to every filter, POSE to BEND
+# being what the filter predicted (state space) or filtered (Butterworth).
 POSE = 0  # 3 numbers or a quaternion
 RATE = 4  # velocity
 BEND = 7  # acceleration
@@ -36,18 +36,18 @@ CONFIDENCE = 15  # when it was last seen
 GAIN = 16  # Kalman gain, 3
 INFORMATION = 19  # 1 / innovation variance; 0 = not seen
 COVARIANCE = 20  # predicted; 00 01 02 11 12 22
-ROWS = 26
+COLUMNS = 26
 
-# Rows of what state_space_push carries on, (STATE_ROWS, T); POSE to BEND as in a ring, filtered.
+# Columns of what state_space_push carries on, (T, STATE); POSE to BEND as in a ring, filtered.
 NOW_COVARIANCE = 10
 NOW_AGE = 16
 NOW_CONFIDENCE = 17
-STATE_ROWS = 18
+STATE = 18
 
 DIFFUSE = 1e6  # initial variance over that of a measurement
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def log_between(q: Any, p: Any, out: Any) -> None:
     """Rotation vector of ``q * conj(p)``, the shorter way round, into ``out`` (3)."""
     w = q[3] * p[3] + q[0] * p[0] + q[1] * p[1] + q[2] * p[2]
@@ -61,9 +61,9 @@ def log_between(q: Any, p: Any, out: Any) -> None:
     out[0], out[1], out[2] = factor * x, factor * y, factor * z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def exp_times(v: Any, q: Any, out: Any) -> None:
-    """Unit quaternion ``exp(v) * q`` into ``out`` (4), which may be ``q`` itself."""
+    """Write the unit quaternion ``exp(v) * q`` into ``out`` (4), which may be ``q`` itself."""
     angle = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     factor = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
     a, b, c, d = factor * v[0], factor * v[1], factor * v[2], np.cos(0.5 * angle)
@@ -75,7 +75,7 @@ def exp_times(v: Any, q: Any, out: Any) -> None:
     out[0], out[1], out[2], out[3] = x * scale, y * scale, z * scale, w * scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def difference(z: Any, pose: Any, turning: bool, out: Any) -> None:
     """``z - pose`` in the track's tangent space."""
     if turning:
@@ -85,7 +85,7 @@ def difference(z: Any, pose: Any, turning: bool, out: Any) -> None:
             out[c] = z[c] - pose[c]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def displace(v: Any, pose: Any, turning: bool, out: Any) -> None:
     """``pose + v`` in the track's tangent space."""
     if turning:
@@ -95,28 +95,29 @@ def displace(v: Any, pose: Any, turning: bool, out: Any) -> None:
             out[c] = pose[c] + v[c]
 
 
-@njit(cache=True, nogil=True)
-def locate(track: int, n_markers: int, n_links: int) -> tuple[bool, int, bool]:
-    """Of a track: whether it is a marker's, the slot of the marker or link, whether it turns."""
-    if track < n_markers:
-        return True, track, False
-    if track < n_markers + n_links:
-        return False, track - n_markers, True
-    if track < n_markers + 2 * n_links:
-        return False, track - n_markers - n_links, False
-    return True, track - n_markers - 2 * n_links, True
+@njit(cache=True, nogil=True, error_model="numpy")
+def block_of(block: int, n_markers: int, n_links: int) -> tuple[bool, bool, int, int]:
+    """Of block 0 to 3: whether it is the markers', whether it turns, its first track, its size."""
+    if block == 0:
+        return True, False, 0, n_markers
+    if block == 1:
+        return False, True, n_markers, n_links
+    if block == 2:
+        return False, False, n_markers + n_links, n_links
+    return True, True, n_markers + 2 * n_links, n_markers
 
 
-@njit(cache=True, nogil=True)
-def measure(element: Any, turning: bool, z: Any) -> bool:
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure(elements: Any, k: int, turning: bool, z: Any) -> bool:
     """Copy a KinematicState's position or normalised orientation to ``z``; False if absent."""
     if not turning:
         for c in range(3):
-            z[c] = element[c]
+            z[c] = elements[k, c]
+        z[3] = 0.0
         return bool(np.isfinite(z[0] + z[1] + z[2]))
     norm = 0.0
     for c in range(4):
-        z[c] = element[3 + c]
+        z[c] = elements[k, 3 + c]
         norm += z[c] * z[c]
     if not (1e-12 < norm < np.inf):
         return False
@@ -126,7 +127,7 @@ def measure(element: Any, turning: bool, z: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def predict_covariance(p: Any, dt: float, noise: float, order: int) -> None:
     """``F P F' + Q`` of integrated white noise in place, for ``p`` = 00 01 02 11 12 22."""
     a, b = dt, 0.5 * dt * dt
@@ -149,7 +150,7 @@ def predict_covariance(p: Any, dt: float, noise: float, order: int) -> None:
     p[5] += noise * dt
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def update_covariance(p: Any, gain: Any) -> float:
     """Gain into ``gain`` (3), ``(I - K H) P`` into ``p``; returns 1 / innovation variance."""
     information = 1.0 / (p[0] + 1.0)
@@ -164,7 +165,7 @@ def update_covariance(p: Any, gain: Any) -> float:
     return float(information)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve(a: Any, b: Any) -> None:
     """Solve the small complex system ``a x = b`` in place (``b`` becomes ``x``), pivoting."""
     n = b.shape[0]
@@ -244,7 +245,7 @@ def state_space_noise(order: int, cutoff: float, dt: float, ahead: int) -> float
     return float(np.exp(middle))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def start_covariance(p: Any, noise: float, order: int) -> None:
     """Diffuse prior: nothing is known of the first pose, its velocity and its acceleration."""
     rate = noise ** (1.0 / (2 * order - 1))
@@ -255,22 +256,33 @@ def start_covariance(p: Any, noise: float, order: int) -> None:
     p[5] = DIFFUSE * rate**4 if order == 3 else 0.0
 
 
-@njit(cache=True, nogil=True)
-def predict_state(now: Any, t: int, dt: float, turning: bool, slot: Any) -> None:
-    """Carry track ``t`` on by ``dt`` with constant acceleration, from ``now`` into ``slot``."""
-    step, pose = np.empty(3), np.empty(4)
+@njit(cache=True, nogil=True, error_model="numpy")
+def clear(slot: Any, t: int) -> None:
+    """Say that a slot has no track ``t``."""
+    if slot[t, AGE] < np.inf:
+        for c in range(slot.shape[1]):
+            slot[t, c] = 0.0
+        slot[t, AGE] = np.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def predict_state(
+    now: Any, t: int, dt: float, turning: bool, step: Any, pose: Any, slot: Any
+) -> None:
+    """Carry track ``t`` on by ``dt`` with constant acceleration, from ``now`` to ``slot``.
+
+    The predicted pose comes in ``pose``; ``step`` (3) is scratch.
+    """
     for c in range(3):
-        step[c] = dt * (now[RATE + c, t] + 0.5 * dt * now[BEND + c, t])
-        slot[RATE + c, t] = now[RATE + c, t] + dt * now[BEND + c, t]
-        slot[BEND + c, t] = now[BEND + c, t]
+        step[c] = dt * (now[t, RATE + c] + 0.5 * dt * now[t, BEND + c])
+        slot[t, RATE + c] = now[t, RATE + c] + dt * now[t, BEND + c]
+        slot[t, BEND + c] = now[t, BEND + c]
     for c in range(4):
-        pose[c] = now[POSE + c, t]
+        pose[c] = now[t, POSE + c]
     displace(step, pose, turning, pose)
-    for c in range(4):
-        slot[POSE + c, t] = pose[c]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def covariance_step(work: Any, dt: float, noise: float, order: int, case: int) -> None:
     """Fill rows 1 to 3 of ``work`` (4, 6) from row 0: predicted, gain and information, filtered.
 
@@ -290,10 +302,36 @@ def covariance_step(work: Any, dt: float, noise: float, order: int, case: int) -
         gain[3] = update_covariance(p, gain)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def update_state(
+    now: Any, t: int, error: Any, pose: Any, turning: bool, work: Any, slot: Any
+) -> None:
+    """Correct the prediction in ``pose`` and ``slot`` by innovation ``error``, into ``now``.
+
+    ``work`` is of :func:`covariance_step`. What the smoother needs stays in ``slot``.
+    """
+    for c in range(4):
+        slot[t, POSE + c] = pose[c]
+    for c in range(3):
+        slot[t, DELTA + c] = error[c]
+        slot[t, GAIN + c] = work[2, c]
+        now[t, RATE + c] = slot[t, RATE + c] + work[2, 1] * error[c]
+        now[t, BEND + c] = slot[t, BEND + c] + work[2, 2] * error[c]
+        error[c] *= work[2, 0]
+    displace(error, pose, turning, pose)
+    for c in range(4):
+        now[t, POSE + c] = pose[c]
+    slot[t, INFORMATION] = work[2, 3]
+    for i in range(6):
+        slot[t, COVARIANCE + i] = work[1, i]
+        now[t, NOW_COVARIANCE + i] = work[3, i]
+
+
 @njit(
     "void(float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64[:,:,::1],"
     " float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
     cache=True,
+    error_model="numpy",
     nogil=True,
 )
 def state_space_push(
@@ -311,7 +349,7 @@ def state_space_push(
 ) -> None:
     """Predict every track to step ``step``, update those that are seen, start those that are new.
 
-    ``times`` (R,) are the slots' times in s, ``now`` (STATE_ROWS, T) goes on from call to call,
+    ``times`` (R,) are the slots' times in s, ``now`` (T, STATE) goes on from call to call,
     the step's slot of ``ring`` is filled for :func:`state_space_emit`. A track unseen for more
     than ``max_gap`` s starts anew. ``tuning`` holds :func:`state_space_noise`.
     """
@@ -320,138 +358,136 @@ def state_space_push(
     dt = times[step & mask] - times[(step - 1) & mask] if step > 0 else 0.0
     z, pose, error = np.zeros(4), np.zeros(4), np.zeros(3)
     work, twin = np.zeros((4, 6)), -1  # tracks with one history share one covariance: work's
-    for t in range(slot.shape[1]):
-        of_marker, k, turning = locate(t, n_markers, n_links)
-        seen = measure(markers[k] if of_marker else links[k], turning, z)
-        active = now[NOW_AGE, t] + dt <= max_gap
-        if not active and not seen:
-            now[NOW_AGE, t] = np.inf
-            for r in range(DELTA, ROWS):
-                slot[r, t] = 0.0
-            slot[AGE, t] = np.inf
-            continue
-        if active:
-            predict_state(now, t, dt, turning, slot)
-        else:
-            for c in range(10):
-                slot[c, t] = z[c] if c < 3 or (turning and c == 3) else 0.0
-        case = 0 if not active else 2 if seen else 1
-        same = twin == case
-        for i in range(6):
-            same = same and (case == 0 or work[0, i] == now[NOW_COVARIANCE + i, t])
-        if not same:
+    for block in range(4):
+        of_markers, turning, start, size = block_of(block, n_markers, n_links)
+        elements = markers if of_markers else links
+        confidences = marker_confidences if of_markers else link_confidences
+        for k in range(size):
+            t = start + k
+            seen = measure(elements, k, turning, z)
+            active = now[t, NOW_AGE] + dt <= max_gap
+            if not active and not seen:
+                now[t, NOW_AGE] = np.inf
+                clear(slot, t)
+                continue
+            if active:
+                predict_state(now, t, dt, turning, error, pose, slot)
+            else:
+                for c in range(RATE, DELTA):
+                    slot[t, c] = 0.0
+                for c in range(4):
+                    pose[c] = z[c]
+            case = 0 if not active else 2 if seen else 1
+            same = twin == case
             for i in range(6):
-                work[0, i] = now[NOW_COVARIANCE + i, t]
-            covariance_step(work, dt, noise, order, case)
-            twin = case
-        if seen:
-            now[NOW_AGE, t] = 0.0
-            now[NOW_CONFIDENCE, t] = marker_confidences[k] if of_marker else link_confidences[k]
-        else:
-            now[NOW_AGE, t] += dt
-        for c in range(4):
-            pose[c] = slot[POSE + c, t]
-        for c in range(3):
-            error[c] = 0.0
-        if case == 2:
-            difference(z, pose, turning, error)
-        for c in range(3):
-            slot[DELTA + c, t] = error[c]
-            slot[GAIN + c, t] = work[2, c]
-            now[RATE + c, t] = slot[RATE + c, t] + work[2, 1] * error[c]
-            now[BEND + c, t] = slot[BEND + c, t] + work[2, 2] * error[c]
-            error[c] *= work[2, 0]
-        displace(error, pose, turning, pose)
-        for c in range(4):
-            now[POSE + c, t] = pose[c]
-        slot[CONTINUES, t] = 1.0 if active else 0.0
-        slot[AGE, t] = now[NOW_AGE, t]
-        slot[CONFIDENCE, t] = now[NOW_CONFIDENCE, t]
-        slot[INFORMATION, t] = work[2, 3]
-        for i in range(6):
-            slot[COVARIANCE + i, t] = work[1, i]
-            now[NOW_COVARIANCE + i, t] = work[3, i]
+                same = same and (case == 0 or work[0, i] == now[t, NOW_COVARIANCE + i])
+            if not same:
+                for i in range(6):
+                    work[0, i] = now[t, NOW_COVARIANCE + i]
+                covariance_step(work, dt, noise, order, case)
+                twin = case
+            if seen:
+                now[t, NOW_AGE] = 0.0
+                now[t, NOW_CONFIDENCE] = confidences[k]
+            else:
+                now[t, NOW_AGE] += dt
+            for c in range(3):
+                error[c] = 0.0
+            if case == 2:
+                difference(z, pose, turning, error)
+            update_state(now, t, error, pose, turning, work, slot)
+            slot[t, CONTINUES] = 1.0 if active else 0.0
+            slot[t, AGE] = now[t, NOW_AGE]
+            slot[t, CONFIDENCE] = now[t, NOW_CONFIDENCE]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def is_present(ring: Any, times: Any, first: int, end: int, t: int, bridge: float) -> bool:
     """Whether track ``t`` is seen at step ``first``, or in a gap no longer than ``bridge`` s.
 
     The gap ends at the next sighting among the steps before ``end``, or else at the last of them.
     """
     mask = ring.shape[0] - 1
-    age = ring[first & mask, AGE, t]
+    age = ring[first & mask, t, AGE]
     if age == 0.0 or not age <= bridge:
         return bool(age == 0.0)
     last = first
     for step in range(first + 1, end):
-        if ring[step & mask, CONTINUES, t] == 0.0:
+        if ring[step & mask, t, CONTINUES] == 0.0:
             break
         last = step
-        if ring[step & mask, AGE, t] == 0.0:
+        if ring[step & mask, t, AGE] == 0.0:
             break
     return bool(age + times[last & mask] - times[first & mask] <= bridge)
 
 
-@njit(cache=True, nogil=True)
-def write(element: Any, pose: Any, motion: Any, turning: bool) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def write(elements: Any, k: int, pose: Any, motion: Any, turning: bool) -> None:
     """Pose, velocity and acceleration (``motion``, 6) into a KinematicState."""
-    if turning:
-        for c in range(4):
-            element[3 + c] = pose[c]
-    else:
-        for c in range(3):
-            element[c] = pose[c]
-    shift = 3 if turning else 0
-    for c in range(3):
-        element[7 + shift + c] = motion[c]
-        element[13 + shift + c] = motion[3 + c]
-
-
-@njit(cache=True, nogil=True)
-def erase(element: Any, turning: bool) -> None:
-    """Make a position or orientation, its velocity and its acceleration absent."""
-    for c in range(3):
-        element[(10 if turning else 7) + c] = np.nan
-        element[(16 if turning else 13) + c] = np.nan
+    at = 3 if turning else 0
     for c in range(4 if turning else 3):
-        element[(3 if turning else 0) + c] = np.nan
+        elements[k, at + c] = pose[c]
+    for c in range(3):
+        elements[k, 7 + at + c] = motion[c]
+        elements[k, 13 + at + c] = motion[3 + c]
 
 
-@njit(cache=True, nogil=True)
-def adjoints(ring: Any, times: Any, first: int, end: int, lo: int, hi: int, out: Any) -> None:
-    """Adjoint of the innovations of steps ``first`` to ``end`` - 1, tracks ``lo`` to ``hi``.
+@njit(cache=True, nogil=True, error_model="numpy")
+def erase(elements: Any, k: int, turning: bool) -> None:
+    """Make a position or orientation, its velocity and its acceleration absent."""
+    at = 3 if turning else 0
+    for c in range(4 if turning else 3):
+        elements[k, at + c] = np.nan
+    for c in range(3):
+        elements[k, 7 + at + c] = elements[k, 13 + at + c] = np.nan
 
-    ``out`` (9, T): for each component of position, velocity and acceleration. Rows are walked
-    across tracks so that the compiler can use vector instructions.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def adjoint(ring: Any, times: Any, first: int, end: int, t: int, out: Any) -> None:
+    """Adjoint of a track's innovations of the steps from ``first`` to ``end``, excluded.
+
+    ``out`` (3, 3): for position, velocity and acceleration, their components.
     """
     mask = ring.shape[0] - 1
-    for r in range(9):
-        for t in range(lo, hi):
-            out[r, t] = 0.0
-    dt = 0.0
-    for step in range(end - 1, first - 1, -1):
-        slot, later = step & mask, (step + 1) & mask
-        if step < end - 1:
-            dt = times[later] - times[slot]
-        half = 0.5 * dt * dt
-        go_on, known = ring[later, CONTINUES], ring[slot, INFORMATION]
-        k0, k1, k2 = ring[slot, GAIN], ring[slot, GAIN + 1], ring[slot, GAIN + 2]
+    for i in range(3):
         for c in range(3):
-            e, a0, a1, a2 = ring[slot, DELTA + c], out[c], out[3 + c], out[6 + c]
-            for t in range(lo, hi):
-                m0 = go_on[t] * a0[t]
-                m1 = go_on[t] * (dt * a0[t] + a1[t])
-                m2 = go_on[t] * (half * a0[t] + dt * a1[t] + a2[t])
-                a0[t] = known[t] * e[t] + m0 - k0[t] * m0 - k1[t] * m1 - k2[t] * m2
-                a1[t] = m1
-                a2[t] = m2
+            out[i, c] = 0.0
+    stop = first + 1
+    while stop < end and ring[stop & mask, t, CONTINUES] == 1.0:
+        stop += 1
+    dt = 0.0
+    for step in range(stop - 1, first - 1, -1):
+        s = step & mask
+        if step < stop - 1:
+            dt = times[(step + 1) & mask] - times[s]
+        half, information = 0.5 * dt * dt, ring[s, t, INFORMATION]
+        k0, k1, k2 = ring[s, t, GAIN], ring[s, t, GAIN + 1], ring[s, t, GAIN + 2]
+        for c in range(3):
+            m0, m1, m2 = out[0, c], out[1, c], out[2, c]
+            m2 += dt * m1 + half * m0
+            m1 += dt * m0
+            out[0, c] = information * ring[s, t, DELTA + c] + m0 - k0 * m0 - k1 * m1 - k2 * m2
+            out[1, c] = m1
+            out[2, c] = m2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_adjoint(slot: Any, t: int, carried: Any, shift: Any, motion: Any) -> None:
+    """``covariance @ adjoint`` of track ``t``: the shift of its pose, and its motion with it."""
+    p00, p01, p02 = slot[t, COVARIANCE], slot[t, COVARIANCE + 1], slot[t, COVARIANCE + 2]
+    p11, p12, p22 = slot[t, COVARIANCE + 3], slot[t, COVARIANCE + 4], slot[t, COVARIANCE + 5]
+    for c in range(3):
+        a0, a1, a2 = carried[0, c], carried[1, c], carried[2, c]
+        shift[c] = p00 * a0 + p01 * a1 + p02 * a2
+        motion[c] = slot[t, RATE + c] + p01 * a0 + p11 * a1 + p12 * a2
+        motion[3 + c] = slot[t, BEND + c] + p02 * a0 + p12 * a1 + p22 * a2
 
 
 @njit(
     "void(float64[:,:,::1], float64[::1], int64, int64, float64[::1], int64, float64,"
     " float64[:,::1], float64[:,::1], float64[::1], float64[::1])",
     cache=True,
+    error_model="numpy",
     nogil=True,
 )
 def state_space_emit(
@@ -475,48 +511,38 @@ def state_space_emit(
     """
     n_markers, n_links, mask = markers.shape[0], links.shape[0], ring.shape[0] - 1
     slot = ring[first & mask]
-    adjoint = np.empty((9, ring.shape[2]))
-    pose, shift, motion = np.zeros(4), np.zeros(3), np.zeros(6)
+    carried, pose, shift, motion = np.zeros((3, 3)), np.zeros(4), np.zeros(3), np.zeros(6)
     dt = times[first & mask] - times[(first - 1) & mask] if first > 0 else 0.0
-    edges = (0, n_markers, n_markers + n_links, n_markers + 2 * n_links, ring.shape[2])
     for block in range(4):
-        lo, hi = edges[block], edges[block + 1]
-        adjoints(ring, times, first, end, lo, hi, adjoint)
-        for t in range(lo, hi):
-            if not slot[AGE, t] < np.inf:
+        of_markers, turning, start, size = block_of(block, n_markers, n_links)
+        elements = markers if of_markers else links
+        confidences = marker_confidences if of_markers else link_confidences
+        for k in range(size):
+            t = start + k
+            if not slot[t, AGE] < np.inf:
                 continue
-            of_marker, k, turning = locate(t, n_markers, n_links)
-            element = markers[k] if of_marker else links[k]
             if not is_present(ring, times, first, end, t, bridge):
-                erase(element, turning)
+                erase(elements, k, turning)
                 continue
-            p00, p01, p02 = slot[COVARIANCE, t], slot[COVARIANCE + 1, t], slot[COVARIANCE + 2, t]
-            p11, p12, p22 = (
-                slot[COVARIANCE + 3, t],
-                slot[COVARIANCE + 4, t],
-                slot[COVARIANCE + 5, t],
-            )
-            for c in range(3):
-                a0, a1, a2 = adjoint[c, t], adjoint[3 + c, t], adjoint[6 + c, t]
-                shift[c] = p00 * a0 + p01 * a1 + p02 * a2
-                motion[c] = slot[RATE + c, t] + p01 * a0 + p11 * a1 + p12 * a2
-                motion[3 + c] = slot[BEND + c, t] + p02 * a0 + p12 * a1 + p22 * a2
-                if order == 2 and end > first + 1:
-                    motion[3 + c] = tuning[0] * a1
-                elif order == 2 and dt > 0.0:
-                    motion[3 + c] = slot[GAIN + 1, t] * slot[DELTA + c, t] / dt
+            adjoint(ring, times, first, end, t, carried)
+            apply_adjoint(slot, t, carried, shift, motion)
+            for c in range(3 if order == 2 else 0):
+                if end > first + 1:
+                    motion[3 + c] = tuning[0] * carried[1, c]
+                elif dt > 0.0:
+                    motion[3 + c] = slot[t, GAIN + 1] * slot[t, DELTA + c] / dt
             for c in range(4):
-                pose[c] = slot[POSE + c, t]
+                pose[c] = slot[t, POSE + c]
             displace(shift, pose, turning, pose)
-            write(element, pose, motion, turning)
-            confidences = marker_confidences if of_marker else link_confidences
-            if slot[AGE, t] > 0.0 and np.isnan(confidences[k]):
-                confidences[k] = 0.5 * slot[CONFIDENCE, t]
+            write(elements, k, pose, motion, turning)
+            if slot[t, AGE] > 0.0 and np.isnan(confidences[k]):
+                confidences[k] = 0.5 * slot[t, CONFIDENCE]
 
 
 @njit(
     "void(float64[:,::1], int32[:,::1], float64, float64, float64[:,::1])",
     cache=True,
+    error_model="numpy",
     nogil=True,
 )
 def follow_lengths(

@@ -33,7 +33,7 @@ _RETUNE = 0.02
 """Relative change of the sample time that makes the filter be designed anew."""
 _HIGHEST = 0.4
 """Highest cut-off over the sample rate; half of the rate cannot be filtered at all."""
-_SWEEPS, _TOLERANCE = 30, 2e-4
+_SWEEPS, _TOLERANCE = 30, 1e-3
 """Limit of the projections onto the limb lengths, and their relative accuracy."""
 
 
@@ -94,14 +94,14 @@ class FilterParams(Params):
 
 @dataclass(frozen=True, slots=True)
 class _Method:
-    """The kernels of one filter and the number of rows that they keep per track."""
+    """The kernels of one filter and the number of columns that they keep per track."""
 
     tune: Callable[[int, float, float, int], float]
     push: Callable[..., None]
     emit: Callable[..., None]
-    ring_rows: int
-    state_rows: Callable[[int], int]
-    age_row: int
+    ring_columns: int
+    state_columns: Callable[[int], int]
+    age_column: int
 
 
 _METHODS = {
@@ -109,16 +109,16 @@ _METHODS = {
         _filters.state_space_noise,
         _filters.state_space_push,
         _filters.state_space_emit,
-        _filters.ROWS,
-        lambda order: _filters.STATE_ROWS,
+        _filters.COLUMNS,
+        lambda order: _filters.STATE,
         _filters.NOW_AGE,
     ),
     "butterworth": _Method(
         _butterworth.butterworth_rate,
         _butterworth.butterworth_push,
         _butterworth.butterworth_emit,
-        _butterworth.ROWS,
-        lambda order: _butterworth.STATE_ROWS + 3 * (order - 1),
+        _butterworth.COLUMNS,
+        lambda order: _butterworth.STATE + 3 * (order - 1),
         _butterworth.NOW_AGE,
     ),
 }
@@ -210,9 +210,10 @@ class _Person:
     def __init__(self, model: SkeletonModel, params: FilterParams) -> None:
         method = _METHODS[params.method]
         n_tracks = 2 * (model.n_markers + model.n_links)
-        self.now = np.zeros((method.state_rows(params.order), n_tracks))
-        self.now[method.age_row] = np.inf
-        self.ring = np.zeros((4, method.ring_rows, n_tracks))
+        self.now = np.zeros((n_tracks, method.state_columns(params.order)))
+        self.now[:, method.age_column] = np.inf
+        self.ring = np.zeros((4, n_tracks, method.ring_columns))
+        self.ring[:, :, _filters.AGE] = np.inf
         self.times = np.zeros(4)
         self.lengths = np.zeros((model.n_links, 2))
         self.n_steps = 0
@@ -234,6 +235,7 @@ class _Person:
         old = np.arange(max(self.first - 1, 0), self.n_steps)
         size = len(self.times)
         ring, times = np.zeros((2 * size, *self.ring.shape[1:])), np.zeros(2 * size)
+        ring[:, :, _filters.AGE] = np.inf
         ring[old % (2 * size)] = self.ring[old % size]
         times[old % (2 * size)] = self.times[old % size]
         self.ring, self.times = ring, times
