@@ -23,7 +23,6 @@ from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.optimize import OptimizeParams
 from hiros_mcap.stages.smooth import FilterParams
 from hiros_mcap.stages.track import TrackParams
-from hiros_mcap.stages.transform import InputParams
 from hiros_mcap.validation import explain
 
 Table = dict[str, dict[str, Any]]
@@ -31,6 +30,14 @@ Table = dict[str, dict[str, Any]]
 
 MAX_BYTES = 1 << 20
 WIDTH = 88
+
+
+class InputParams(Params):
+    """What is read, and in which frame the results are."""
+
+    fixed_frame: str = Field(
+        "", description="Frame of all results. Empty: the root of the cameras' transforms."
+    )
 
 
 class Config(Params):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, Quiet
+from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
     from hiros_mcap.summary import Summary
@@ -69,7 +70,7 @@ def process(
     ] = False,
     solver: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Optimizer: numba (default) or ceres (a check)."),
+        typer.Option(metavar="NAME", help="Optimizer: lm (default) or ceres (slow, to compare)."),
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Fail when a message has to be skipped.")
@@ -90,13 +91,13 @@ def process(
     source.stat()  # a missing file is told before anything slow happens
     target = source.with_name(source.stem + SUFFIX) if output is None else output
     check_target(target, force=force)
+    shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     prepare(quiet=quiet)
 
     from hiros_mcap.config import load_config
-    from hiros_mcap.process import ProcessOptions
-    from hiros_mcap.process import process as run
+    from hiros_mcap.pipeline import ProcessOptions
+    from hiros_mcap.pipeline import process as run
 
-    shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     options = ProcessOptions(
         stages=stages,
         topics=tuple(topic or ()),
@@ -116,18 +117,25 @@ def _shortcuts(
     fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
 ) -> list[str]:
     """Return the assignments that the options with a name of their own stand for."""
-    from hiros_cli.windows import toml_windows
-
     assignments = []
     if fixed_frame is not None:
         assignments.append(f"input.fixed_frame={fixed_frame}")
     if calibrate:
-        assignments.append(f"optimize.calibrate={toml_windows(calibrate)}")
+        windows = ", ".join(_window(text) for text in calibrate)
+        assignments.append(f"optimize.calibration_windows=[{windows}]")
     if two_pass:
-        assignments.append("optimize.two_pass=true")
+        assignments.append("optimize.calibration=two-pass")
     if solver is not None:
         assignments.append(f"optimize.solver={solver}")
     return assignments
+
+
+def _window(text: str) -> str:
+    start, _, end = text.partition(":")
+    try:
+        return f"[{float(start)!r}, {float(end)!r}]"
+    except ValueError:
+        raise ConfigError(f"--calibrate: {text!r} is not of the form START:END, in s") from None
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:

@@ -75,11 +75,13 @@ def simulate(
 
     check_target(output, force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.simulate import write_log
+    from hiros_mcap.simulate.log import write_log
 
-    write_log(output, _params({name: value for name, value in given.items() if value is not None}))
+    written = write_log(
+        output, _params({name: value for name, value in given.items() if value is not None})
+    )
     if not quiet:
-        print(f"wrote {output}")
+        print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
 
 
 def _params(given: dict[str, Any]) -> SimulateParams:
