@@ -1,0 +1,72 @@
+"""Error against the truth after every stage: T, TM, TMF, TMO, TMOF.
+
+    python benchmarks/accuracy.py                       simulated logs, 1 to 4 people
+    python benchmarks/accuracy.py LOG TRUTH [LOG TRUTH ...]
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from hiros_mcap.config import load_config
+from hiros_mcap.evaluate import Scores, Truth, evaluate
+from hiros_mcap.log import open_log
+from hiros_mcap.pipeline import ProcessOptions, process
+
+from hiros_mcap.transforms import transform_to_fixed
+
+COLUMNS = "mean  sd    p95   angle  angSD   turn  limbCV  jitter  lag    miss false switch"
+
+
+def truth_of(path: Path) -> Truth:
+    with open_log(path, topics=["/truth/*"], output_prefix="/hiros") as log:
+        return Truth.of(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+
+
+def scores_of(path: Path, channel: str, truth: Truth) -> Scores:
+    with open_log(path, topics=[f"/hiros/{channel}"], output_prefix="/truth") as log:
+        return evaluate(log.frames(), truth, log.model)
+
+
+def row(name: str, s: Scores) -> str:
+    return (
+        f"{name:9} {s.mean:5.1f} {s.deviation:5.1f} {s.percentile_95:5.1f} {s.angle_rmse:6.2f} "
+        f"{s.angle_deviation:6.2f} {s.turn_error:6.2f} {s.limb_variation:7.4f} {s.jitter:6.1f} {s.lag:6.1f} "
+        f"{s.missing:5d} {s.false:5d} {s.switches:5d}"
+    )
+
+
+def table(log: Path, truth: Truth, overrides: Sequence[str]) -> None:
+    print(f"{'':9} {COLUMNS}")
+    config = load_config(None, list(overrides))
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.mcap"
+        process(log, out, config=config)
+        rows = {"T": "tracked", "TM": "merged", "TMO": "optimized", "TMOF": "filtered"}
+        for chain, channel in rows.items():
+            print(row(chain, scores_of(out, channel, truth)))
+        process(log, out, config=config, options=ProcessOptions(stages="TMF"))
+        print(row("TMF", scores_of(out, "filtered", truth)))
+
+
+def main() -> None:
+    arguments = [a for a in sys.argv[1:] if "=" not in a]
+    overrides = [a for a in sys.argv[1:] if "=" in a]
+    if arguments:
+        for log, truth in zip(arguments[::2], arguments[1::2], strict=True):
+            print(f"\n{Path(log).name}")
+            table(Path(log), truth_of(Path(truth)), overrides)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for people in range(1, 5):
+            path = Path(folder) / f"{people}.mcap"
+            write(simulate(SimulateParams(people=people, seconds=20.0, seed=people)), path)
+            print(f"\n{people} people, 5 cameras, 20 s, simulated")
+            table(path, truth_of(path), overrides)
+
+
+if __name__ == "__main__":
+    main()
