@@ -111,8 +111,8 @@ class Summary:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; derived numbers included, numbers that are not finite are None."""
-        people = [{**_fields(person), "seconds": person.seconds} for person in self.people]
-        return {**_fields(self), "people": people, "times_real_time": _plain(self.times_real_time)}
+        people = [{**plain(person), "seconds": person.seconds} for person in self.people]
+        return {**plain(self), "people": people, "times_real_time": _plain(self.times_real_time)}
 
     def reproducible(self) -> dict[str, Any]:
         """Return :meth:`to_dict` without what differs from run to run: times taken and paths.
@@ -123,13 +123,14 @@ class Summary:
         return {key: value for key, value in self.to_dict().items() if key not in varying}
 
 
-def _fields(record: Any) -> dict[str, Any]:
+def plain(record: Any) -> dict[str, Any]:
+    """Return a dataclass as JSON data; tuples become lists, what is not finite becomes None."""
     return {item.name: _plain(getattr(record, item.name)) for item in fields(record)}
 
 
 def _plain(value: object) -> object:
     if is_dataclass(value):
-        return _fields(value)
+        return plain(value)
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -14,6 +14,7 @@ from hiros_cli.printable import printable
 from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary
 
 PIPE_WIDTH = 160
+STEPS = ("read", "transform", "tracked", "merged", "optimized", "filtered", "write")
 
 
 def console() -> Console:
@@ -117,12 +118,14 @@ def _limbs(limbs: LimbSummary | None) -> str:
 
 
 def _times(summary: Summary) -> Table:
+    """Return the steps in the order in which a frame passes them, any other at the end."""
+    order = {name: k for k, name in enumerate(STEPS)}
     return table(
         "Step",
         ">CPU",
         ">Wall",
         rows=[
             (step.name, number(step.cpu_s, 3, " s"), number(step.wall_s, 3, " s"))
-            for step in summary.stages
+            for step in sorted(summary.stages, key=lambda step: order.get(step.name, len(order)))
         ],
     )

@@ -1,5 +1,107 @@
-"""x"""
+"""``hiros info``: what a log holds, and whether ``hiros process`` can use it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hiros_cli.options import Json
+
+if TYPE_CHECKING:
+    from hiros_mcap.overview import Overview
 
 
-def info() -> None:
-    """x"""
+def info(
+    source: Annotated[Path, typer.Argument(metavar="LOG", help="An MCAP file.")],
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GLOB", help="Cameras to look at; may be repeated. Default: all."),
+    ] = None,
+    extrinsics: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Show channels, cameras, frames, the skeleton, people per frame, rates and gaps."""
+    from hiros_cli.kernels import prepare
+
+    source.stat()
+    prepare(quiet=json)
+    from hiros_mcap.overview import look
+
+    overview = look(source, topics=topic, extrinsics=extrinsics)
+    if json:
+        from json import dumps
+
+        print(dumps(overview.to_dict(), indent=2))
+    else:
+        _show(overview)
+
+
+def _show(overview: Overview) -> None:
+    from rich.text import Text
+
+    from hiros_cli.printable import printable
+    from hiros_cli.report import console, number
+
+    out = console()
+    out.print(
+        Text(
+            f"{printable(overview.path, 500)}: {number(overview.seconds, 1)} s, "
+            f"{overview.megabytes:.1f} MB",
+            style="bold",
+        ),
+        soft_wrap=True,
+    )
+    for part in (_channels(overview), _cameras(overview)):
+        out.print()
+        out.print(part)
+    out.print()
+    for line in _facts(overview):
+        out.print(Text(printable(line, 500)), soft_wrap=True)
+
+
+def _channels(overview: Overview) -> Any:
+    from hiros_cli.report import table
+
+    rows = [(row.topic, str(row.messages), row.type or "-") for row in overview.channels]
+    return table("Channel", ">Messages", "Type", rows=rows)
+
+
+def _cameras(overview: Overview) -> Any:
+    from hiros_cli.report import number, table
+
+    return table(
+        "Camera",
+        "Channel",
+        ">Rate",
+        ">Longest gap",
+        ">People",
+        "Frame",
+        rows=[
+            (
+                row.name,
+                row.topic,
+                number(row.rate_hz, 1, " Hz"),
+                number(row.longest_gap_s, 2, " s"),
+                f"{row.least_people} to {row.most_people}, mean {number(row.mean_people, 2)}",
+                row.frame + (f" ({row.fault})" if row.fault else " (resolved)"),
+            )
+            for row in overview.cameras
+        ],
+    )
+
+
+def _facts(overview: Overview) -> list[str]:
+    lines = [f"skeleton: {len(overview.markers)} markers, {len(overview.links)} links"]
+    lines.append(f"markers: {', '.join(overview.markers)}")
+    if overview.fixed_frame:
+        lines.append(f"fixed frame: {overview.fixed_frame}")
+    else:
+        lines.append(f"fixed frame: none; {overview.fault}")
+    for topic, reasons in overview.skipped.items():
+        lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
+    return lines
