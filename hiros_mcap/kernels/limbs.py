@@ -11,24 +11,21 @@ no part. Loops, not slices: numba compiles them several times faster.
 
 from __future__ import annotations
 
-from math import atan2, sqrt
+from math import atan2, pi, sqrt, tan
 
 import numpy as np
 from numba import njit
 
 from hiros_mcap.skeletons import Floats, Ints
 
-REMOVE = 0
-RESTORE = 1
-
-# Values of ``outlier``: a marker that the link into it accuses, a root that its links accuse.
-DISTAL = 1
-ROOT = 2
-
-# Of a link that touches an outlier: just enough to make the restored place unique where the
-# lengths alone do not.
+# Weights of an outlier's position and of its links' directions: just enough to make its place
+# unique where the lengths alone do not.
 _DOUBT_POSITION = 1e-4
 _DOUBT_DIRECTION = 0.01
+
+# To find which marker is wrong, a displacement of this many m counts a quarter of its weight...
+_DOUBT_SCALE = 0.05
+_DOUBT_ROUNDS = 5  # ... in so many rounds of weighing and solving.
 
 # How many steps in a row may raise the energy before the solver returns to the best point.
 _PATIENCE = 6
@@ -76,91 +73,34 @@ def _certainty(confidence: float) -> float:
     return 1.0 if np.isnan(confidence) else min(max(confidence, 0.01), 1.0)
 
 
-@njit(cache=True, nogil=True)
-def _judge_roots(
-    points: Floats, nominal: Floats, links: Ints, max_error: float, outlier: Ints
-) -> None:
-    """Mark a root that most of its three or more links accuse: not all its children."""
-    for m in range(points.shape[0]):
-        seen = bad = 0
-        for k in range(links.shape[0]):
-            if links[k, 1] == m:
-                seen = -1
-                break
-            if links[k, 0] == m and links[k, 1] >= 0:
-                error = abs(_distance(points[m], points[links[k, 1]]) - nominal[k])
-                seen += 0 if np.isnan(error) else 1
-                bad += 1 if error > max_error else 0
-        if seen >= 3 and 2 * bad > seen:
-            outlier[m] = ROOT
-
-
-@njit(cache=True, nogil=True)
-def _restore(
-    points: Floats, measured: Floats, p: int, c: int, length: float, max_error: float
-) -> None:
-    """Put marker c at ``length`` from p, in the measured direction.
-
-    Where p was displaced too and the two were measured at a plausible distance from each other,
-    they went astray together, and their own direction is the one to trust.
-    """
-    own = _distance(measured[p], measured[c])
-    together = abs(own - length) <= max_error
-    size = own if together else _distance(points[p], points[c])
-    for x in range(3):
-        start = measured[p, x] if together else points[p, x]
-        along = (measured[c, x] - start) / size if size > 1e-9 else np.nan
-        points[c, x] = points[p, x] + along * length
-
-
 @njit(
-    "int64(float64[:,:,::1], float64[:,::1], int32[:,::1], int32[::1], float64, int64,"
-    " int32[:,::1])",
+    "int64(float64[:,:,::1], float64[:,::1], int32[:,::1], int32[::1], float64, int32[:,::1])",
     cache=True,
     nogil=True,
 )
 def judge(
-    points: Floats,
-    nominal: Floats,
-    links: Ints,
-    outward: Ints,
-    max_error: float,
-    mode: int,
-    outlier: Ints,
+    points: Floats, nominal: Floats, links: Ints, outward: Ints, max_error: float, outlier: Ints
 ) -> int:
-    """Find the outliers (section 3.3.2) from the roots outwards, and set them right in ``points``.
+    """Find the outliers as the paper does (section 3.3.2) and set them to NaN in ``points``.
 
-    A link whose length is off by more than ``max_error`` accuses its distal marker; a link that
-    touches a marker already found out accuses nobody. REMOVE sets the marker to NaN, RESTORE puts
-    it at nominal length in the measured direction and carries on from there. Returns how many.
+    From the roots outwards, a link whose length is off by more than ``max_error`` accuses its
+    distal marker; a link that touches a marker already found out accuses nobody. Returns how many.
     """
     found = 0
-    measured = np.empty_like(points[0]) if len(points) else np.empty((0, 3))
     for i in range(points.shape[0]):
         for m in range(points.shape[1]):
             outlier[i, m] = 0
-            for x in range(3):
-                measured[m, x] = points[i, m, x]
-        if mode == RESTORE:
-            _judge_roots(points[i], nominal[i], links, max_error, outlier[i])
         for k in outward:
             p, c = links[k, 0], links[k, 1]
-            if outlier[i, c] or (mode == REMOVE and outlier[i, p]):
+            if outlier[i, c] or outlier[i, p]:
                 continue
-            if mode == RESTORE and outlier[i, p] == ROOT:
-                continue
-            error = abs(_distance(points[i, p], points[i, c]) - nominal[i, k])
-            if not error > max_error:
-                continue
-            outlier[i, c] = DISTAL
-            if mode == RESTORE:
-                _restore(points[i], measured, p, c, nominal[i, k], max_error)
+            if abs(_distance(points[i, p], points[i, c]) - nominal[i, k]) > max_error:
+                outlier[i, c] = 1
         for m in range(points.shape[1]):
             if outlier[i, m]:
                 found += 1
-                if mode == REMOVE:
-                    for x in range(3):
-                        points[i, m, x] = np.nan
+                for j in range(3):
+                    points[i, m, j] = np.nan
     return found
 
 
@@ -211,36 +151,34 @@ def weigh(
                 w[1] = _DOUBT_POSITION
             if outlier[i, c]:
                 w[2] = _DOUBT_POSITION
-            if outlier[i, p] == ROOT:
-                w[3] = _DOUBT_POSITION
-            elif outlier[i, p] or outlier[i, c]:
+            if outlier[i, p] or outlier[i, c]:
                 w[3] = _DOUBT_DIRECTION
 
 
 @njit(cache=True, nogil=True)
-def _link_geometry(
-    p: Floats, c: Floats, p0: Floats, c0: Floats, with_angle: bool, out: Floats
-) -> None:
-    """Write |d|, the unit d, phi, and the unit tangent that leads from d to d0, to ``out`` (8)."""
-    length = max(_distance(p, c), 1e-12)
-    out[0] = length
-    for j in range(3):
-        out[1 + j] = (c[j] - p[j]) / length
-        out[4 + j] = out[7] = 0.0
-    start = _distance(p0, c0) if with_angle else 0.0
-    if start <= 1e-9:
-        return
-    cosine = sine = 0.0
-    for j in range(3):
-        out[5 + j] = (c0[j] - p0[j]) / start
-        cosine += out[1 + j] * out[5 + j]
-    for j in range(3):
-        out[5 + j] -= cosine * out[1 + j]
-        sine += out[5 + j] * out[5 + j]
-    sine = sqrt(sine)
-    for j in range(3):
-        out[5 + j] = out[5 + j] / sine if sine > 1e-14 else 0.0
-    out[4] = atan2(sine, cosine)
+def _aim(start: Floats, links: Ints, weights: Floats, aims: Floats) -> None:
+    """Write each link's direction at the start (L, 3); zeros where it has none or no weight."""
+    for k in range(links.shape[0]):
+        p, c = links[k, 0], links[k, 1]
+        length = _distance(start[p], start[c]) if weights[k, 3] > 0.0 else 0.0
+        for j in range(3):
+            aims[k, j] = (start[c, j] - start[p, j]) / length if length > 1e-9 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _look(x: Floats, p: int, c: int, aims: Floats, k: int, geometry: Floats) -> None:
+    """Write |d|, the unit d, phi, and the unit tangent that leads from d to its aim (8 numbers)."""
+    dx, dy, dz = x[c, 0] - x[p, 0], x[c, 1] - x[p, 1], x[c, 2] - x[p, 2]
+    length = max(sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
+    dx, dy, dz = dx / length, dy / length, dz / length
+    ax, ay, az = aims[k, 0], aims[k, 1], aims[k, 2]
+    cosine = dx * ax + dy * ay + dz * az
+    ax, ay, az = ax - cosine * dx, ay - cosine * dy, az - cosine * dz
+    sine = sqrt(ax * ax + ay * ay + az * az)
+    share = 1.0 / sine if sine > 1e-14 else 0.0
+    geometry[k, 0], geometry[k, 1], geometry[k, 2], geometry[k, 3] = length, dx, dy, dz
+    geometry[k, 4] = atan2(sine, cosine)
+    geometry[k, 5], geometry[k, 6], geometry[k, 7] = ax * share, ay * share, az * share
 
 
 @njit(
@@ -251,23 +189,33 @@ def _link_geometry(
 def energy(x: Floats, start: Floats, nominal: Floats, links: Ints, weights: Floats) -> float:
     """Energy of one skeleton at ``x`` (M, 3), eq. 14 to 19."""
     total = 0.0
-    g = np.empty(8)
+    aims, g = np.empty((links.shape[0], 3)), np.empty((links.shape[0], 8))
+    _aim(start, links, weights, aims)
     for k in range(links.shape[0]):
         w = weights[k]
         if w[0] + w[1] + w[2] + w[3] == 0.0:
             continue
         p, c = links[k, 0], links[k, 1]
-        _link_geometry(x[p], x[c], start[p], start[c], w[3] > 0.0, g)
+        _look(x, p, c, aims, k, g)
         moved_p, moved_c = _distance(x[p], start[p]), _distance(x[c], start[c])
-        total += w[0] * (g[0] - nominal[k]) ** 2 + w[1] * moved_p**2
-        total += w[2] * moved_c**2 + w[3] * g[4] ** 2
+        total += w[0] * (g[k, 0] - nominal[k]) ** 2 + w[1] * moved_p**2
+        total += w[2] * moved_c**2 + w[3] * g[k, 4] ** 2
     return total
+
+
+@njit(cache=True, nogil=True)
+def _phi_cot_phi(phi: float) -> float:
+    """Curvature of half the squared angle across the motion, 1 at 0, cut off below 0."""
+    if phi < 0.01:
+        return 1.0 - phi * phi / 3.0
+    return phi / tan(phi) if phi < 0.5 * pi else 0.0
 
 
 @njit(cache=True, nogil=True)
 def _assemble(
     x: Floats,
     start: Floats,
+    aims: Floats,
     nominal: Floats,
     links: Ints,
     weights: Floats,
@@ -288,34 +236,33 @@ def _assemble(
     slope[:] = 0.0
     total = 0.0
     for k in range(links.shape[0]):
-        w, g = weights[k], geometry[k]
-        if w[0] + w[1] + w[2] + w[3] == 0.0:
+        w0, w1, w2, w3 = weights[k, 0], weights[k, 1], weights[k, 2], weights[k, 3]
+        if w0 + w1 + w2 + w3 == 0.0:
             continue
-        p, c = links[k, 0], links[k, 1]
-        _link_geometry(x[p], x[c], start[p], start[c], w[3] > 0.0, g)
-        stretch, phi = g[0] - nominal[k], g[4]
-        total += w[0] * stretch * stretch + w[3] * phi * phi
-        pull, twist = w[0] * stretch, w[3] * phi / g[0]
-        hold = 0.95 * w[1] * w[2] / (w[1] + w[2]) if w[1] + w[2] > 0.0 else 0.0
-        bend, turn = max(tension[k] / g[0], -hold), w[3] / (g[0] * g[0])
-        across = (1.0 if phi < 1.0 else 0.0) * turn
-        if 1e-7 < phi < 3.14159:
-            across = max(phi / np.tan(phi), 0.0) * turn
+        p, c, s = links[k, 0], links[k, 1], link_slot[k]
+        _look(x, p, c, aims, k, geometry)
+        length, phi = geometry[k, 0], geometry[k, 4]
+        stretch = length - nominal[k]
+        total += w0 * stretch * stretch + w3 * phi * phi
+        pull, twist, turn = w0 * stretch, w3 * phi / length, w3 / (length * length)
+        hold = 0.95 * w1 * w2 / (w1 + w2) if w1 + w2 > 0.0 else 0.0
+        across = max(tension[k] / length, -hold) + turn * _phi_cot_phi(phi)
+        along, toward = w0 - across, turn - turn * _phi_cot_phi(phi)
         for i in range(3):
-            force = pull * g[1 + i] - twist * g[5 + i]
+            ui, ti = geometry[k, 1 + i], geometry[k, 5 + i]
+            force = pull * ui - twist * ti
             moved_p, moved_c = x[p, i] - start[p, i], x[c, i] - start[c, i]
-            total += w[1] * moved_p * moved_p + w[2] * moved_c * moved_c
-            slope[p, i] += w[1] * moved_p - force
-            slope[c, i] += w[2] * moved_c + force
-            diagonal[p, i, i] += w[1] + bend + across
-            diagonal[c, i, i] += w[2] + bend + across
-            blocks[link_slot[k], i, i] -= bend + across
+            total += w1 * moved_p * moved_p + w2 * moved_c * moved_c
+            slope[p, i] += w1 * moved_p - force
+            slope[c, i] += w2 * moved_c + force
+            diagonal[p, i, i] += w1 + across
+            diagonal[c, i, i] += w2 + across
+            blocks[s, i, i] -= across
             for j in range(3):
-                stiff = (w[0] - bend - across) * g[1 + i] * g[1 + j]
-                stiff += (turn - across) * g[5 + i] * g[5 + j]
+                stiff = along * ui * geometry[k, 1 + j] + toward * ti * geometry[k, 5 + j]
                 diagonal[p, i, j] += stiff
                 diagonal[c, i, j] += stiff
-                blocks[link_slot[k], i, j] -= stiff
+                blocks[s, i, j] -= stiff
     return total
 
 
@@ -340,6 +287,24 @@ def _predict_tension(
 
 
 @njit(cache=True, nogil=True)
+def _invert(a: Floats, m: int, damping: float, out: Floats) -> None:
+    """Invert the symmetric block ``m``, (1 + damping) on its diagonal; identity for zeros."""
+    scale = a[m, 0, 0] + a[m, 1, 1] + a[m, 2, 2]
+    floor = 1e-14 * scale if scale > 0.0 else 1.0
+    d0 = a[m, 0, 0] * (1.0 + damping) + floor
+    d1 = a[m, 1, 1] * (1.0 + damping) + floor
+    d2 = a[m, 2, 2] * (1.0 + damping) + floor
+    xy, xz, yz = a[m, 0, 1], a[m, 0, 2], a[m, 1, 2]
+    c00, c01, c02 = d1 * d2 - yz * yz, xz * yz - xy * d2, xy * yz - xz * d1
+    c11, c12, c22 = d0 * d2 - xz * xz, xy * xz - d0 * yz, d0 * d1 - xy * xy
+    share = 1.0 / (d0 * c00 + xy * c01 + xz * c02)
+    out[m, 0, 0], out[m, 1, 1], out[m, 2, 2] = c00 * share, c11 * share, c22 * share
+    out[m, 0, 1] = out[m, 1, 0] = c01 * share
+    out[m, 0, 2] = out[m, 2, 0] = c02 * share
+    out[m, 1, 2] = out[m, 2, 1] = c12 * share
+
+
+@njit(cache=True, nogil=True)
 def _scale(blocks: Floats, inverse: Floats, s: int, m: int, out: Floats) -> None:
     """``out[s] = blocks[s] inverse[m]``, 3x3."""
     for i in range(3):
@@ -359,24 +324,6 @@ def _subtract(a: Floats, b: Floats, s: int, t: int, out: Floats, r: int) -> None
             for n in range(3):
                 total += a[s, i, n] * b[t, j, n]
             out[r, i, j] -= total
-
-
-@njit(cache=True, nogil=True)
-def _invert(a: Floats, m: int, damping: float, out: Floats) -> None:
-    """Invert the symmetric block ``m``, (1 + damping) on its diagonal; identity for zeros."""
-    scale = a[m, 0, 0] + a[m, 1, 1] + a[m, 2, 2]
-    floor = 1e-14 * scale if scale > 0.0 else 1.0
-    d0 = a[m, 0, 0] * (1.0 + damping) + floor
-    d1 = a[m, 1, 1] * (1.0 + damping) + floor
-    d2 = a[m, 2, 2] * (1.0 + damping) + floor
-    xy, xz, yz = a[m, 0, 1], a[m, 0, 2], a[m, 1, 2]
-    c00, c01, c02 = d1 * d2 - yz * yz, xz * yz - xy * d2, xy * yz - xz * d1
-    c11, c12, c22 = d0 * d2 - xz * xz, xy * xz - d0 * yz, d0 * d1 - xy * xy
-    share = 1.0 / (d0 * c00 + xy * c01 + xz * c02)
-    out[m, 0, 0], out[m, 1, 1], out[m, 2, 2] = c00 * share, c11 * share, c22 * share
-    out[m, 0, 1] = out[m, 1, 0] = c01 * share
-    out[m, 0, 2] = out[m, 2, 0] = c02 * share
-    out[m, 1, 2] = out[m, 2, 1] = c12 * share
 
 
 @njit(cache=True, nogil=True)
@@ -451,13 +398,15 @@ def _solve_one(
     blocks, scaled = np.empty((row.shape[0], 3, 3)), np.empty((row.shape[0], 3, 3))
     slope, step, here = np.empty((markers, 3)), np.empty((markers, 3)), np.empty((markers, 3))
     tension, geometry = np.zeros(n_links), np.zeros((n_links, 8))
+    aims = np.empty((n_links, 3))
+    _aim(start, links, weights, aims)
     for m in range(markers):
         for j in range(3):
             x[m, j] = here[m, j] = start[m, j]
     best, damping, size, worse = np.inf, 0.0, np.inf, 0
     for _ in range(max_steps):
         cost = _assemble(
-            here, start, nominal, links, weights, link_slot, tension,
+            here, start, aims, nominal, links, weights, link_slot, tension,
             geometry, diagonal, blocks, slope,
         )  # fmt: skip
         if cost < best:
@@ -527,6 +476,83 @@ def solve(
 
 
 @njit(cache=True, nogil=True)
+def _suspect(points: Floats, nominal: Floats, links: Ints, max_error: float) -> bool:
+    """Whether a link's length is off by more than ``max_error``."""
+    for k in range(links.shape[0]):
+        p, c = links[k, 0], links[k, 1]
+        if p >= 0 and c >= 0 and abs(_distance(points[p], points[c]) - nominal[k]) > max_error:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _doubt(x: Floats, start: Floats, links: Ints, trusted: Floats, weights: Floats) -> None:
+    """Weigh down what had to move far (Geman and McClure's estimator, one round)."""
+    for k in range(links.shape[0]):
+        least = 1.0
+        for end in range(2):
+            m = links[k, end]
+            if m >= 0:
+                moved = _distance(x[m], start[m]) / _DOUBT_SCALE
+                share = 1.0 / (1.0 + moved * moved) ** 2
+                weights[k, 1 + end] = trusted[k, 1 + end] * share
+                least = min(least, share)
+        weights[k, 3] = trusted[k, 3] * least
+
+
+@njit(
+    "int64(float64[:,:,::1], float64[:,::1], float64[:,:,::1], int32[:,::1], int32[::1],"
+    " int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], float64, int32[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def relocate(
+    points: Floats,
+    nominal: Floats,
+    trusted: Floats,
+    links: Ints,
+    order: Ints,
+    first: Ints,
+    row: Ints,
+    first_pair: Ints,
+    target: Ints,
+    link_slot: Ints,
+    max_error: float,
+    outlier: Ints,
+) -> int:
+    """Find the markers that are wrong, and put them where the others and the lengths want them.
+
+    Only people with a link off by more than ``max_error``. Which of its ends is wrong, the other
+    links tell: the skeleton is solved with the weights ``trusted``, what moved far counts less,
+    and again. A marker that ends up further than half of ``max_error`` from where it was measured
+    is an outlier. Returns how many.
+    """
+    found = 0
+    x, weights = np.empty(points.shape[1:]), np.empty(trusted.shape[1:])
+    for i in range(points.shape[0]):
+        for m in range(points.shape[1]):
+            outlier[i, m] = 0
+        if not _suspect(points[i], nominal[i], links, max_error):
+            continue
+        for k in range(links.shape[0]):
+            for j in range(4):
+                weights[k, j] = trusted[i, k, j]
+        for _ in range(_DOUBT_ROUNDS):
+            _solve_one(
+                points[i], nominal[i], weights, links, order, first, row, first_pair, target,
+                link_slot, 1e-4, 30, x,
+            )  # fmt: skip
+            _doubt(x, points[i], links, trusted[i], weights)
+        for m in range(points.shape[1]):
+            if _distance(x[m], points[i, m]) > 0.5 * max_error:
+                outlier[i, m] = 1
+                found += 1
+                for j in range(3):
+                    points[i, m, j] = x[m, j]
+    return found
+
+
+@njit(cache=True, nogil=True)
 def _turn(state: Floats, u: Floats, v: Floats, dot: float) -> None:
     """Multiply the orientation in ``state[3:7]`` from the left by the least rotation u -> v."""
     w = 1.0 + dot
@@ -543,8 +569,8 @@ def _turn(state: Floats, u: Floats, v: Floats, dot: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _move(state: Floats, p: Floats, c: Floats, new_p: Floats, new_c: Floats) -> None:
-    """Carry a link's position and orientation from the ends p, c to new_p, new_c."""
+def _move(state: Floats, p: Floats, c: Floats, new_p: Floats, new_c: Floats, turning: bool) -> None:
+    """Carry a link's position, and orientation if asked, from the ends p, c to new_p, new_c."""
     length, new_length = _distance(p, c), _distance(new_p, new_c)
     if not (length > 1e-9 and new_length > 1e-9):
         return
@@ -557,13 +583,13 @@ def _move(state: Floats, p: Floats, c: Floats, new_p: Floats, new_c: Floats) -> 
     share = min(max(share, 0.0), 1.0)
     for x in range(3):
         state[x] += (1.0 - share) * (new_p[x] - p[x]) + share * (new_c[x] - c[x])
-    if dot > -1.0 + 1e-12:
+    if turning and dot > -1.0 + 1e-12:
         _turn(state, u, v, dot)
 
 
 @njit(
     "void(float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
-    " int32[:,::1], float64[:,:,::1], int32[:,::1], int64)",
+    " int32[:,::1], float64[:,:,::1], int32[:,::1], int64, boolean)",
     cache=True,
     nogil=True,
 )
@@ -576,27 +602,30 @@ def apply(
     links: Ints,
     weights: Floats,
     outlier: Ints,
-    mode: int,
+    remove: bool,
+    turning: bool,
 ) -> None:
     """Write the solved positions (P, M, 3) into the states of markers and links, in place.
 
-    A link of some weight is turned by the least rotation that takes its measured direction to the
-    solved one, and its position, if it has one, moves along with its two ends. With REMOVE,
-    outliers and the links that touch them become absent.
+    The position of a link of some weight, if it has one, moves along with its two ends; with
+    ``turning`` it is also turned by the least rotation that takes its measured direction to the
+    solved one. With ``remove``, outliers and the links that touch them become absent.
     """
     for i in range(solved.shape[0]):
         for k in range(links.shape[0]):
             p, c = links[k, 0], links[k, 1]
             if p < 0 or c < 0:
                 continue
-            if mode == REMOVE and (outlier[i, p] or outlier[i, c]):
+            if remove and (outlier[i, p] or outlier[i, c]):
                 for j in range(states.shape[2]):
                     states[i, k, j] = np.nan
                 link_confidences[i, k] = np.nan
             elif weights[i, k, 0] + weights[i, k, 3] > 0.0:
-                _move(states[i, k], markers[i, p], markers[i, c], solved[i, p], solved[i, c])
+                _move(
+                    states[i, k], markers[i, p], markers[i, c], solved[i, p], solved[i, c], turning
+                )  # fmt: skip
         for m in range(markers.shape[1]):
-            if mode == REMOVE and outlier[i, m]:
+            if remove and outlier[i, m]:
                 for j in range(markers.shape[2]):
                     markers[i, m, j] = np.nan
                 marker_confidences[i, m] = np.nan

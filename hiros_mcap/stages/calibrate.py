@@ -129,12 +129,10 @@ class Moments:
     def of(cls, lengths: Floats, weights: Floats) -> Moments:
         """Add up (K, L) measurements, NaN = not seen, outliers pulled in to 3 robust SD."""
         seen = ~np.isnan(lengths) & (weights > 0.0)
-        known = seen.any(axis=0)
         squares = np.where(seen, lengths, np.nan) ** 2
-        centre, spread = np.zeros(seen.shape[1]), np.zeros(seen.shape[1])
-        centre[known] = np.nanmedian(squares[:, known], axis=0)
-        spread[known] = 1.4826 * np.nanmedian(np.abs(squares - centre)[:, known], axis=0)
-        squares = np.clip(squares, centre - _CLIP * spread, centre + _CLIP * spread)
+        centre = _median(squares)
+        spread = _CLIP * 1.4826 * _median(np.abs(squares - centre))
+        squares = np.clip(squares, centre - spread, centre + spread)
         w = np.where(seen, weights, 0.0)
         squares = np.where(seen, squares, 0.0)
         return cls(
@@ -161,6 +159,18 @@ class Moments:
         else:
             length = np.sqrt(np.maximum(mean - deviation**2, 0.0))  # E|d|^2 - var|d| = (E|d|)^2
         return np.where(length > 1e-6, length, np.nan), deviation
+
+
+def _median(values: Floats) -> Floats:
+    """(L,) medians of the columns of (K, L) without NaN; NaN where there is nothing else."""
+    ordered = np.sort(values, axis=0)  # NaN comes last
+    count = np.count_nonzero(~np.isnan(values), axis=0)
+    columns = np.arange(values.shape[1])
+    lower, upper = (
+        ordered[np.maximum(count - 1, 0) // 2, columns],
+        ordered[count // 2 % len(values), columns],
+    )
+    return np.where(count > 0, 0.5 * (lower + upper), np.nan)
 
 
 Mask = npt.NDArray[np.bool_]

@@ -60,9 +60,16 @@ class OptimizeParams(CalibrationParams):
     )
     outliers: Literal["restore", "remove"] = Field(
         "restore",
-        description="What becomes of an outlier. restore: it is put back at the right length in "
-        "the measured direction and has no say in the solution, so skeletons stay complete. "
-        "remove: it and the links that touch it are left out (the paper).",
+        description="What becomes of an outlier. restore: it is put where the other markers and "
+        "the lengths want it and has no say in the solution, so skeletons stay complete; which end "
+        "of a wrong link is the outlier, a robust fit tells. "
+        "remove: a wrong link's distal marker and all links that touch it are left out (paper).",
+    )
+    turn_links: bool = Field(
+        False,
+        description="Turn link orientations along with the bones. Detectors measure orientations "
+        "apart from positions and better than a short bone's ends tell them: on logs made from "
+        "real motion, turning raises their mean error from 2.5 to 3.5 degrees.",
     )
     solver: Literal["lm", "ceres"] = Field(
         "lm",
@@ -77,7 +84,12 @@ class OptimizeParams(CalibrationParams):
     def paper(cls) -> OptimizeParams:
         """Return the parameters of the paper as printed (its L, which it does not give, 0.1 m)."""
         return cls(
-            lengths="paper", max_length_error=0.1, outliers="remove", debias=False, refine=False
+            lengths="paper",
+            max_length_error=0.1,
+            outliers="remove",
+            turn_links=True,
+            debias=False,
+            refine=False,
         )
 
 
@@ -138,9 +150,8 @@ class _Fit:
         self._names = model.marker_names
         self._params, self._events = params, events
         self._links = np.ascontiguousarray(model.links)
-        self._outward = outward(model)
-        self._mode = kernels.RESTORE if params.outliers == "restore" else kernels.REMOVE
         self._degree = _degrees(self._links, model.n_markers)
+        self._outward, self._topology = outward(model), _topology(model)
         self._solve = _solver(model, params)
 
     def __call__(self, frame: Frame, nominal: Floats) -> Frame:
@@ -156,25 +167,39 @@ class _Fit:
     def _fit(self, frame: Frame, nominal: Floats) -> None:
         """Optimize everybody in the frame, in place."""
         points = frame.markers[:, :, POSITION].copy()
-        outlier = np.empty(points.shape[:2], np.int32)
-        limit = self._params.max_length_error
-        found = kernels.judge(
-            points, nominal, self._links, self._outward, limit, self._mode, outlier
-        )
-        if found:
-            self._count(outlier)
-        weights = np.empty((*nominal.shape, 4))
+        outlier = self._find_outliers(points, nominal, frame.marker_confidences)
         stiffness = STIFFNESS if self._params.lengths == "exact" else 0.0
-        kernels.weigh(
-            points, nominal, frame.marker_confidences, self._links, self._degree,
-            outlier, limit, stiffness, DIRECTION, weights,
-        )  # fmt: skip
+        weights = self._weigh(points, nominal, frame.marker_confidences, outlier, stiffness)
         solved, failed = self._solve(points, nominal, weights)
         self._events.count("optimizer not converged", n=failed)
         kernels.apply(
-            solved, frame.markers, frame.marker_confidences, frame.links,
-            frame.link_confidences, self._links, weights, outlier, self._mode,
+            solved, frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
+            self._links, weights, outlier, self._params.outliers == "remove",
+            self._params.turn_links,
         )  # fmt: skip
+
+    def _find_outliers(self, points: Floats, nominal: Floats, confidences: Floats) -> Ints:
+        """(P, M) 1 for outliers; ``points`` has them relocated or absent."""
+        outlier = np.zeros(points.shape[:2], np.int32)
+        limit = self._params.max_length_error
+        if self._params.outliers == "remove":
+            found = kernels.judge(points, nominal, self._links, self._outward, limit, outlier)
+        else:
+            trusted = self._weigh(points, nominal, confidences, outlier, STIFFNESS)
+            found = kernels.relocate(points, nominal, trusted, *self._topology, limit, outlier)
+        if found:
+            self._count(outlier)
+        return outlier
+
+    def _weigh(
+        self, points: Floats, nominal: Floats, confidences: Floats, outlier: Ints, stiffness: float
+    ) -> Floats:
+        weights = np.empty((*nominal.shape, 4))
+        kernels.weigh(
+            points, nominal, confidences, self._links, self._degree, outlier,
+            self._params.max_length_error, stiffness, DIRECTION, weights,
+        )  # fmt: skip
+        return weights
 
     def _count(self, outlier: Ints) -> None:
         for marker, n in enumerate(np.count_nonzero(outlier, axis=0)):
@@ -215,10 +240,15 @@ def _solver(model: SkeletonModel, params: OptimizeParams) -> Solver:
     return block_solver(model, params.tolerance)
 
 
+def _topology(model: SkeletonModel) -> tuple[Ints, ...]:
+    p = plan(model)
+    links = np.ascontiguousarray(model.links)
+    return links, p.order, p.first, p.row, p.first_pair, p.target, p.link_slot
+
+
 def block_solver(model: SkeletonModel, tolerance: float) -> Solver:
     """Return the compiled solver for the topology of ``model``."""
-    links, p = np.ascontiguousarray(model.links), plan(model)
-    topology = (links, p.order, p.first, p.row, p.first_pair, p.target, p.link_slot)
+    topology = _topology(model)
 
     def solve(start: Floats, nominal: Floats, weights: Floats) -> tuple[Floats, int]:
         solved = np.empty_like(start)
