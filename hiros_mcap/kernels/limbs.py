@@ -145,14 +145,14 @@ def weigh(
                 w[2] = _certainty(confidences[i, c]) / degree[c]
             else:
                 w[0] = min(error / max_error, 1.0) ** 0.2
-                w[1] = w[2] = (1.0 - w[0]) / 2.0
-                w[3] = 1.0 - w[0] - w[1]
+                w[3] = (1.0 - w[0]) / 2.0
+                w[1] = w[2] = max(w[3], _DOUBT_POSITION)  # else a pair on its own could fly off
             if outlier[i, p]:
                 w[1] = _DOUBT_POSITION
             if outlier[i, c]:
                 w[2] = _DOUBT_POSITION
             if outlier[i, p] or outlier[i, c]:
-                w[3] = _DOUBT_DIRECTION
+                w[0], w[3] = max(w[0], 1.0), _DOUBT_DIRECTION
 
 
 @njit(cache=True, nogil=True)
