@@ -1,0 +1,279 @@
+"""``hiros process`` from outside: what it prints, what it writes, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from hiros_cli.app import run
+
+CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
+
+
+@pytest.fixture(autouse=True)
+def _signals() -> None:
+    """Give pytest its signal handlers back after a run in this process."""
+    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {name: signal.getsignal(name) for name in names}
+    yield
+    for name, handler in before.items():
+        signal.signal(name, handler)
+
+
+def counts(path: Path) -> dict[str, int]:
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    messages = summary.statistics.channel_message_counts
+    return {channel.topic: messages.get(i, 0) for i, channel in summary.channels.items()}
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run a command that must fail, and return its one line."""
+    assert run([str(argument) for argument in arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    lines = [line for line in captured.err.splitlines() if "compiling kernels" not in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("hiros: error: ")
+    return lines[0]
+
+
+def test_all_four_channels_and_the_read_ones(crossing: Path, tmp_path: Path) -> None:
+    assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), "-q"]) == 0
+    written, read = counts(tmp_path / "out.mcap"), counts(crossing)
+    assert [topic for topic in sorted(written) if topic.startswith("/hiros/")] == CHANNELS
+    assert written["/tf_static"] == 1
+    assert all(written[topic] == n for topic, n in read.items() if topic.startswith("/camera"))
+    assert "/truth/skeletons" not in written
+
+
+def test_the_summary_accounts_for_every_message(
+    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert [person["id"] for person in summary["people"]] == [0, 1]
+    for camera in summary["cameras"]:
+        assert camera["messages"] == counts(crossing)[camera["topic"]]
+        assert camera["messages"] == camera["used"] + sum(camera["skipped"].values())
+    written = counts(tmp_path / "out.mcap")
+    assert summary["written"] == {topic: written[topic] for topic in summary["written"]}
+
+
+def test_the_summary_for_a_person_names_cameras_people_and_channels(
+    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap")]) == 0
+    captured = capsys.readouterr()
+    assert all(word in captured.out for word in (*CHANNELS, "/camera_0/skeletons", "Person"))
+    assert "times real time" in captured.out
+    assert "\x1b" not in captured.out
+
+
+def test_the_default_output_lies_beside_the_input(walking: Path, tmp_path: Path) -> None:
+    source = tmp_path / "lab.mcap"
+    source.write_bytes(walking.read_bytes())
+    assert run(["process", str(source), "-q", "--stages", "T"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lab.hiros.mcap", "lab.mcap"]
+
+
+def test_the_same_run_again_replaces_the_output_by_the_same_bytes(
+    walking: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "out.mcap"
+    assert run(["process", str(walking), "-o", str(target), "-q"]) == 0
+    first = target.read_bytes()
+    assert run(["process", str(walking), "-o", str(target), "-q"]) == 0
+    assert target.read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("stages", "channels"),
+    [
+        ("T", ["/hiros/tracked"]),
+        ("tmf", ["/hiros/filtered", "/hiros/merged", "/hiros/tracked"]),
+    ],
+)
+def test_stages_chooses_the_chain(
+    stages: str, channels: list[str], walking: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "out.mcap"
+    assert run(["process", str(walking), "-o", str(target), "--stages", stages, "-q"]) == 0
+    assert [topic for topic in sorted(counts(target)) if topic.startswith("/hiros/")] == channels
+
+
+def test_keep_nothing_copies_nothing(walking: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.mcap"
+    assert run(["process", str(walking), "-o", str(target), "--keep", "", "-q"]) == 0
+    assert sorted(counts(target)) == CHANNELS
+
+
+def test_saved_limbs_can_be_loaded(walking: Path, tmp_path: Path) -> None:
+    limbs, target = tmp_path / "limbs.toml", tmp_path / "out.mcap"
+    assert run(["process", str(walking), "-o", str(target), "--save-limbs", str(limbs), "-q"]) == 0
+    assert run(["process", str(walking), "-o", str(target), "--limbs", str(limbs), "-q"]) == 0
+
+
+@pytest.mark.parametrize(
+    "options", [["--two-pass"], ["--calibrate", "0:2"], ["--solver", "ceres"], ["--topic", "/c*"]]
+)
+def test_options_with_a_name_of_their_own(
+    options: list[str], walking: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "out.mcap"
+    assert run(["process", str(walking), "-o", str(target), "-q", *options]) == 0
+    assert target.exists()
+
+
+def an_mcap(path: Path, schema: str = "std_msgs/msg/String") -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "somebody else")
+        ident = writer.register_schema(schema, "ros2msg", b"string data")
+        channel = writer.register_channel("/chatter\x1b[2J", "cdr", ident)
+        writer.add_message(channel, 1, b"\0\1\0\0\1\0\0\0\0", 1)
+        writer.finish()
+    return path
+
+
+BAD_INPUTS = {
+    "empty": (lambda path, sample: path.write_bytes(b""), "in.mcap"),
+    "text": (lambda path, sample: path.write_text("no log at all\n" * 99), "in.mcap"),
+    "cut": (lambda path, sample: path.write_bytes(sample.read_bytes()[:100_000]), "in.mcap"),
+    "folder": (lambda path, sample: path.mkdir(), "folder"),
+    "other": (lambda path, sample: an_mcap(path), "SkeletonGroup"),
+    "bag": (lambda path, sample: path.write_bytes(b"#ROSBAG V2.0\n" * 9), "ROS 1 bag"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_INPUTS)
+def test_bad_input_is_one_line_and_no_output(
+    kind: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make, said = BAD_INPUTS[kind]
+    source = tmp_path / "in.mcap"
+    make(source, walking)
+    line = refused(capsys, "process", source)
+    assert said in line
+    assert "\x1b" not in line
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+def test_no_transforms_is_one_line_that_names_the_way_out(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
+    with walking.open("rb") as old, source.open("wb") as file:
+        reader, writer = make_reader(old), Writer(file)
+        writer.start("ros2")
+        ids: dict[str, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            if channel.topic.startswith("/camera"):
+                if channel.topic not in ids:
+                    known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    ids[channel.topic] = writer.register_channel(channel.topic, "cdr", known)
+                writer.add_message(
+                    ids[channel.topic], message.log_time, message.data, message.publish_time
+                )
+        writer.finish()
+    assert "--extrinsics" in refused(capsys, "process", source, "-o", target)
+    assert not target.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--set", "merge.max_delta_tim=1"], "did you mean merge.max_delta_time?"),
+        (["--set", "nonsense"], "not of the form"),
+        (["--set", "track.max_distance=-1"], "track.max_distance: should be greater than 0"),
+        (["--preset", "papre"], "did you mean paper?"),
+        (["--stages", "MOF"], "TMOF"),
+        (["--calibrate", "10-20"], "START:END"),
+        (["--calibrate", "20:10"], "start must precede end"),
+        (["--solver", "newton"], "'lm' or 'ceres'"),
+        (["--topic", "/nobody/*"], "/nobody/*"),
+        (["--fixed-frame", "mars"], "mars"),
+        (["--limbs", "missing.toml"], "missing.toml"),
+        (["--extrinsics", "missing.toml"], "missing.toml"),
+        (["--config", "missing.toml"], "missing.toml"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_no_output(
+    options: list[str],
+    said: str,
+    walking: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert said in refused(capsys, "process", walking, "-o", tmp_path / "out.mcap", *options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_input_is_never_the_output(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "in.mcap"
+    source.write_bytes(walking.read_bytes())
+    (tmp_path / "link.mcap").symlink_to(source)
+    assert "is the input" in refused(capsys, "process", source, "-o", tmp_path / "link.mcap")
+    assert source.read_bytes() == walking.read_bytes()
+
+
+def test_somebody_elses_file_is_not_replaced(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = an_mcap(tmp_path / "precious.mcap")
+    before = target.read_bytes()
+    assert "--force" in refused(capsys, "process", walking, "-o", target)
+    assert target.read_bytes() == before
+    assert run(["process", str(walking), "-o", str(target), "--force", "-q"]) == 0
+    assert "/hiros/merged" in counts(target)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_is_one_line(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tmp_path.chmod(0o500)
+    assert "Permission denied" in refused(capsys, "process", walking, "-o", tmp_path / "out.mcap")
+
+
+def test_a_full_disk_is_one_line_and_no_output(walking: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.mcap"
+    limited = f'ulimit -f 100; trap "" XFSZ; exec "$0" -m hiros_cli process {walking} -o {target}'
+    environment = {**os.environ, "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", "")}
+    result = subprocess.run(
+        ["sh", "-c", limited, sys.executable],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={name: value for name, value in environment.items() if value},
+    )
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == f"hiros: error: {target}: cannot be written: File too large\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_leaves_nothing_behind(name: str, crossing: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hiros_cli", "process", str(crossing)]
+    command += ["-o", str(tmp_path / "out.mcap")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        while process.poll() is None and not list(tmp_path.glob(".hiros-*.tmp")):
+            time.sleep(0.001)
+        process.send_signal(getattr(signal, name))
+        _, stderr = process.communicate()
+    assert process.returncode == 128 + getattr(signal, name)
+    assert stderr == b""
+    assert list(tmp_path.iterdir()) == []
