@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import weakref
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
@@ -30,6 +31,8 @@ class OutputFile:
             self._target = Path(os.path.realpath(path))
             self._refuse(inputs)
             self.temp = self._target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+            # A signal may raise anywhere, even before a caller's `with` has taken over.
+            self._remove = weakref.finalize(self, self.temp.unlink, missing_ok=True)
             # Mode 0666 less the umask, as for any file that a program makes.
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
             self._file = os.fdopen(os.open(self.temp, flags, 0o666), "wb", buffering=0)
@@ -74,7 +77,7 @@ class OutputFile:
         try:
             self._file.close()
         finally:
-            self.temp.unlink(missing_ok=True)
+            self._remove()
 
     def _refuse(self, inputs: Iterable[str | os.PathLike[str]]) -> None:
         if not self._target.exists():
