@@ -242,7 +242,7 @@ def _solver(model: SkeletonModel, params: OptimizeParams) -> Solver:
     return block_solver(model, params.tolerance)
 
 
-def _topology(model: SkeletonModel) -> tuple[Ints, ...]:
+def _topology(model: SkeletonModel) -> tuple[Ints, Ints, Ints, Ints, Ints, Ints, Ints]:
     p = plan(model)
     links = np.ascontiguousarray(model.links)
     return links, p.order, p.first, p.row, p.first_pair, p.target, p.link_slot

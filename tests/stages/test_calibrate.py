@@ -133,14 +133,19 @@ def test_somebody_who_left_is_not_waited_for():
 def test_too_short_a_visit_passes_unchanged():  # H41
     frames, events = list(arm_frames(20)), Events()
     result = list(optimize(frames, ARM, events=events))
-    assert all(a.markers.tobytes() == b.markers.tobytes() for a, b in zip(frames, result))
+    assert all(
+        a.markers.tobytes() == b.markers.tobytes() for a, b in zip(frames, result, strict=True)
+    )
     assert notes(events, "calibration rejected")[0].detail == "20 frames are too few"
 
 
 def test_without_lookahead_frames_change_once_calibrated():
     frames = list(arm_frames(150))
     result = list(optimize(frames, ARM, OptimizeParams(lookahead=0.0)))
-    same = [np.array_equal(a.markers, b.markers, equal_nan=True) for a, b in zip(frames, result)]
+    same = [
+        np.array_equal(a.markers, b.markers, equal_nan=True)
+        for a, b in zip(frames, result, strict=True)
+    ]
     assert same == [True] * 99 + [False] * 51
 
 
@@ -167,7 +172,9 @@ def test_second_session_loads_and_gives_identical_output(tmp_path):  # H33
     first = list(optimize(frames, ARM, OptimizeParams(refine=False), limbs=limbs))
     limbs.save(tmp_path / "limbs.toml")
     second = optimize(frames, ARM, limbs=LimbTable.load(tmp_path / "limbs.toml"))
-    assert all(a.markers.tobytes() == b.markers.tobytes() for a, b in zip(first, second))
+    assert all(
+        a.markers.tobytes() == b.markers.tobytes() for a, b in zip(first, second, strict=True)
+    )
 
 
 def test_loaded_limbs_follow_a_renamed_person():

@@ -1,0 +1,337 @@
+"""The optimizer: weights, outliers, energy, and what it does to moving people (H34 to H42)."""
+
+import numpy as np
+import pytest
+from skeleton_makers import energies, random_model, random_poses, weights_of
+
+from hiros_mcap.events import Events
+from hiros_mcap.kernels import limbs as kernels
+from hiros_mcap.limbs import Limb, LimbTable
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+from hiros_mcap.stages.elimination import outward, plan
+from hiros_mcap.stages.optimize import STIFFNESS, OptimizeParams, block_solver, optimize
+
+BODY = SkeletonModel.of(
+    ["pelvis", "chest", "shoulder", "elbow", "wrist", "hand", "hip", "knee"],
+    [
+        ("spine", 0, 1),
+        ("clavicle", 1, 2),
+        ("upper arm", 2, 3),
+        ("forearm", 3, 4),
+        ("palm", 4, 5),
+        ("pelvis side", 0, 6),
+        ("thigh", 6, 7),
+    ],
+)
+POSE = np.array(
+    [
+        [0, 0, 1.0],
+        [0, 0, 1.5],
+        [0.2, 0, 1.5],
+        [0.2, 0.1, 1.2],
+        [0.2, 0.3, 1.1],
+        [0.2, 0.4, 1.1],
+        [0.1, 0, 1.0],
+        [0.1, 0.1, 0.6],
+    ]
+)
+LIMBS = LimbTable(
+    {
+        0: {
+            name: Limb(float(np.linalg.norm(POSE[c] - POSE[p])))
+            for name, (p, c) in zip(BODY.link_names, BODY.links, strict=True)
+        }
+    }
+)
+REMOVE = OptimizeParams(outliers="remove")
+
+
+def body(points=POSE, ids=(0,)):
+    frame = Frame.empty(len(ids), BODY)
+    frame.ids[:] = ids
+    frame.markers[:, :, :3] = points
+    frame.links[:, :, 3:7] = [0, 0, 0, 1]
+    return frame
+
+
+def optimized(frame, params=OptimizeParams(), events=None):  # noqa: B008 - immutable
+    return next(optimize([frame], BODY, params, events, LIMBS))
+
+
+def displaced(**offsets):
+    points = POSE.copy()
+    for name, offset in offsets.items():
+        points[BODY.marker_names.index(name)] += offset
+    return points
+
+
+def bone_lengths(points, model=BODY):
+    return np.linalg.norm(
+        points[..., model.links[:, 1], :] - points[..., model.links[:, 0], :], axis=-1
+    )
+
+
+# Weights, eq. 18
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected"), [(0.01, 0.398), (0.1, 0.631), (0.5, 0.871), (1.0, 1.0)]
+)
+def test_length_weight_is_the_papers(ratio, expected):  # H38-40
+    model = SkeletonModel.of("ab", [("bone", 0, 1)])
+    start = np.array([[[0.0, 0, 0], [0.3 + 0.1 * ratio, 0, 0]]])
+    w = weights_of(model, start, np.array([[0.3]]))[0, 0]
+    assert w[0] == pytest.approx(expected, abs=5e-4)
+    assert w[0] + w[1] + w[3] == pytest.approx(1.0, abs=2e-4)
+    assert w[1] == w[2] == pytest.approx(w[3], abs=2e-4)
+
+
+# Solver, eq. 14 to 19
+
+
+@pytest.mark.parametrize("stiffness", [0.0, STIFFNESS])
+@pytest.mark.parametrize("loops", [0, 3])
+def test_solution_is_a_minimum(loops, stiffness):
+    rng = np.random.default_rng(loops)
+    model = random_model(rng, loops=loops)
+    start, nominal = random_poses(model, 10, rng, missing=0.0)
+    weights = weights_of(model, start, nominal, stiffness)
+    solved, failed = block_solver(model, 1e-9)(start, nominal, weights)
+    lowest = energies(model, solved, start, nominal, weights)
+    assert failed == 0
+    assert (lowest <= energies(model, start, start, nominal, weights)).all()
+    for _ in range(20):
+        near = solved + rng.normal(size=start.shape) * 1e-5
+        assert (energies(model, near, start, nominal, weights) >= lowest).all()
+
+
+def test_two_markers_meet_where_the_hand_calculation_says():
+    """E = w_l (0.12 - 2 x - 0.1)^2 + 2 w_p x^2 is least at x = 0.04 w_l / (4 w_l + 2 w_p)."""
+    model = SkeletonModel.of("ab", [("bone", 0, 1)])
+    start, nominal = np.array([[[0.0, 0, 0], [0.12, 0, 0]]]), np.array([[0.1]])
+    weights = weights_of(model, start, nominal)
+    w_l, w_p = weights[0, 0, :2]
+    x = 0.04 * w_l / (4 * w_l + 2 * w_p)
+    solved, _ = block_solver(model, 1e-12)(start, nominal, weights)
+    np.testing.assert_allclose(solved[0], [[x, 0, 0], [0.12 - x, 0, 0]], atol=1e-12)
+
+
+def test_marker_that_nothing_holds_stays():
+    rng = np.random.default_rng(0)
+    model = random_model(rng)
+    start, nominal = random_poses(model, 1, rng, missing=0.0)
+    nominal[:, model.links[:, 1] == 19] = np.nan
+    weights = weights_of(model, start, nominal)
+    solved, _ = block_solver(model, 1e-9)(start, nominal, weights)
+    np.testing.assert_array_equal(solved[0, 19], start[0, 19])
+
+
+@pytest.mark.parametrize("loops", [0, 1, 6])
+def test_trees_fill_no_block(loops):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        model = random_model(rng, loops=loops)
+        coupled = {tuple(sorted(pair)) for pair in model.links.tolist()}
+        assert plan(model).n_slots >= len(coupled)
+        assert loops or plan(model).n_slots == len(coupled)
+
+
+def test_links_are_judged_from_the_roots_outwards():
+    model = SkeletonModel.of("abcd", [("tip", 2, 3), ("mid", 1, 2), ("base", 0, 1)])
+    assert outward(model).tolist() == [2, 1, 0]
+    ring = SkeletonModel.of("abc", [("ab", 0, 1), ("bc", 1, 2), ("ca", 2, 0)])
+    assert sorted(outward(ring)) == [0, 1, 2]
+
+
+# Outliers, section 3.3.2
+
+
+def test_stretched_forearm_removes_the_wrist_and_its_links_only():  # H34
+    along = (POSE[4] - POSE[3]) / np.linalg.norm(POSE[4] - POSE[3])
+    events = Events()
+    result = optimized(body(displaced(wrist=0.15 * along)), REMOVE, events)
+    absent = np.isnan(result.markers[0]).all(axis=1)
+    assert [BODY.marker_names[m] for m in np.flatnonzero(absent)] == ["wrist"]
+    absent = np.isnan(result.links[0]).all(axis=1)
+    assert [BODY.link_names[k] for k in np.flatnonzero(absent)] == ["forearm", "palm"]
+    assert events.counts["optimizer outlier", "wrist"] == 1
+
+
+@pytest.mark.parametrize(("excess", "removed"), [(0.099, 0), (0.101, 1)])
+def test_threshold_is_the_largest_length_error(excess, removed):
+    frame = body(displaced(knee=(POSE[7] - POSE[6]) * excess / np.linalg.norm(POSE[7] - POSE[6])))
+    assert np.isnan(optimized(frame, REMOVE).positions[0, 7]).all() == bool(removed)
+
+
+@pytest.mark.parametrize("marker", BODY.marker_names)
+def test_any_displaced_marker_is_restored(marker):
+    events = Events()
+    result = optimized(body(displaced(**{marker: [0.4, 0.3, 0.2]})), events=events)
+    slot = BODY.marker_names.index(marker)
+    error = np.linalg.norm(result.positions[0] - POSE, axis=1)
+    assert events.counts["optimizer outlier", marker] == 1
+    assert np.delete(error, slot).max() < 0.03
+    assert bone_lengths(result.positions[0]) == pytest.approx(bone_lengths(POSE), abs=1e-3)
+
+
+# The stage
+
+
+@pytest.mark.parametrize("params", [OptimizeParams(), OptimizeParams.paper()])
+def test_perfect_pose_stays(params):
+    np.testing.assert_allclose(optimized(body(), params).positions[0], POSE, atol=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["lm", "ceres"])
+def test_lengths_become_exact(solver):
+    noisy = POSE + np.random.default_rng(2).normal(size=POSE.shape) * 0.015
+    result = optimized(body(noisy), OptimizeParams(solver=solver))
+    assert bone_lengths(result.positions[0]) == pytest.approx(bone_lengths(POSE), abs=1e-4)
+
+
+def test_input_is_not_written_to():
+    frame = body(displaced(wrist=0.3, knee=0.02))
+    before = [frame.markers.tobytes(), frame.links.tobytes()]
+    optimized(frame)
+    assert [frame.markers.tobytes(), frame.links.tobytes()] == before
+
+
+def test_untracked_and_uncalibrated_people_are_byte_identical():  # H41
+    frame = body(displaced(wrist=0.05), ids=(UNTRACKED, 0, 8))
+    result = optimized(frame)
+    for row in (0, 2):
+        assert result.markers[row].tobytes() == frame.markers[row].tobytes()
+        assert result.links[row].tobytes() == frame.links[row].tobytes()
+    assert not np.array_equal(result.positions[1], frame.positions[1])
+
+
+def test_people_do_not_influence_each_other():
+    one, two = body(displaced(wrist=0.05)), body(displaced(knee=0.3))
+    both = body(ids=(0, 0))
+    both.markers[0], both.markers[1] = one.markers[0], two.markers[0]
+    result = optimized(both)
+    for row, frame in enumerate((one, two)):
+        assert result.markers[row].tobytes() == optimized(frame).markers[0].tobytes()
+
+
+def test_moving_the_room_moves_the_result():
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    points = displaced(wrist=0.03, knee=0.3)
+    moved = optimized(body(points @ turn.T + 5.0)).positions[0]
+    expected = optimized(body(points)).positions[0] @ turn.T + 5.0
+    np.testing.assert_allclose(moved, expected, atol=1e-6)
+
+
+def test_missing_markers_stay_missing():
+    points = POSE.copy()
+    points[3] = np.nan
+    result = optimized(body(points)).positions[0]
+    assert np.isnan(result).all(axis=1).tolist() == [False] * 3 + [True] + [False] * 4
+
+
+def test_confident_markers_move_less():
+    frame = body(displaced(knee=[0, 0, -0.05]))
+    frame.marker_confidences[:] = 1.0
+    frame.marker_confidences[0, 7] = 0.1
+    moved = np.linalg.norm(optimized(frame).positions[0] - frame.positions[0], axis=1)
+    assert moved[7] > 5 * moved[6] > 0
+
+
+def test_link_with_a_zero_length_or_no_marker_is_harmless():
+    model = SkeletonModel.of("ab", [("bone", 0, 1), ("nowhere", -1, 1), ("self", 1, 1)])
+    frame = Frame.empty(1, model)
+    frame.ids[:] = 0
+    frame.markers[0, :, :3] = 1.0
+    limbs = LimbTable({0: {"bone": Limb(0.3)}})
+    result = next(optimize([frame], model, limbs=limbs)).positions
+    assert np.isfinite(result).all()
+
+
+def test_models_without_links_and_frames_without_people_pass():
+    model = SkeletonModel.of("ab", [])
+    frames = [Frame.empty(n, model, stamp=n) for n in (0, 1, 2)]
+    for frame in frames:
+        frame.ids[:] = range(frame.n_people)
+    assert list(optimize(frames, model)) == frames
+
+
+def test_links_turn_with_their_bones():
+    frame = body(displaced(hand=[0.03, 0.0, 0.0]))
+    frame.links[0, 4, :3] = 0.5 * (frame.positions[0, 4] + frame.positions[0, 5])
+    result = optimized(frame, OptimizeParams(turn_links=True))
+    before = frame.positions[0, 5] - frame.positions[0, 4]
+    after = result.positions[0, 5] - result.positions[0, 4]
+    q = result.orientations[0, 4]
+    turned = before + 2 * np.cross(q[:3], np.cross(q[:3], before) + q[3] * before)
+    np.testing.assert_allclose(np.cross(turned, after), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        result.links[0, 4, :3], 0.5 * (result.positions[0, 4] + result.positions[0, 5])
+    )
+    assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_links_keep_their_measured_orientation_by_default():
+    frame = body(displaced(hand=[0.03, 0.0, 0.0]))
+    np.testing.assert_array_equal(optimized(frame).orientations, frame.orientations)
+
+
+# H42: on a moving body with coloured noise
+
+
+def moving_bodies(count=450, sd=0.012, seed=3):
+    """(truth, measured) of a body that swings its limbs: noise of 12 mm, correlated over 0.3 s."""
+    rng = np.random.default_rng(seed)
+    truth = np.empty((count, *POSE.shape))
+    noise = rng.normal(size=POSE.shape) * sd
+    measured = np.empty_like(truth)
+    bones = POSE[BODY.links[:, 1]] - POSE[BODY.links[:, 0]]
+    for k in range(count):
+        truth[k, 0] = POSE[0] + [0.01 * k, 0, 0]
+        for link, (p, c) in enumerate(BODY.links):
+            angle = 0.5 * np.sin(0.1 * k + link)
+            turn = [
+                [1, 0, 0],
+                [0, np.cos(angle), -np.sin(angle)],
+                [0, np.sin(angle), np.cos(angle)],
+            ]
+            truth[k, c] = truth[k, p] + np.array(turn) @ bones[link]
+        noise = 0.9 * noise + np.sqrt(1 - 0.9**2) * rng.normal(size=POSE.shape) * sd
+        measured[k] = truth[k] + noise
+    return truth, measured
+
+
+def angle_rmse(points, truth):
+    """RMSE, degrees, of the angles at shoulder and elbow."""
+
+    def angles(x):
+        u, v = x[:, [2, 3]] - x[:, [1, 2]], x[:, [3, 4]] - x[:, [2, 3]]
+        cosine = np.sum(u * v, -1) / np.linalg.norm(u, axis=-1) / np.linalg.norm(v, axis=-1)
+        return np.degrees(np.arccos(cosine))
+
+    return np.sqrt(np.mean((angles(points) - angles(truth)) ** 2))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "less"), [("exact", 10.0), ("paper", 3.0)], ids=["exact", "paper"]
+)
+def test_lengths_settle_while_angles_and_positions_keep_right(lengths, less):  # H42
+    truth, measured = moving_bodies()
+    frames = [body(points) for points in measured]
+    frames = [frame.replace(stamp=k * 33_333_333) for k, frame in enumerate(frames)]
+    result = np.array(
+        [f.positions[0] for f in optimize(frames, BODY, OptimizeParams(lengths=lengths))]
+    )
+    spread = [np.std(bone_lengths(x), 0) / np.mean(bone_lengths(x), 0) for x in (measured, result)]
+    error = [np.linalg.norm(x - truth, axis=-1).mean() for x in (measured, result)]
+    assert np.mean(spread[1]) < np.mean(spread[0]) / less
+    assert angle_rmse(result, truth) < angle_rmse(measured, truth) + 0.3
+    assert error[1] < error[0]
+
+
+def test_energy_of_an_unmoved_pose_is_that_of_its_lengths():
+    model = SkeletonModel.of("abc", [("one", 0, 1), ("two", 1, 2)])
+    x = np.array([[0.0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]])
+    w = np.array([[0.5, 0.25, 0.25, 0.25], [0.6, 0.2, 0.2, 0.2]])
+    links = np.ascontiguousarray(model.links)
+    energy = kernels.energy(x, x, np.array([0.28, 0.33]), links, w)
+    assert energy == pytest.approx(0.5 * 0.02**2 + 0.6 * 0.03**2)
