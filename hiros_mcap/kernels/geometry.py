@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from numba import njit
@@ -13,25 +14,29 @@ _STATE = 19
 
 
 @njit(cache=True, nogil=True)
-def _rotate(m, source, target, at):  # type: ignore[no-untyped-def]
-    x, y, z = source[at], source[at + 1], source[at + 2]
-    for k in range(3):
-        target[at + k] = m[k, 0] * x + m[k, 1] * y + m[k, 2] * z
-
-
-@njit(cache=True, nogil=True)
-def _move_state(xyzw, matrix, translation, source, target):  # type: ignore[no-untyped-def]
-    _rotate(matrix, source, target, 0)
-    for k in range(3):
-        target[k] += translation[k]
+def _move_state(xyzw, matrix, translation, source, target, p, n):  # type: ignore[no-untyped-def]
+    """Move state (p, n). Most of a state is absent: a NaN at the front stands for its vector."""
+    for at in (0, 7, 10, 13, 16):
+        x, y, z = source[p, n, at], source[p, n, at + 1], source[p, n, at + 2]
+        if math.isnan(x):
+            for k in range(3):
+                target[p, n, at + k] = x
+            continue
+        for k in range(3):
+            target[p, n, at + k] = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
+        if at == 0:
+            for k in range(3):
+                target[p, n, k] += translation[k]
+    bx, by, bz, bw = source[p, n, 3], source[p, n, 4], source[p, n, 5], source[p, n, 6]
+    if math.isnan(bx):
+        for k in range(3, 7):
+            target[p, n, k] = bx
+        return
     ax, ay, az, aw = xyzw[0], xyzw[1], xyzw[2], xyzw[3]
-    bx, by, bz, bw = source[3], source[4], source[5], source[6]
-    target[3] = aw * bx + ax * bw + ay * bz - az * by
-    target[4] = aw * by - ax * bz + ay * bw + az * bx
-    target[5] = aw * bz + ax * by - ay * bx + az * bw
-    target[6] = aw * bw - ax * bx - ay * by - az * bz
-    for at in range(7, _STATE, 3):
-        _rotate(matrix, source, target, at)
+    target[p, n, 3] = aw * bx + ax * bw + ay * bz - az * by
+    target[p, n, 4] = aw * by - ax * bz + ay * bw + az * bx
+    target[p, n, 5] = aw * bz + ax * by - ay * bx + az * bw
+    target[p, n, 6] = aw * bw - ax * bx - ay * by - az * bz
 
 
 @njit(
@@ -53,7 +58,7 @@ def move(
     moved_links: npt.NDArray[Any],
     moved_boxes: npt.NDArray[Any],
 ) -> None:
-    """Express KinematicStates in another frame (Hi-ROS eq. 5), NaN staying NaN.
+    """Express KinematicStates in another frame (Hi-ROS eq. 5); a vector that is NaN stays so.
 
     Positions are rotated and shifted; orientations are multiplied from the left; the linear and
     angular velocities and accelerations are rotated, which is exact for a frame at rest in the
@@ -66,11 +71,14 @@ def move(
     boxes : (P, 22).
     moved_markers, moved_links, moved_boxes : filled, shapes as above.
     """
-    for p in range(markers.shape[0]):
+    people = markers.shape[0]
+    box = boxes.reshape((people, 1, boxes.shape[1]))
+    moved_box = moved_boxes.reshape((people, 1, boxes.shape[1]))
+    for p in range(people):
         for m in range(markers.shape[1]):
-            _move_state(xyzw, matrix, translation, markers[p, m], moved_markers[p, m])
+            _move_state(xyzw, matrix, translation, markers, moved_markers, p, m)
         for n in range(links.shape[1]):
-            _move_state(xyzw, matrix, translation, links[p, n], moved_links[p, n])
-        _move_state(xyzw, matrix, translation, boxes[p], moved_boxes[p])
+            _move_state(xyzw, matrix, translation, links, moved_links, p, n)
+        _move_state(xyzw, matrix, translation, box, moved_box, p, 0)
         for k in range(_STATE, boxes.shape[1]):
             moved_boxes[p, k] = boxes[p, k]

@@ -15,52 +15,60 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.tracking import _exp, _norm3, _product, angle_between
+from hiros_mcap.kernels.tracking import angle_of, exponential, multiply, norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 KEPT, FLIPPED, RELABELLED = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
-def _compensate(dt: float, markers: Floats, links: Floats) -> None:
+def _compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
     """Carry a view to the merged time by its own velocities, in place.
 
     Cameras are not synchronised: at 3 m/s, views 16 ms apart disagree by 5 cm without this.
     """
-    step = np.empty(4)
-    for m in range(markers.shape[0]):
-        z = markers[m]
-        if not math.isnan(z[7]):
+    for m in range(markers.shape[1]):
+        if not math.isnan(markers[view, m, 7]):
             for c in range(3):
-                z[c] += dt * z[7 + c]
-    for m in range(links.shape[0]):
-        z = links[m]
-        if not math.isnan(z[7]):
+                markers[view, m, c] += dt * markers[view, m, 7 + c]
+    for m in range(links.shape[1]):
+        if not math.isnan(links[view, m, 7]):
             for c in range(3):
-                z[c] += dt * z[7 + c]
-        if not math.isnan(z[10]) and not math.isnan(z[3]):
-            _exp(dt * z[10], dt * z[11], dt * z[12], step)
-            _product(step, z[3:7], z[3:7])
+                links[view, m, c] += dt * links[view, m, 7 + c]
+        if not math.isnan(links[view, m, 10]) and not math.isnan(links[view, m, 3]):
+            step = exponential(
+                dt * links[view, m, 10], dt * links[view, m, 11], dt * links[view, m, 12]
+            )
+            q = (links[view, m, 3], links[view, m, 4], links[view, m, 5], links[view, m, 6])
+            q = multiply(step, q)
+            for c in range(4):
+                links[view, m, 3 + c] = q[c]
 
 
 @njit(cache=True, nogil=True)
-def _lateral(positions: Floats, pairs: Ints, out: Floats) -> bool:
-    """Direction from the left to the right side of a body, the mean over shoulders and hips."""
-    out[0] = out[1] = out[2] = 0.0
+def _dot4(a: Floats, i: int, b: Floats, j: int) -> float:
+    """Scalar product of rows of two (N, 4) arrays."""
+    return a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
+
+
+@njit(cache=True, nogil=True)
+def _lateral(poses: Floats, view: int, pairs: Ints, out: Floats, row: int) -> None:
+    """Write the direction from left to right, the mean over shoulders and hips; NaN if unknown."""
+    x = y = z = 0.0
     for i in range(pairs.shape[0]):
-        a, b = positions[pairs[i, 0]], positions[pairs[i, 1]]
-        x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        length = _norm3(x, y, z)
+        a, b = pairs[i, 0], pairs[i, 1]
+        dx = poses[view, b, 0] - poses[view, a, 0]
+        dy = poses[view, b, 1] - poses[view, a, 1]
+        dz = poses[view, b, 2] - poses[view, a, 2]
+        length = norm3(dx, dy, dz)
         if length > 1e-6:  # false for NaN
-            out[0] += x / length
-            out[1] += y / length
-            out[2] += z / length
-    length = _norm3(out[0], out[1], out[2])
+            x += dx / length
+            y += dy / length
+            z += dz / length
+    length = norm3(x, y, z)
     if length < 1e-6:
-        return False
-    for c in range(3):
-        out[c] /= length
-    return True
+        length = np.nan
+    out[row, 0], out[row, 1], out[row, 2] = x / length, y / length, z / length
 
 
 @njit("void(float64[:,::1], float64[:,::1], float64[:,::1])", cache=True, nogil=True)
@@ -76,10 +84,12 @@ def facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
         for b in range(n):
             d = np.nan
             if not (math.isnan(pelvis[a, 0]) or math.isnan(pelvis[b, 0])):
-                d = angle_between(pelvis[a], pelvis[b])
+                d = angle_of(_dot4(pelvis, a, pelvis, b))
             if not (math.isnan(sides[a, 0]) or math.isnan(sides[b, 0])):
                 dot = (
-                    sides[a, 0] * sides[b, 0] + sides[a, 1] * sides[b, 1] + sides[a, 2] * sides[b, 2]
+                    sides[a, 0] * sides[b, 0]
+                    + sides[a, 1] * sides[b, 1]
+                    + sides[a, 2] * sides[b, 2]
                 )
                 angle = math.acos(min(1.0, max(-1.0, dot)))
                 d = angle if math.isnan(d) else max(d, angle)
@@ -185,45 +195,51 @@ def _robust_mean(
 
 @njit(cache=True, nogil=True)
 def _mean(
-    views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats
+    views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats, p: int
 ) -> None:
     """Weighted mean of three columns over the views that have them; NaN where none has."""
     norm = x = y = z = 0.0
     for k in range(len(members)):
-        row = views[members[k], m]
-        if weights[k] > 0.0 and not math.isnan(row[first]):
+        v = members[k]
+        if weights[k] > 0.0 and not math.isnan(views[v, m, first]):
             norm += weights[k]
-            x += weights[k] * row[first]
-            y += weights[k] * row[first + 1]
-            z += weights[k] * row[first + 2]
+            x += weights[k] * views[v, m, first]
+            y += weights[k] * views[v, m, first + 1]
+            z += weights[k] * views[v, m, first + 2]
     if norm > 0.0:
-        out[first], out[first + 1], out[first + 2] = x / norm, y / norm, z / norm
+        x, y, z = x / norm, y / norm, z / norm
     else:
-        out[first] = out[first + 1] = out[first + 2] = np.nan
+        x = y = z = np.nan
+    out[p, m, first], out[p, m, first + 1], out[p, m, first + 2] = x, y, z
 
 
 @njit(cache=True, nogil=True)
 def _mean_turn(
-    views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats
+    views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats, p: int
 ) -> None:
     """Weighted mean of the orientations, signs aligned with member ``reference``."""
-    for c in range(4):
-        out[3 + c] = views[members[reference], m, 3 + c]
-    total = np.empty(4)
+    v = members[reference]
+    qx, qy, qz, qw = views[v, m, 3], views[v, m, 4], views[v, m, 5], views[v, m, 6]
     for _ in range(2):  # the second round aligns with the mean itself
-        for c in range(4):
-            total[c] = 0.0
+        x = y = z = w = 0.0
         for k in range(len(members)):
-            row = views[members[k], m]
-            if weights[k] <= 0.0 or math.isnan(row[3]):
+            v = members[k]
+            if weights[k] <= 0.0 or math.isnan(views[v, m, 3]):
                 continue
-            dot = row[3] * out[3] + row[4] * out[4] + row[5] * out[5] + row[6] * out[6]
-            w = weights[k] if dot >= 0.0 else -weights[k]
-            for c in range(4):
-                total[c] += w * row[3 + c]
-        norm = math.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2 + total[3] ** 2)
-        for c in range(4):
-            out[3 + c] = total[c] / norm
+            dot = (
+                views[v, m, 3] * qx
+                + views[v, m, 4] * qy
+                + views[v, m, 5] * qz
+                + views[v, m, 6] * qw
+            )
+            weight = weights[k] if dot >= 0.0 else -weights[k]
+            x += weight * views[v, m, 3]
+            y += weight * views[v, m, 4]
+            z += weight * views[v, m, 5]
+            w += weight * views[v, m, 6]
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        qx, qy, qz, qw = x / norm, y / norm, z / norm, w / norm
+    out[p, m, 3], out[p, m, 4], out[p, m, 5], out[p, m, 6] = qx, qy, qz, qw
 
 
 @njit(cache=True, nogil=True)
@@ -275,22 +291,20 @@ def _agree(here: Floats, usable: Flags, voter: bool, limit: float) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _aligned(
-    views: Floats, members: Stamps, m: int, past: Floats, first: int, voter: bool, near: float
-) -> bool:
+def _aligned(turns: Floats, usable: Flags, voter: bool, near: float) -> bool:
     """Whether all orientations lie near one of them, so that no vote is needed."""
-    centre = past if voter else views[members[first], m, 3:7]
-    for k in range(len(members)):
-        q = views[members[k], m, 3:7]
-        dot = q[0] * centre[0] + q[1] * centre[1] + q[2] * centre[2] + q[3] * centre[3]
-        if abs(dot) <= near:
+    n = len(usable)
+    centre = n if voter else _first(usable)
+    for k in range(n):
+        if usable[k] and abs(_dot4(turns, k, turns, centre)) <= near:
             return False
     return True
 
 
 @njit(
-    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1], float64[:,:,::1],"
-    " int64[::1], float64, float64, float64, float64, float64[:,::1], float64[::1], int64[::1])",
+    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1], float64[:,:,:,::1],"
+    " int64, int64[::1], float64, float64, float64, float64, int64, float64[:,:,::1],"
+    " float64[:,::1], int64[::1])",
     cache=True,
     nogil=True,
 )
@@ -300,11 +314,13 @@ def merge_markers(
     confidences: Floats,
     past: Floats,
     bias: Floats,
+    person: int,
     cameras: Stamps,
     limit: float,
     power: float,
     scale: float,
     learning: float,
+    p: int,
     out: Floats,
     out_confidences: Floats,
     outliers: Stamps,
@@ -315,11 +331,12 @@ def merge_markers(
     ----------
     members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
     past : (M, 3) previous merged pose at the merged time; NaN = no vote.
-    bias, cameras : (C, M, 3) of the person, and (N,) the camera of each view.
+    bias, person, cameras : (S, C, M, 3), the person's row in it, (N,) the camera of each view.
     limit : m, views closer than this agree; <= 0 turns the vote off.
     power : exponent of the confidences. scale : m, of the robust mean; <= 0 = plain eq 12.
     learning : fraction by which a camera's bias follows its offset; 0 = no bias.
-    out, out_confidences : (M, 19), (M,). outliers : (N,) votes lost per view, added to.
+    p, out, out_confidences : row of the outputs (P, M, 19), (P, M) to fill.
+    outliers : (N,) votes lost per view, added to.
     """
     n = len(members)
     apart = np.empty((n + 1, n + 1))
@@ -334,12 +351,12 @@ def merge_markers(
     for m in range(views.shape[1]):
         count = 0
         for k in range(n):
-            row = views[members[k], m]
-            usable[k] = not math.isnan(row[0])
+            v = members[k]
+            usable[k] = not math.isnan(views[v, m, 0])
             lost[k] = False
             count += int(usable[k])
             for c in range(3):
-                here[k, c] = row[c] - bias[cameras[members[k]], m, c]
+                here[k, c] = views[v, m, c] - bias[person, cameras[v], m, c]
         if count == 0:
             continue
         voter = not math.isnan(past[m, 0])
@@ -349,7 +366,7 @@ def merge_markers(
         if limit > 0.0 and not _agree(here, usable, voter, 0.5 * limit):
             for a in range(n + 1):
                 for b in range(n + 1):
-                    apart[a, b] = _norm3(
+                    apart[a, b] = norm3(
                         here[a, 0] - here[b, 0], here[a, 1] - here[b, 1], here[a, 2] - here[b, 2]
                     )
             if not voter:
@@ -366,23 +383,22 @@ def merge_markers(
             start[c] = here[n, c] if voter else here[best, c]
         _robust_mean(here, weights, start, scale, n, mean)
         for c in range(3):
-            out[m, c] = mean[c]
+            out[p, m, c] = mean[c]
         if not math.isnan(views[members[best], m, 6]):
-            _mean_turn(views, members, m, weights, best, out[m])
+            _mean_turn(views, members, m, weights, best, out, p)
         for first in (7, 10, 13, 16):
-            _mean(views, members, m, first, weights, out[m])
-        out_confidences[m] = _mean_confidence(members, confidences, m, weights)
+            _mean(views, members, m, first, weights, out, p)
+        out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
         for k in range(n):
             outliers[members[k]] += int(lost[k])
             if learning > 0.0 and usable[k]:
-                b = bias[cameras[members[k]], m]
                 for c in range(3):
-                    b[c] += learning * (here[k, c] - mean[c])
+                    bias[person, cameras[members[k]], m, c] += learning * (here[k, c] - mean[c])
 
 
 @njit(
     "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1],"
-    " float64, float64, float64[:,::1], float64[::1], int64[::1])",
+    " float64, float64, int64, float64[:,:,::1], float64[:,::1], int64[::1])",
     cache=True,
     nogil=True,
 )
@@ -393,6 +409,7 @@ def merge_links(
     past: Floats,
     limit: float,
     power: float,
+    p: int,
     out: Floats,
     out_confidences: Floats,
     outliers: Stamps,
@@ -405,6 +422,7 @@ def merge_links(
     n = len(members)
     apart = np.empty((n + 1, n + 1))
     alone = np.empty((n, n))
+    turns = np.empty((n + 1, 4))
     weights = np.empty(n)
     usable = np.empty(n, np.bool_)
     lost = np.empty(n, np.bool_)
@@ -413,35 +431,37 @@ def merge_links(
     for m in range(views.shape[1]):
         turned = 0
         for k in range(n):
-            usable[k] = not math.isnan(views[members[k], m, 3])
+            v = members[k]
+            usable[k] = not math.isnan(views[v, m, 3])
             lost[k] = False
             turned += int(usable[k])
+            for c in range(4):
+                turns[k, c] = views[v, m, 3 + c]
         if turned == 0:
             for k in range(n):
-                row = views[members[k], m]
-                usable[k] = not (math.isnan(row[0]) and math.isnan(confidences[members[k], m]))
+                v = members[k]
+                usable[k] = not (math.isnan(views[v, m, 0]) and math.isnan(confidences[v, m]))
         _weigh(members, powers, m, usable, weights)
         if turned > 0:
             voter = not math.isnan(past[m, 0])
+            for c in range(4):
+                turns[n, c] = past[m, c]
             best = _first(usable)
-            if limit > 0.0 and not _aligned(views, members, m, past[m], best, voter, near):
+            if limit > 0.0 and not _aligned(turns, usable, voter, near):
                 for a in range(n + 1):
-                    qa = past[m] if a == n else views[members[a], m, 3:7]
                     for b in range(a + 1):
-                        qb = past[m] if b == n else views[members[b], m, 3:7]
-                        unknown = math.isnan(qa[0]) or math.isnan(qb[0])
-                        apart[a, b] = np.nan if unknown else angle_between(qa, qb)
-                        apart[b, a] = apart[a, b]
+                        dot = _dot4(turns, a, turns, b)
+                        apart[a, b] = apart[b, a] = np.nan if math.isnan(dot) else angle_of(dot)
                 if not voter:
                     for a in range(n):
                         for b in range(n):
                             alone[a, b] = apart[a, b]
                 best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
                 _weigh(members, powers, m, usable, weights)
-            _mean_turn(views, members, m, weights, best, out[m])
+            _mean_turn(views, members, m, weights, best, out, p)
         for first in (0, 7, 10, 13, 16):
-            _mean(views, members, m, first, weights, out[m])
-        out_confidences[m] = _mean_confidence(members, confidences, m, weights)
+            _mean(views, members, m, first, weights, out, p)
+        out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
         for k in range(n):
             outliers[members[k]] += int(lost[k])
 
@@ -483,12 +503,12 @@ def _mend(
     both = 0
     n_markers = markers.shape[1]
     for m in range(n_markers):
-        d = _norm3(
+        d = norm3(
             markers[view, m, 0] - reference[m, 0],
             markers[view, m, 1] - reference[m, 1],
             markers[view, m, 2] - reference[m, 2],
         )
-        s = _norm3(
+        s = norm3(
             markers[view, mirror[m], 0] - reference[m, 0],
             markers[view, mirror[m], 1] - reference[m, 1],
             markers[view, mirror[m], 2] - reference[m, 2],
@@ -540,16 +560,14 @@ def _settle_flips(
     trust = np.zeros(n)
     for k in range(n):
         view = members[k]
-        if not _lateral(markers[view], pairs, sides[k]):
-            sides[k, 0] = np.nan
+        _lateral(markers, view, pairs, sides, k)
         if pelvis >= 0:
             for c in range(4):
                 turns[k, c] = links[view, pelvis, 3 + c]
         for m in range(confidences.shape[1]):
             trust[k] += 1.0 if math.isnan(confidences[view, m]) else confidences[view, m]
     if has_past:
-        if not _lateral(past, pairs, sides[n]):
-            sides[n, 0] = np.nan
+        _lateral(past.reshape((1, past.shape[0], 3)), 0, pairs, sides, n)
         if pelvis >= 0:
             for c in range(4):
                 turns[n, c] = past_turn[pelvis, c]
@@ -569,12 +587,12 @@ def _settle_flips(
         for m in range(past.shape[0]):
             count = x = y = z = 0.0
             for k in range(n):
-                row = markers[members[k], m]
-                if right[k] and not math.isnan(row[0]):
+                v = members[k]
+                if right[k] and not math.isnan(markers[v, m, 0]):
                     count += 1.0
-                    x += row[0]
-                    y += row[1]
-                    z += row[2]
+                    x += markers[v, m, 0]
+                    y += markers[v, m, 1]
+                    z += markers[v, m, 2]
             if count > 0.0:
                 reference[m, 0], reference[m, 1], reference[m, 2] = x / count, y / count, z / count
     for k in range(n):
@@ -643,7 +661,7 @@ def fuse(
     no_pairs = pairs[:0]
     if numbers[11] > 0.0:
         for k in range(len(delays)):
-            _compensate(delays[k], markers[k], links[k])
+            _compensate(k, delays[k], markers, links)
     for p in range(len(rows)):
         members = np.nonzero(person_of == p)[0]
         if len(members) == 0:
@@ -679,12 +697,12 @@ def fuse(
         if numbers[12] > 0.0 and fresh:
             learning = 1.0 - math.exp(-max(age, 0.0) / numbers[12])
         merge_markers(
-            members, markers, confidences, past, bias[row], cameras, numbers[1], numbers[4],
-            numbers[5], learning, out[p], out_confidences[p], outliers,
+            members, markers, confidences, past, bias, row, cameras, numbers[1], numbers[4],
+            numbers[5], learning, p, out, out_confidences, outliers,
         )  # fmt: skip
         merge_links(
-            members, links, link_confidences, past_turn, numbers[2], numbers[4], out_links[p],
-            out_link_confidences[p], outliers,
+            members, links, link_confidences, past_turn, numbers[2], numbers[4], p, out_links,
+            out_link_confidences, outliers,
         )  # fmt: skip
         seen[row] = stamp
         for m in range(n_markers):

@@ -22,33 +22,36 @@ _INFINITE = 1e18
 _NOT_MIRRORED = 0.1  # m: a body whose sides are swapped is farther than this from its track
 
 
-@njit(cache=True, nogil=True)
-def _product(a: Floats, b: Floats, out: Floats) -> None:
-    """Quaternion product ``out = a b``; x y z w."""
-    x = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1]
-    y = a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0]
-    z = a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3]
-    w = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2]
-    out[0], out[1], out[2], out[3] = x, y, z, w
+Quaternion = tuple[float, float, float, float]
 
 
 @njit(cache=True, nogil=True)
-def _exp(rx: float, ry: float, rz: float, out: Floats) -> None:
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Quaternion product; x y z w. Tuples, since a view of an array costs more than the product."""
+    return (
+        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+    )
+
+
+@njit(cache=True, nogil=True)
+def exponential(x: float, y: float, z: float) -> Quaternion:
     """Quaternion of a rotation vector, rad."""
-    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    angle = math.sqrt(x * x + y * y + z * z)
     s = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-    out[0], out[1], out[2], out[3] = s * rx, s * ry, s * rz, math.cos(0.5 * angle)
+    return s * x, s * y, s * z, math.cos(0.5 * angle)
 
 
 @njit(cache=True, nogil=True)
-def angle_between(a: Floats, b: Floats) -> float:
-    """Rotation angle between two unit quaternions, eq 10, in [0, pi]."""
-    dot = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
-    return 2.0 * math.acos(min(1.0, dot))
+def angle_of(dot: float) -> float:
+    """Rotation angle between unit quaternions of this scalar product, eq 10, in [0, pi]."""
+    return 2.0 * math.acos(min(1.0, abs(dot)))
 
 
 @njit(cache=True, nogil=True)
-def _norm3(x: float, y: float, z: float) -> float:
+def norm3(x: float, y: float, z: float) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
@@ -75,7 +78,6 @@ def predict(
     Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
     Unseen markers and links become NaN. Outputs are (len(rows), M, 3) and (len(rows), L, 4).
     """
-    step = np.empty(4)
     for i in range(len(rows)):
         row = rows[i]
         for m in range(motion.shape[1]):
@@ -92,17 +94,20 @@ def predict(
                     out_turns[i, k, c] = np.nan
                 continue
             dt = min(max((stamp - turn_seen[row, k]) * 1e-9, 0.0), horizon)
-            w = spin[row, k, 0]
-            _exp(dt * w[0], dt * w[1], dt * w[2], step)
-            _product(step, turn[row, k], out_turns[i, k])
+            step = exponential(
+                dt * spin[row, k, 0, 0], dt * spin[row, k, 0, 1], dt * spin[row, k, 0, 2]
+            )
+            q = (turn[row, k, 0], turn[row, k, 1], turn[row, k, 2], turn[row, k, 3])
+            turned = multiply(step, q)
+            for c in range(4):
+                out_turns[i, k, c] = turned[c]
 
 
 @njit(cache=True, nogil=True)
 def _slow_down(velocities: Floats, decay: float, out: Floats) -> None:
     """Velocity weight of eq 11 for each row."""
     for m in range(velocities.shape[0]):
-        v = velocities[m]
-        out[m] = (1.0 + _norm3(v[0], v[1], v[2])) ** -decay
+        out[m] = (1.0 + norm3(velocities[m, 0], velocities[m, 1], velocities[m, 2])) ** -decay
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +121,7 @@ def _marker_distance(
     norm = 0.0
     common = 0
     for m in range(positions.shape[0]):
-        d = _norm3(
+        d = norm3(
             positions[m, 0] - markers[m, 0],
             positions[m, 1] - markers[m, 1],
             positions[m, 2] - markers[m, 2],
@@ -130,7 +135,7 @@ def _marker_distance(
         norm += weight
         total += weight * d
         if velocity_weight > 0.0 and not math.isnan(markers[m, 7]):
-            d += velocity_weight * _norm3(
+            d += velocity_weight * norm3(
                 motion[m, 1, 0] - markers[m, 7],
                 motion[m, 1, 1] - markers[m, 8],
                 motion[m, 1, 2] - markers[m, 9],
@@ -151,7 +156,7 @@ def _mirrored_distance(
     norm = 0.0
     for m in range(positions.shape[0]):
         other = mirror[m]
-        d = _norm3(
+        d = norm3(
             positions[m, 0] - markers[other, 0],
             positions[m, 1] - markers[other, 1],
             positions[m, 2] - markers[other, 2],
@@ -180,10 +185,15 @@ def _link_distance(
         weight = weights[k]
         if by_confidence and not math.isnan(confidences[k]):
             weight *= confidences[k]
-        d = angle_between(turns[k], links[k, 3:7])
+        d = angle_of(
+            turns[k, 0] * links[k, 3]
+            + turns[k, 1] * links[k, 4]
+            + turns[k, 2] * links[k, 5]
+            + turns[k, 3] * links[k, 6]
+        )
         common += 1
         if velocity_weight > 0.0 and not math.isnan(links[k, 10]):
-            d += velocity_weight * _norm3(
+            d += velocity_weight * norm3(
                 spin[k, 0, 0] - links[k, 10],
                 spin[k, 0, 1] - links[k, 11],
                 spin[k, 0, 2] - links[k, 12],
@@ -385,44 +395,57 @@ def associate(
 
 
 @njit(cache=True, nogil=True)
-def _grow(p: Floats, dt: float, jerk: float) -> None:
+def _grow(spread: Floats, row: int, m: int, dt: float, jerk: float) -> None:
     """Covariance prediction of a constant-acceleration state driven by white jerk."""
-    p00, p01, p02, p11, p12, p22 = p[0], p[1], p[2], p[3], p[4], p[5]
+    p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
+    p11, p12, p22 = spread[row, m, 3], spread[row, m, 4], spread[row, m, 5]
     h = 0.5 * dt * dt
     q = jerk * jerk
     dt2 = dt * dt
     dt3 = dt2 * dt
-    p[0] = (
+    spread[row, m, 0] = (
         p00 + 2 * dt * p01 + 2 * h * p02 + dt2 * p11 + 2 * dt * h * p12 + h * h * p22
         + q * dt3 * dt2 / 20
     )  # fmt: skip
-    p[1] = p01 + dt * p02 + dt * p11 + (dt2 + h) * p12 + dt * h * p22 + q * dt2 * dt2 / 8
-    p[2] = p02 + dt * p12 + h * p22 + q * dt3 / 6
-    p[3] = p11 + 2 * dt * p12 + dt2 * p22 + q * dt3 / 3
-    p[4] = p12 + dt * p22 + q * dt2 / 2
-    p[5] = p22 + q * dt
+    spread[row, m, 1] = (
+        p01 + dt * p02 + dt * p11 + (dt2 + h) * p12 + dt * h * p22 + q * dt2 * dt2 / 8
+    )
+    spread[row, m, 2] = p02 + dt * p12 + h * p22 + q * dt3 / 6
+    spread[row, m, 3] = p11 + 2 * dt * p12 + dt2 * p22 + q * dt3 / 3
+    spread[row, m, 4] = p12 + dt * p22 + q * dt2 / 2
+    spread[row, m, 5] = p22 + q * dt
 
 
 @njit(cache=True, nogil=True)
-def _absorb(p: Floats, noise: float, error: float, gate: float) -> tuple[float, float, float]:
-    """Kalman gain for an innovation of length ``error``; ``p`` becomes the posterior covariance.
+def _start(spread: Floats, row: int, m: int, noise: float, speed: float, boost: float) -> None:
+    """Covariance of a state of which only the position is known."""
+    for c in range(6):
+        spread[row, m, c] = 0.0
+    spread[row, m, 0], spread[row, m, 3], spread[row, m, 5] = noise, speed, boost
+
+
+@njit(cache=True, nogil=True)
+def _absorb(
+    spread: Floats, row: int, m: int, noise: float, error: float, gate: float
+) -> tuple[float, float, float]:
+    """Kalman gain for an innovation of length ``error``; the covariance becomes the posterior.
 
     An innovation beyond ``gate`` standard deviations gets its noise inflated until it lies on the
     gate (as eq 10 of Malaguti 2019 does): a guessed joint moves the track a little, not at all a
     real fast motion, whose innovations agree with each other.
     """
-    total = p[0] + noise
+    p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
+    total = p00 + noise
     excess = error * error / (gate * gate * total)
     if excess > 1.0:
         total *= excess
-    k0, k1, k2 = p[0] / total, p[1] / total, p[2] / total
-    p00, p01, p02 = p[0], p[1], p[2]
-    p[0] -= k0 * p00
-    p[1] -= k0 * p01
-    p[2] -= k0 * p02
-    p[3] -= k1 * p01
-    p[4] -= k1 * p02
-    p[5] -= k2 * p02
+    k0, k1, k2 = p00 / total, p01 / total, p02 / total
+    spread[row, m, 0] -= k0 * p00
+    spread[row, m, 1] -= k0 * p01
+    spread[row, m, 2] -= k0 * p02
+    spread[row, m, 3] -= k1 * p01
+    spread[row, m, 4] -= k1 * p02
+    spread[row, m, 5] -= k2 * p02
     return k0, k1, k2
 
 
@@ -435,7 +458,7 @@ def _update_markers(
     spread: Floats,
     seen: Stamps,
     markers: Floats,
-    marker_confidences: Floats,
+    confidences: Floats,
     flipped: bool,
     mirror: Ints,
     numbers: Floats,
@@ -444,56 +467,57 @@ def _update_markers(
     gate, fastest = numbers[5], numbers[6]
     for m in range(motion.shape[1]):
         slot = mirror[m] if flipped else m
-        z = markers[person, slot]
-        if math.isnan(z[0]):
+        if math.isnan(markers[person, slot, 0]):
             continue
-        x = motion[row, m]
-        p = spread[row, m]
         dt = (stamp - seen[row, m]) * 1e-9
-        confidence = marker_confidences[person, slot]
         noise = position_noise * position_noise
-        if not math.isnan(confidence):
-            noise /= max(confidence, 0.05)
+        if not math.isnan(confidences[person, slot]):
+            noise /= max(confidences[person, slot], 0.05)
         if seen[row, m] == 0 or dt > 4.0 * horizon:
             for c in range(3):
-                x[0, c] = z[c]
-                x[1, c] = 0.0
-                x[2, c] = 0.0
-            p[0], p[1], p[2], p[3], p[4], p[5] = noise, 0.0, 0.0, 1.0, 0.0, 25.0
+                motion[row, m, 0, c] = markers[person, slot, c]
+                motion[row, m, 1, c] = motion[row, m, 2, c] = 0.0
+            _start(spread, row, m, noise, 1.0, 25.0)
             seen[row, m] = stamp
         else:
             if dt > 0.0:
-                if dt > horizon:
-                    for c in range(3):
-                        x[2, c] = 0.0
                 reach = min(dt, horizon)
                 for c in range(3):
-                    x[0, c] += reach * (x[1, c] + 0.5 * reach * x[2, c])
-                    x[1, c] += reach * x[2, c]
-                _grow(p, dt, jerk)
+                    if dt > horizon:
+                        motion[row, m, 2, c] = 0.0
+                    boost = motion[row, m, 2, c]
+                    motion[row, m, 0, c] += reach * (motion[row, m, 1, c] + 0.5 * reach * boost)
+                    motion[row, m, 1, c] += reach * boost
+                _grow(spread, row, m, dt, jerk)
                 seen[row, m] = stamp
-            ex, ey, ez = z[0] - x[0, 0], z[1] - x[0, 1], z[2] - x[0, 2]
-            k0, k1, k2 = _absorb(p, noise, _norm3(ex, ey, ez), gate)
-            x[0, 0] += k0 * ex
-            x[0, 1] += k0 * ey
-            x[0, 2] += k0 * ez
-            x[1, 0] += k1 * ex
-            x[1, 1] += k1 * ey
-            x[1, 2] += k1 * ez
-            x[2, 0] += k2 * ex
-            x[2, 1] += k2 * ey
-            x[2, 2] += k2 * ez
-            speed = _norm3(x[1, 0], x[1, 1], x[1, 2])
+            ex = markers[person, slot, 0] - motion[row, m, 0, 0]
+            ey = markers[person, slot, 1] - motion[row, m, 0, 1]
+            ez = markers[person, slot, 2] - motion[row, m, 0, 2]
+            k = _absorb(spread, row, m, noise, norm3(ex, ey, ez), gate)
+            for order in range(3):
+                motion[row, m, order, 0] += k[order] * ex
+                motion[row, m, order, 1] += k[order] * ey
+                motion[row, m, order, 2] += k[order] * ez
+            speed = norm3(motion[row, m, 1, 0], motion[row, m, 1, 1], motion[row, m, 1, 2])
             if speed > fastest:
                 for c in range(3):
-                    x[1, c] *= fastest / speed
-                    x[2, c] = 0.0
-        if math.isnan(z[7]):
+                    motion[row, m, 1, c] *= fastest / speed
+                    motion[row, m, 2, c] = 0.0
+        if math.isnan(markers[person, slot, 7]):
             for c in range(3):
-                z[7 + c] = x[1, c]
-        if math.isnan(z[13]):
+                markers[person, slot, 7 + c] = motion[row, m, 1, c]
+        if math.isnan(markers[person, slot, 13]):
             for c in range(3):
-                z[13 + c] = x[2, c]
+                markers[person, slot, 13 + c] = motion[row, m, 2, c]
+
+
+@njit(cache=True, nogil=True)
+def _rotation_vector(q: Quaternion) -> tuple[float, float, float]:
+    """Rotation vector, rad, along the shortest path, of a unit quaternion."""
+    sign = 1.0 if q[3] >= 0.0 else -1.0
+    sine = norm3(q[0], q[1], q[2])
+    scale = 2.0 * sign if sine < 1e-9 else 2.0 * sign * math.atan2(sine, abs(q[3])) / sine
+    return scale * q[0], scale * q[1], scale * q[2]
 
 
 @njit(cache=True, nogil=True)
@@ -503,72 +527,56 @@ def _update_links(
     person: int,
     turn: Floats,
     spin: Floats,
-    turn_spread: Floats,
-    turn_seen: Stamps,
+    spread: Floats,
+    seen: Stamps,
     links: Floats,
     numbers: Floats,
 ) -> None:
     horizon, orientation_noise, angular_jerk, gate = numbers[0], numbers[3], numbers[4], numbers[5]
-    error = np.empty(4)
-    inverse = np.empty(4)
+    noise = orientation_noise * orientation_noise
     for k in range(turn.shape[1]):
-        z = links[person, k]
-        if math.isnan(z[3]):
+        if math.isnan(links[person, k, 3]):
             continue
-        q = turn[row, k]
-        w = spin[row, k]
-        p = turn_spread[row, k]
-        dt = (stamp - turn_seen[row, k]) * 1e-9
-        noise = orientation_noise * orientation_noise
-        if turn_seen[row, k] == 0 or dt > 4.0 * horizon:
+        z = (links[person, k, 3], links[person, k, 4], links[person, k, 5], links[person, k, 6])
+        dt = (stamp - seen[row, k]) * 1e-9
+        if seen[row, k] == 0 or dt > 4.0 * horizon:
             for c in range(4):
-                q[c] = z[3 + c]
+                turn[row, k, c] = z[c]
             for c in range(3):
-                w[0, c] = 0.0
-                w[1, c] = 0.0
-            p[0], p[1], p[2], p[3], p[4], p[5] = noise, 0.0, 0.0, 4.0, 0.0, 100.0
-            turn_seen[row, k] = stamp
+                spin[row, k, 0, c] = spin[row, k, 1, c] = 0.0
+            _start(spread, row, k, noise, 4.0, 100.0)
+            seen[row, k] = stamp
         else:
+            q = (turn[row, k, 0], turn[row, k, 1], turn[row, k, 2], turn[row, k, 3])
             if dt > 0.0:
                 reach = min(dt, horizon)
-                _exp(
-                    reach * (w[0, 0] + 0.5 * reach * w[1, 0]),
-                    reach * (w[0, 1] + 0.5 * reach * w[1, 1]),
-                    reach * (w[0, 2] + 0.5 * reach * w[1, 2]),
-                    error,
+                q = multiply(
+                    exponential(
+                        reach * (spin[row, k, 0, 0] + 0.5 * reach * spin[row, k, 1, 0]),
+                        reach * (spin[row, k, 0, 1] + 0.5 * reach * spin[row, k, 1, 1]),
+                        reach * (spin[row, k, 0, 2] + 0.5 * reach * spin[row, k, 1, 2]),
+                    ),
+                    q,
                 )
-                _product(error, q, q)
                 for c in range(3):
-                    w[0, c] += reach * w[1, c]
-                _grow(p, dt, angular_jerk)
-                turn_seen[row, k] = stamp
-            inverse[0], inverse[1], inverse[2], inverse[3] = -q[0], -q[1], -q[2], q[3]
-            _product(z[3:7], inverse, error)
-            if error[3] < 0.0:
-                for c in range(4):
-                    error[c] = -error[c]
-            sine = _norm3(error[0], error[1], error[2])
-            angle = 2.0 * math.atan2(sine, error[3])
-            scale = 2.0 if sine < 1e-9 else angle / sine
-            ex, ey, ez = scale * error[0], scale * error[1], scale * error[2]
-            k0, k1, k2 = _absorb(p, noise, angle, gate)
-            _exp(k0 * ex, k0 * ey, k0 * ez, error)
-            _product(error, q, q)
+                    spin[row, k, 0, c] += reach * spin[row, k, 1, c]
+                _grow(spread, row, k, dt, angular_jerk)
+                seen[row, k] = stamp
+            e = _rotation_vector(multiply(z, (-q[0], -q[1], -q[2], q[3])))
+            gain = _absorb(spread, row, k, noise, norm3(e[0], e[1], e[2]), gate)
+            q = multiply(exponential(gain[0] * e[0], gain[0] * e[1], gain[0] * e[2]), q)
             norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
             for c in range(4):
-                q[c] /= norm
-            w[0, 0] += k1 * ex
-            w[0, 1] += k1 * ey
-            w[0, 2] += k1 * ez
-            w[1, 0] += k2 * ex
-            w[1, 1] += k2 * ey
-            w[1, 2] += k2 * ez
-        if math.isnan(z[10]):
+                turn[row, k, c] = q[c] / norm
             for c in range(3):
-                z[10 + c] = w[0, c]
-        if math.isnan(z[16]):
+                spin[row, k, 0, c] += gain[1] * e[c]
+                spin[row, k, 1, c] += gain[2] * e[c]
+        if math.isnan(links[person, k, 10]):
             for c in range(3):
-                z[16 + c] = w[1, c]
+                links[person, k, 10 + c] = spin[row, k, 0, c]
+        if math.isnan(links[person, k, 16]):
+            for c in range(3):
+                links[person, k, 16 + c] = spin[row, k, 1, c]
 
 
 @njit(
