@@ -182,12 +182,15 @@ def _entry(params: Params, name: str, schema: Mapping[str, Any]) -> str:
     field = type(params).model_fields[name]
     value, default = getattr(params, name), field.get_default(call_default_factory=True)
     allowed = _allowed(schema)
-    text = " ".join(
-        [*(field.description or "").split(), *([f"Allowed: {allowed}."] * bool(allowed))]
-    )
+    remarks = [" ".join((field.description or "").split())]
+    if allowed:
+        remarks.append(f"Allowed: {allowed}.")
     if value != default:
-        text += f" Default: {_toml(default)}."
-    comment = textwrap.fill(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
+        remarks.append(f"Default: {_toml(default)}.")
+    comment = "\n".join(
+        textwrap.fill(remark, WIDTH, initial_indent="# ", subsequent_indent="# ")
+        for remark in remarks
+    )
     line = f"# {name} is not set" if value is None else f"{name} = {_toml(value)}"
     return f"{comment}\n{line}\n"
 

@@ -1,0 +1,117 @@
+"""``hiros info``, ``simulate``, ``config`` and ``warmup`` from outside."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.config import load_config
+from hiros_mcap.log import open_log
+from hiros_mcap.simulate import SimulateParams
+
+
+@pytest.fixture(autouse=True)
+def _signals() -> Iterator[None]:
+    """Give pytest its signal handlers back after a run in this process."""
+    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {name: signal.getsignal(name) for name in names}
+    yield
+    for name, handler in before.items():
+        signal.signal(name, handler)
+
+
+def test_info_tells_cameras_frames_and_skeleton(
+    crossing: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["info", str(crossing)]) == 0
+    text = capsys.readouterr().out
+    assert "32 markers, 31 links" in text
+    assert "fixed frame: world" in text
+    assert text.count("(resolved)") == 3
+
+
+def test_info_as_json(crossing: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(crossing), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["fixed_frame"] == "world"
+    assert len(data["markers"]) == 32
+    for camera in data["cameras"]:
+        assert camera["most_people"] == 2
+        assert 25 < camera["rate_hz"] <= 30.5
+        assert camera["frame"] == camera["name"]
+
+
+def test_info_says_which_frame_does_not_resolve(
+    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    extrinsics = tmp_path / "cameras.toml"
+    poses = "translation = [0.0, 0.0, 2.5]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
+    names = ("camera_0", "camera_1")
+    extrinsics.write_text("".join(f'[[camera]]\nframe = "{name}"\n{poses}' for name in names))
+    assert run(["info", str(crossing), "--extrinsics", str(extrinsics), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["fixed_frame"] == ""
+    assert "camera_2" in data["fault"]
+
+
+def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path: Path) -> None:
+    options = ["--seconds", "0.5", "--people", "1", "--cameras", "2", "--seed", "3", "-q"]
+    for name in ("a.mcap", "b.mcap"):
+        assert run(["simulate", str(tmp_path / name), *options]) == 0
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    with open_log(tmp_path / "a.mcap") as log:
+        assert len(log.cameras) == 2
+        assert log.fixed_frame == "world"
+        assert any(frame.n_people == 1 for frame in log.frames())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--people", "99"], "--people: should be less than or equal to 10, is 99"),
+        (["--action", "fly"], "--action: should be 'walk', 'squat'"),
+        (["--rate", "0"], "--rate: should be greater than 0"),
+        (["--seconds", "many"], "Invalid value for '--seconds'"),
+    ],
+)
+def test_simulate_refuses_in_one_line(
+    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["simulate", str(tmp_path / "out.mcap"), *options]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_help_of_simulate_states_the_defaults_that_hold(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["simulate", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    stated = dict(re.findall(r"--([a-z-]+) (?:(?!--).)*?\[default: \(([^)]*)\)\]", text))
+    defaults = SimulateParams()
+    assert float(stated.pop("rate")) == defaults.rig.rate
+    for name, value in stated.items():
+        default = getattr(defaults, name.replace("-", "_"))
+        assert value == default or float(value) == default
+    assert len(stated) == 12
+
+
+def test_config_prints_what_config_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["config", "--preset", "paper", "--set", "filter.cutoff=5"]) == 0
+    path = tmp_path / "hiros.toml"
+    path.write_text(capsys.readouterr().out)
+    assert load_config(path) == load_config(overrides=["filter.cutoff=5"], preset="paper")
+
+
+def test_warmup_says_when_it_is_done(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["warmup"]) == 0
+    assert capsys.readouterr().out.startswith("kernels ready after ")

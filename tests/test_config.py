@@ -1,0 +1,116 @@
+"""Layers of parameters, what is refused, and TOML that reads back."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from hiros_mcap.config import PRESETS, Config, load_config, to_toml
+from hiros_mcap.errors import ConfigError
+
+
+def test_without_anything_the_defaults_hold() -> None:
+    assert load_config() == Config()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_valid_and_reads_back(preset: str, tmp_path: Path) -> None:
+    config = load_config(preset=preset)
+    path = tmp_path / "hiros.toml"
+    path.write_text(to_toml(config))
+    assert load_config(path) == config
+
+
+def test_every_parameter_is_printed_with_its_documentation() -> None:
+    text = to_toml(Config())
+    printed = tomllib.loads(text)
+    for section in Config.model_fields:
+        params = getattr(Config(), section)
+        assert set(printed[section]) == set(type(params).model_fields)
+        for name, field in type(params).model_fields.items():
+            assert field.description, f"{section}.{name} has no description"
+
+
+def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:
+    path = tmp_path / "hiros.toml"
+    path.write_text("[merge]\nmax_delta_time = 0.02\n[filter]\ncutoff = 7\n")
+    config = load_config(path, ["filter.cutoff=8"], "paper")
+    assert config.merge.max_delta_time == 0.02
+    assert config.filter.cutoff == 8.0
+
+
+@pytest.mark.parametrize(
+    ("assignment", "section", "name", "value"),
+    [
+        ("filter.order=3", "filter", "order", 3),
+        ("merge.facing=pelvis", "merge", "facing", "pelvis"),
+        ("merge.facing='pelvis'", "merge", "facing", "pelvis"),
+        ("merge.past_votes=false", "merge", "past_votes", False),
+        (" merge.bridge = 0.5 ", "merge", "bridge", 0.5),
+        ("input.fixed_frame=lab/floor", "input", "fixed_frame", "lab/floor"),
+        (
+            "optimize.calibration_windows=[[1, 2], [3, 4]]",
+            "optimize",
+            "calibration_windows",
+            ((1.0, 2.0), (3.0, 4.0)),
+        ),
+    ],
+)
+def test_assignments(assignment: str, section: str, name: str, value: object) -> None:
+    assert getattr(getattr(load_config(overrides=[assignment]), section), name) == value
+
+
+@pytest.mark.parametrize(
+    ("assignment", "said"),
+    [
+        ("merge.max_delta_tim=1", "--set: no parameter merge.max_delta_tim; did you mean merge.ma"),
+        ("marge.max_delta_time=1", "--set: no section 'marge'; did you mean merge? (there are: in"),
+        ("filter.cutoff=-1", "--set: filter.cutoff: should be greater than 0, is -1"),
+        ("filter.cutoff=fast", "--set: filter.cutoff: should be a valid number, "),
+        ("filter.method=x", "--set: filter.method: should be 'state_space' or 'butterworth', is"),
+        ("filter.order=4", "--set: filter: order of a state-space filter must be 2 or 3"),
+        ("cutoff=4", "--set: 'cutoff=4' is not of the form stage.param=value"),
+        ("filter.cutoff", "--set: 'filter.cutoff' is not of the form stage.param=value"),
+    ],
+)
+def test_a_wrong_assignment_says_what_would_be_right(assignment: str, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(overrides=[assignment])
+    assert str(caught.value).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"[filter]\ncutof = 4\n", "no parameter filter.cutof; did you mean filter.cutoff?"),
+        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than 0, is 0"),
+        (b"filter = 4\n", "filter is a section, not a value"),
+        (b"[filter\n", "not TOML: "),
+        (b"\xff", "not TOML: "),
+        (b"a = " + b"[" * 100_000, "not TOML: "),
+        (b"#" * (1 << 21), "larger than"),
+    ],
+)
+def test_a_wrong_file_is_named_with_its_fault(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "hiros.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"missing\.toml: No such file"):
+        load_config(tmp_path / "missing.toml")
+
+
+def test_an_unknown_preset_lists_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match=r"did you mean paper\? .there are: default, realtime"):
+        load_config(preset="papr")
+
+
+def test_a_changed_parameter_shows_its_default_too() -> None:
+    text = to_toml(load_config(overrides=["filter.cutoff=8"]))
+    assert "# Default: 4.5.\ncutoff = 8.0\n" in text
