@@ -569,13 +569,18 @@ def _turn(state: Floats, u: Floats, v: Floats, dot: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _move(state: Floats, p: Floats, c: Floats, new_p: Floats, new_c: Floats, turning: bool) -> None:
-    """Carry a link's position, and orientation if asked, from the ends p, c to new_p, new_c."""
+def _move(
+    state: Floats, p: Floats, c: Floats, new_p: Floats, new_c: Floats, turning: bool, work: Floats
+) -> None:
+    """Carry a link's position, and orientation if asked, from the ends p, c to new_p, new_c.
+
+    ``work`` (2, 3) holds the two directions.
+    """
     length, new_length = _distance(p, c), _distance(new_p, new_c)
     if not (length > 1e-9 and new_length > 1e-9):
         return
     share = dot = 0.0
-    u, v = np.empty(3), np.empty(3)
+    u, v = work[0], work[1]
     for x in range(3):
         u[x], v[x] = (c[x] - p[x]) / length, (new_c[x] - new_p[x]) / new_length
         share += u[x] * (state[x] - p[x]) / length
@@ -611,6 +616,7 @@ def apply(
     ``turning`` it is also turned by the least rotation that takes its measured direction to the
     solved one. With ``remove``, outliers and the links that touch them become absent.
     """
+    work = np.empty((2, 3))
     for i in range(solved.shape[0]):
         for k in range(links.shape[0]):
             p, c = links[k, 0], links[k, 1]
@@ -622,7 +628,8 @@ def apply(
                 link_confidences[i, k] = np.nan
             elif weights[i, k, 0] + weights[i, k, 3] > 0.0:
                 _move(
-                    states[i, k], markers[i, p], markers[i, c], solved[i, p], solved[i, c], turning
+                    states[i, k], markers[i, p], markers[i, c], solved[i, p], solved[i, c],
+                    turning, work,
                 )  # fmt: skip
         for m in range(markers.shape[1]):
             if remove and outlier[i, m]:

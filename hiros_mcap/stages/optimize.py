@@ -5,17 +5,24 @@ that contradict them, and the pose of least energy (eq. 14 to 19).
 
 The markers are the only unknowns. E_o needs an orientation of a link, and a link's direction is
 the part of it that markers determine: turning a bone about itself moves neither of its ends. So
-phi is the angle between a link's direction before and after, and afterwards the link's quaternion
-is turned by the least rotation between the two.
+phi is the angle between a link's direction before and after; on request (``turn_links``) the
+link's quaternion is afterwards turned by the least rotation between the two.
 
 **What the paper's weights do.** Its w_l grows with the length error and vanishes with it, so a
-small error is only partly corrected: on simulated cameras the lengths' coefficient of variation
-goes from 0.15 to 0.035, not to 0. And E_o, in rad^2 beside m^2, holds directions, noise and all,
-much harder than positions. ``lengths="exact"`` (the default) keeps the three terms and the solver,
-and weighs them by what is known: lengths almost rigid, positions by their confidence, directions
-next to nothing. Measured on two simulated logs (mean joint error of the input 22.4 and 23.5 mm):
-paper 20.7 and 21.6 mm, CV 0.033 and 0.037; exact 19.2 and 19.9 mm, CV 0.0001 in both, and the
-directions of the limbs better by 0.8 and 1.0 degrees rms against 0.1 and 0.1.
+small error is only partly corrected. And E_o, in rad^2 beside m^2, holds directions, noise and
+all, much harder than positions. ``lengths="exact"`` (the default) keeps the three terms and the
+solver, and weighs them by what is known: lengths almost rigid, positions by their confidence,
+directions next to nothing. Measured on simulated logs of two and four people, five cameras merged
+by an oracle (mean joint error; coefficient of variation of the lengths; rms error of the limbs'
+directions):
+
+======  ==========  ==============  ==================
+        error, mm   CV of lengths   direction, degrees
+======  ==========  ==============  ==================
+input   22.4, 23.5  0.143, 0.160    7.1, 8.1
+paper   20.7, 21.6  0.033, 0.037    6.9, 7.9
+exact   19.3, 20.0  0.0005, 0.0005  6.2, 7.0
+======  ==========  ==============  ==================
 """
 
 from __future__ import annotations
@@ -50,7 +57,7 @@ class OptimizeParams(CalibrationParams):
         "exact",
         description="exact: lengths are rigid, markers move as little as possible. paper: the "
         "weights of eq. 18, which correct small errors partly. Exact has the smaller joint error "
-        "and a coefficient of variation of 0.0001 instead of 0.035.",
+        "and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
     )
     max_length_error: float = Field(
         0.1,
@@ -76,7 +83,7 @@ class OptimizeParams(CalibrationParams):
     solver: Literal["lm", "ceres"] = Field(
         "lm",
         description="lm: compiled block Levenberg-Marquardt. ceres: the same energy by Ceres "
-        "Solver (needs the extra hiros-mcap[ceres]); about 40 times slower, for comparison.",
+        "Solver (needs the extra hiros-mcap[ceres]); about 100 times slower, for comparison.",
     )
     tolerance: float = Field(
         1e-6, gt=0.0, description="m: the solver has converged when no coordinate moves further."
