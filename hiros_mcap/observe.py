@@ -27,18 +27,15 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self.wall: dict[str, float] = {}
-        self.cpu: dict[str, float] = {}
         self.started = time.perf_counter()
         self._running = ""
-        self._since = (time.perf_counter(), time.thread_time())
+        self._since = self.started
 
     def _switch(self, name: str) -> str:
         """Charge the time since the last switch to what was running; return its name."""
-        now = (time.perf_counter(), time.thread_time())
+        now = time.perf_counter()
         before = self._running
-        if before:
-            self.wall[before] = self.wall.get(before, 0.0) + now[0] - self._since[0]
-            self.cpu[before] = self.cpu.get(before, 0.0) + now[1] - self._since[1]
+        self.wall[before] = self.wall.get(before, 0.0) + now - self._since
         self._running, self._since = name, now
         return before
 
@@ -53,16 +50,13 @@ class Stopwatch:
 
     def timed(self, name: str, frames: Iterable[Frame]) -> Iterator[Frame]:
         """Yield ``frames``, charging the making of each to ``name``."""
-        iterator = iter(frames)
-        while True:
-            before = self._switch(name)
-            try:
-                frame = next(iterator)
-            except StopIteration:
-                return
-            finally:
-                self._switch(before)
+        switch = self._switch
+        before = switch(name)
+        for frame in frames:
+            switch(before)
             yield frame
+            before = switch(name)
+        switch(before)
 
 
 @dataclass(slots=True)
@@ -146,7 +140,9 @@ class Observer:
             cameras=tuple(self._cameras()),
             people=tuple(self._person(i, self._people[i]) for i in sorted(self._people)),
             stages=tuple(
-                StageTime(name, self.watch.cpu[name], wall) for name, wall in self.watch.wall.items()
+                StageTime(name, self.watch.wall[name])
+                for name in ("read", "transform", *self._chain, "write")
+                if name in self.watch.wall
             ),
             written={f"/hiros/{name}": self._written[name] for name in self._chain},
             notes=tuple(self._notes()),

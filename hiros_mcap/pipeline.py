@@ -165,13 +165,11 @@ def _frames(
 ) -> Iterator[Frame]:
     """The whole of a run: every stage pulls from the one before, every output is observed."""
     watch = observer.watch
-    frames: Iterable[Frame] = watch.timed("read", log.frames())
-    frames = observer.watch_input(frames)
+    frames: Iterable[Frame] = observer.watch_input(watch.timed("read", log.frames()))
     frames = watch.timed("transform", transform_to_fixed(frames, log.transforms, run.fixed_frame))
     for name, stage in _stages(run, chain).items():
-        frames = watch.timed(name, stage(frames))
+        frames = observer.watch_output(name, watch.timed(name, stage(frames)))
         frames = watch.timed("write", _tap(frames, partial(sink, name)))
-        frames = observer.watch_output(name, frames)
     yield from frames
 
 

@@ -72,11 +72,11 @@ class PersonSummary:
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """What one step cost, s."""
+    """What one step cost, without the steps that it waited for."""
 
     name: str
-    cpu_s: float
     wall_s: float
+    """s."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -281,26 +281,29 @@ class _Merger:
             out.markers, out.marker_confidences, out.links, out.link_confidences,
             verdicts, outliers,
         )  # fmt: skip
-        for k, source in enumerate(sources):
-            self.events.count("outlier", source, int(outliers[k]))
-            if verdicts[k] != kernels.KEPT:
-                self.events.count("flip", source)
-        self._summarize(out, person_of, views)
+        if outliers.any() or verdicts.any():
+            for source, lost, verdict in zip(
+                sources, outliers.tolist(), verdicts.tolist(), strict=True
+            ):
+                self.events.count("outlier", source, lost)
+                self.events.count("flip", source, int(verdict != kernels.KEPT))
+        self._summarize(out, person_of, stamps, views)
 
+    @staticmethod
     def _summarize(
-        self, out: Frame, person_of: Stamps, views: list[tuple[int, Frame, int]]
+        out: Frame, person_of: Stamps, stamps: Stamps, views: list[tuple[int, Frame, int]]
     ) -> None:
         """Source time and confidence of each merged person: the means over the views."""
         n = out.n_people
-        count = np.bincount(person_of, minlength=n)
-        late = np.array([f.stamp - out.stamp for _, f, _ in views])
-        late_sum = np.bincount(person_of, late, n)
+        late = np.bincount(person_of, stamps - out.stamp, n)
+        late /= np.maximum(np.bincount(person_of, minlength=n), 1)
+        out.stamps[:] = out.stamp + np.rint(late).astype(np.int64)
         trust = np.array([f.confidences[r] for _, f, r in views])
         given = ~np.isnan(trust)
-        total = np.bincount(person_of[given], trust[given], n)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            out.stamps[:] = out.stamp + np.rint(late_sum / np.maximum(count, 1)).astype(np.int64)
-            out.confidences[:] = total / np.bincount(person_of[given], minlength=n)
+        if given.any():
+            total = np.bincount(person_of[given], trust[given], n)
+            count = np.bincount(person_of[given], minlength=n)
+            np.divide(total, count, out=out.confidences, where=count > 0)
 
     def _carry(self, out: Frame, row: int, last: Frame, last_row: int) -> None:
         """Write a person who was seen a moment ago, carried on at constant velocity."""
