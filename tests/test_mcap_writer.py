@@ -159,6 +159,24 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(out):
     assert list(out.parent.iterdir()) == []
 
 
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_an_error_at_the_last_step_leaves_nothing(out, monkeypatch, call):
+    def fail(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(*{"fsync": (os, "fsync"), "replace": (Path, "replace")}[call], fail)
+    with pytest.raises(LogError, match="cannot be written: Input/output error"):
+        write(out)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_an_output_that_becomes_a_folder_meanwhile_is_an_error(out):
+    with pytest.raises(LogError, match="Is a directory"), McapWriter(out) as writer:
+        out.mkdir()
+        writer.commit()
+    assert [p.name for p in out.parent.iterdir()] == [out.name]
+
+
 def test_no_thread_is_left(out):
     write(out)
     assert not [t for t in threading.enumerate() if t.name.startswith("hiros-write")]
