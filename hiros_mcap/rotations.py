@@ -55,25 +55,6 @@ def to_matrix(xyzw: Floats) -> Floats:
     return np.stack(columns, axis=-1)
 
 
-def from_matrix(matrix: Floats) -> Floats:
-    """Return unit quaternions, (..., 4) with w >= 0, of rotation matrices, (..., 3, 3).
-
-    The eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix (2000): it takes
-    no cases, and the nearest rotation for a matrix that is only nearly one.
-    """
-    m = np.asarray(matrix, np.float64)
-    k = np.empty((*m.shape[:-2], 4, 4))
-    k[..., :3, :3] = m + np.swapaxes(m, -1, -2)
-    trace = np.trace(m, axis1=-2, axis2=-1)
-    k[..., range(3), range(3)] -= trace[..., None]
-    k[..., 3, 0] = k[..., 0, 3] = m[..., 2, 1] - m[..., 1, 2]
-    k[..., 3, 1] = k[..., 1, 3] = m[..., 0, 2] - m[..., 2, 0]
-    k[..., 3, 2] = k[..., 2, 3] = m[..., 1, 0] - m[..., 0, 1]
-    k[..., 3, 3] = trace
-    xyzw = np.linalg.eigh(k)[1][..., :, -1]
-    return np.asarray(np.where(xyzw[..., 3:] < 0, -xyzw, xyzw))
-
-
 def slerp(a_xyzw: Floats, b_xyzw: Floats, share: float) -> Floats:
     """Return the rotation on the shorter way from ``a`` (share 0) to ``b`` (share 1), (4,) each."""
     a, b = np.asarray(a_xyzw, np.float64), np.asarray(b_xyzw, np.float64)

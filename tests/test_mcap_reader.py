@@ -70,6 +70,12 @@ def test_definitions_and_counts_are_known_before_any_message_is_read(path, kind)
         assert reader.counts == {1: 20, 2: 20}
 
 
+@pytest.mark.parametrize("given", [True, False])
+def test_it_is_known_whether_the_data_section_has_a_checksum(path, given):
+    with McapReader(write_log(path, enable_data_crcs=given)) as reader:
+        assert reader.contents.has_data_crc == given
+
+
 def test_attachments_and_metadata_are_found(path):
     with McapReader(write_log(path)) as reader:
         (attachment,) = reader.contents.attachments
