@@ -1,10 +1,11 @@
 """Butterworth low-pass of any order at the samples' own times, on R3 and SO(3).
 
-The analogue filter ``y^(n) = -a_0 w^n y - ... + w^n u`` is run exactly between samples (matrix
-exponential), its input going straight from one sample to the next. So a varying sample time is
-no approximation, every step is stable whatever its length, and the states are the derivatives of
-the output: velocity and acceleration come for free. On SO(3) all of it happens in the tangent
-space at the last output.
+The analogue filter is run by the bilinear rule at every sample's own interval. Its states are the
+derivatives of the output, so velocity and acceleration come for free; all steps are functions of
+one stable matrix, so any mixture of intervals is stable; and the corner is prewarped, so the
+response at a steady rate is the digital Butterworth filter's. An interval much longer than usual
+is taken in shorter steps along a straight line, which keeps it from ringing. On SO(3) all of it
+happens in the tangent space at the last output.
 
 With a look-ahead the same filter also runs backwards over the forward outputs, which cancels its
 phase. Being linear, the backward run is one weight per step, the same for all tracks.
@@ -42,7 +43,7 @@ NOW_POSE = 0
 NOW_INPUT = 4
 NOW_AGE = 8
 NOW_CONFIDENCE = 9
-STATE = 10  # then the derivatives 1 to order - 1, the i-th divided by scale^i
+STATE = 10  # then the derivatives 1 to order - 1, the i-th divided by rate^i
 
 COLUMNS = 16  # of a ring: POSE to CONFIDENCE
 CACHED = 8  # sample times whose matrices are kept during one push
@@ -59,65 +60,35 @@ def coefficients(order: int) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def multiply(a: Any, b: Any, out: Any) -> None:
-    """``out = a @ b`` for small square matrices."""
-    n = a.shape[0]
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += a[i, k] * b[k, j]
-            out[i, j] = total
+def transition(a: Any, rate: float, dt: float, out: Any) -> None:
+    """Into ``out`` (n, n + 1): ``s' = out[:, :n] s + out[:, n] (u + u')`` over ``dt``.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def exponential(m: Any) -> Any:
-    """Matrix exponential by scaling, Taylor's series and squaring."""
-    n = m.shape[0]
-    norm = 0.0
-    for i in range(n):
-        row = 0.0
-        for j in range(n):
-            row += abs(m[i, j])
-        norm = max(norm, row)
-    squarings = 0
-    while norm > 0.25:
-        norm *= 0.5
-        squarings += 1
-    scaled, term = m * 0.5**squarings, np.eye(n)
-    out, product = np.eye(n), np.empty((n, n))
-    for i in range(1, 13):
-        multiply(term, scaled, product)
+    ``rate`` is the corner in rad/s, state i the i-th derivative of the output over ``rate``^i. In
+    these units a change of the rate is a change of the clock: the filter stays stable.
+    """
+    n, half = a.shape[0] - 1, 0.5 * rate * dt
+    left, column = np.zeros((n, n)), np.zeros(n)
+    for j in range(n + 1):  # (I - A half) s' = (I + A half) s + b half (u + u')
         for r in range(n):
             for c in range(n):
-                term[r, c] = product[r, c] / i
-                out[r, c] += term[r, c]
-    for _ in range(squarings):
-        multiply(out, out, product)
-        out, product = product, out
-    return out
+                left[r, c] = 1.0 if r == c else 0.0
+            column[r] = 1.0 if r == j else 0.0
+        for i in range(n - 1):
+            left[i, i + 1] = -half
+        for i in range(n):
+            left[n - 1, i] += half * a[i]
+        if 0 < j < n:
+            column[j - 1] += half
+        column[n - 1] += half if j == n else -half * a[j]
+        solve(left, column)
+        for r in range(n):
+            out[r, j] = column[r]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def transition(a: Any, rate: float, scale: float, dt: float, out: Any) -> None:
-    """Into ``out`` (n, n + 2): ``s' = out[:, :n] s + out[:, n] u + out[:, n + 1] u'`` over dt.
-
-    ``rate`` is the filter's corner in rad/s; state i is the i-th derivative over ``scale``^i.
-    """
-    n = a.shape[0] - 1
-    m = np.zeros((n + 2, n + 2))
-    for i in range(n - 1):
-        m[i, i + 1] = scale * dt
-    for i in range(n):
-        m[n - 1, i] = -a[i] * (rate / scale) ** (n - i) * scale * dt
-    m[n - 1, n] = (rate / scale) ** n * scale * dt
-    m[n, n + 1] = 1.0
-    whole = exponential(m)
-    for i in range(n):
-        for j in range(n):
-            out[i, j] = whole[i, j]
-        out[i, n] = whole[i, n] - whole[i, n + 1]
-        out[i, n + 1] = whole[i, n + 1]
+def substeps(dt: float, period: float) -> int:
+    """Into how many steps an interval is divided when ``period`` is the usual one."""
+    return 1 if dt < 1.5 * period else int(np.ceil(dt / period - 0.1))
 
 
 @njit(
@@ -125,15 +96,15 @@ def transition(a: Any, rate: float, scale: float, dt: float, out: Any) -> None:
 )
 def butterworth_gain(order: int, rate: float, dt: float, ahead: int, frequency: float) -> float:
     """Magnitude response at a constant sample time ``dt``; ``ahead`` in samples, 0 = causal."""
-    step = np.empty((order, order + 2))
-    transition(coefficients(order), rate, rate, dt, step)
+    step = np.empty((order, order + 1))
+    transition(coefficients(order), rate, dt, step)
     z = np.exp(2j * np.pi * frequency * dt)
     system = np.zeros((order, order), np.complex128)
     state = np.zeros(order, np.complex128)
     for r in range(order):
         for c in range(order):
             system[r, c] = (z if r == c else 0.0) - step[r, c]
-        state[r] = step[r, order] + z * step[r, order + 1]
+        state[r] = (1.0 + z) * step[r, order]
     solve(system, state)
     forward = state[0]
     if ahead == 0:
@@ -143,7 +114,7 @@ def butterworth_gain(order: int, rate: float, dt: float, ahead: int, frequency: 
     back = np.zeros(order, np.complex128)
     for _ in range(ahead):
         for r in range(order):
-            back[r] = forward * (step[r, order] * z + step[r, order + 1])
+            back[r] = forward * (1.0 + z) * step[r, order]
             for c in range(order):
                 back[r] += step[r, c] * z * state[c]
         for r in range(order):
@@ -166,54 +137,59 @@ def butterworth_rate(order: int, cutoff: float, dt: float, ahead: int) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def matrix(a: Any, rate: float, scale: float, dt: float, cache: Any, count: int) -> int:
-    """Slot of ``cache`` (CACHED, n, n + 3) with the transition over ``dt``, made when missing.
+def matrix(a: Any, rate: float, dt: float, cache: Any, count: int) -> int:
+    """Slot of ``cache`` (CACHED, n, n + 2) with the transition over ``dt``, made when missing.
 
-    Element (0, n + 2) of a slot is its dt; ``count`` slots have been made before.
+    Element (0, n + 1) of a slot is its dt; ``count`` slots have been made before.
     """
     n = a.shape[0] - 1
     for i in range(min(count, CACHED)):
-        if cache[i, 0, n + 2] == dt:
+        if cache[i, 0, n + 1] == dt:
             return i
     i = count % CACHED
-    transition(a, rate, scale, dt, cache[i])
-    cache[i, 0, n + 2] = dt
+    transition(a, rate, dt, cache[i])
+    cache[i, 0, n + 1] = dt
     return int(i)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance(step: Any, state: Any, u0: Any, u1: Any) -> None:
-    """One step of the filter on ``state`` (n, 3), whose row 0 is zero: relative to the output."""
+def advance(step: Any, count: int, state: Any, u0: Any, u1: Any) -> None:
+    """``count`` steps of the filter on ``state`` (n, 3) while the input goes from u0 to u1.
+
+    Row 0 of the state is zero at first: everything is relative to the last output.
+    """
     n = state.shape[0]
     new = np.empty(n)
-    for c in range(3):
-        for i in range(n):
-            new[i] = step[i, n] * u0[c] + step[i, n + 1] * u1[c]
-            for j in range(1, n):
-                new[i] += step[i, j] * state[j, c]
-        for i in range(n):
-            state[i, c] = new[i]
+    for i in range(count):
+        middle = (i + 0.5) / count
+        for c in range(3):
+            u = 2.0 * (u0[c] + middle * (u1[c] - u0[c]))
+            for r in range(n):
+                new[r] = step[r, n] * u
+                for j in range(n):
+                    new[r] += step[r, j] * state[j, c]
+            for r in range(n):
+                state[r, c] = new[r]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def derive(a: Any, rate: float, scale: float, state: Any, u: Any, slope: Any, row: Any) -> None:
+def derive(a: Any, rate: float, state: Any, u: Any, dt: float, before: Any, row: Any) -> None:
     """Velocity and acceleration of the output into columns RATE and BEND of ``row``.
 
-    ``state`` (n, 3) and the input ``u`` (3) are relative to the output, ``slope`` (3) is the
-    input's. What the state does not hold follows from the differential equation.
+    ``state`` (n, 3) and the input ``u`` (3) are relative to the output. What the state does not
+    hold follows from the differential equation, and an acceleration of order 1 from the row
+    ``before``, ``dt`` ago (infinitely long ago where the track starts).
     """
-    n, ratio = state.shape[0], rate / scale
+    n = state.shape[0]
     for c in range(3):
-        top = ratio**n * u[c]  # the n-th derivative
+        top = u[c]  # the n-th derivative
         for i in range(1, n):
-            top -= a[i] * ratio ** (n - i) * state[i, c]
+            top -= a[i] * state[i, c]
+        row[RATE + c] = rate * (state[1, c] if n > 1 else top)
         if n == 1:
-            velocity, acceleration = scale * top, scale * (slope[c] - scale * top) * ratio
+            row[BEND + c] = (row[RATE + c] - before[RATE + c]) / dt
         else:
-            velocity = scale * state[1, c]
-            acceleration = scale * scale * (top if n == 2 else state[2, c])
-        row[RATE + c] = velocity
-        row[BEND + c] = acceleration
+            row[BEND + c] = rate * rate * (state[2, c] if n > 2 else top)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -249,8 +225,8 @@ def coast(before: Any, row: Any, turning: bool, dt: float) -> None:
 
 
 @njit(
-    "void(float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64[:,:,::1],"
-    " float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
+    "void(float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64,"
+    " float64[:,:,::1], float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -260,6 +236,7 @@ def butterworth_push(
     links: Floats,
     marker_confidences: Floats,
     link_confidences: Floats,
+    person: int,
     ring: Floats,
     times: Floats,
     step: int,
@@ -272,19 +249,19 @@ def butterworth_push(
 
     Arguments as of :func:`state_space_push`. A track that comes back within ``max_gap`` s takes
     the whole gap as one step, its input a straight line. ``tuning`` holds
-    :func:`butterworth_rate` and the constant scale of the states, both in rad/s.
+    :func:`butterworth_rate` and the usual sample time.
     """
-    n_markers, n_links, mask = markers.shape[0], links.shape[0], ring.shape[0] - 1
+    n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1
     slot, before = ring[step & mask], ring[(step - 1) & mask]
     dt = times[step & mask] - times[(step - 1) & mask] if step > 0 else 0.0
-    a, rate, scale = coefficients(order), tuning[0], tuning[1]
-    cache, cached = np.zeros((CACHED, order, order + 3)), 0
-    z, former, u0, u1, slope = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3)
+    a, rate = coefficients(order), tuning[0]
+    cache, cached = np.zeros((CACHED, order, order + 2)), 0
+    z, former, u0, u1 = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(3)
     state = np.zeros((order, 3))
     for block in range(4):
         of_markers, turning, start, size = block_of(block, n_markers, n_links)
-        elements = markers if of_markers else links
-        confidences = marker_confidences if of_markers else link_confidences
+        elements = markers[person] if of_markers else links[person]
+        confidences = (marker_confidences if of_markers else link_confidences)[person]
         for k in range(size):
             t = start + k
             seen = measure(elements, k, turning, z)
@@ -305,19 +282,16 @@ def butterworth_push(
                 row[POSE + c] = former[c]
             for i in range(3 * order):
                 state[i // 3, i % 3] = own[STATE + i - 3] if active and i >= 3 else 0.0
-            for c in range(3):
-                slope[c] = 0.0
             if active:
-                at = matrix(a, rate, scale, elapsed, cache, cached)
+                count = substeps(elapsed, tuning[1])
+                at = matrix(a, rate, elapsed / count, cache, cached)
                 cached = max(cached, at + 1)
                 difference(own[NOW_INPUT:], former, turning, u0)
                 difference(z, former, turning, u1)
-                advance(cache[at], state, u0, u1)
+                advance(cache[at], count, state, u0, u1)
                 displace(state[0], former, turning, row)
-                for c in range(3):
-                    slope[c] = (u1[c] - u0[c]) / (scale * elapsed)
             difference(z, row, turning, u1)
-            derive(a, rate, scale, state, u1, slope, row)
+            derive(a, rate, state, u1, dt if active else np.inf, before[t], row)
             difference(row, former, turning, row[DELTA:])
             for c in range(4):
                 own[NOW_POSE + c], own[NOW_INPUT + c] = row[POSE + c], z[c]
@@ -334,23 +308,26 @@ def butterworth_push(
 @njit(cache=True, nogil=True, error_model="numpy")
 def backward_weights(times: Any, mask: int, first: int, end: int, tuning: Any, order: int) -> Any:
     """Weight of the forward output of each step in the backward output at ``first``; sum 1."""
-    a, step = coefficients(order), np.empty((order, order + 2))
+    a, step = coefficients(order), np.empty((order, order + 1))
     weights, row, new = np.zeros(end - first), np.zeros(order), np.zeros(order)
     row[0] = 1.0
     done = -1.0
     for i in range(end - first - 1):
         dt = times[(first + i + 1) & mask] - times[(first + i) & mask]
+        count = substeps(dt, tuning[1])
         if dt != done:
-            transition(a, tuning[0], tuning[1], dt, step)
+            transition(a, tuning[0], dt / count, step)
             done = dt
-        for c in range(order):
-            new[c] = 0.0
-            weights[i] += row[c] * step[c, order + 1]
-            weights[i + 1] += row[c] * step[c, order]
-            for r in range(order):
-                new[c] += row[r] * step[r, c]
-        for c in range(order):
-            row[c] = new[c]
+        for part in range(count):
+            later = (part + 0.5) / count
+            for c in range(order):
+                new[c] = 0.0
+                weights[i] += row[c] * step[c, order] * 2.0 * (1.0 - later)
+                weights[i + 1] += row[c] * step[c, order] * 2.0 * later
+                for r in range(order):
+                    new[c] += row[r] * step[r, c]
+            for c in range(order):
+                row[c] = new[c]
     weights[end - first - 1] += row[0]  # it starts at rest on the last output
     return weights
 
@@ -385,7 +362,7 @@ def sum_backwards(ring: Any, first: int, t: int, weights: Any, shift: Any, motio
 
 @njit(
     "void(float64[:,:,::1], float64[::1], int64, int64, float64[::1], int64, float64,"
-    " float64[:,::1], float64[:,::1], float64[::1], float64[::1])",
+    " float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64)",
     cache=True,
     nogil=True,
     error_model="numpy",
@@ -402,18 +379,19 @@ def butterworth_emit(
     links: Floats,
     marker_confidences: Floats,
     link_confidences: Floats,
+    person: int,
 ) -> None:
-    """Write the estimate at step ``first``, given all steps before ``end``, into a person's rows.
+    """Write the estimate at step ``first``, given all steps before ``end``, into a frame.
 
     Velocity and acceleration are the forward filter's, filtered backwards like its output.
     """
-    n_markers, n_links, mask = markers.shape[0], links.shape[0], ring.shape[0] - 1
+    n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1
     pose, shift, motion = np.zeros(4), np.zeros(3), np.zeros(6)
     weights = backward_weights(times, mask, first, end, tuning, order)
     for block in range(4):
         of_markers, turning, start, size = block_of(block, n_markers, n_links)
-        elements = markers if of_markers else links
-        confidences = marker_confidences if of_markers else link_confidences
+        elements = markers[person] if of_markers else links[person]
+        confidences = (marker_confidences if of_markers else link_confidences)[person]
         for k in range(size):
             t = start + k
             row = ring[first & mask, t]

@@ -33,10 +33,9 @@ DELTA = 10  # innovation; Butterworth: step from the previous slot
 CONTINUES = 13  # 1 where the track goes on from the previous slot, 0 where it starts or is not
 AGE = 14  # s since the track was seen; inf = no track
 CONFIDENCE = 15  # when it was last seen
-GAIN = 16  # Kalman gain, 3
-INFORMATION = 19  # 1 / innovation variance; 0 = not seen
-COVARIANCE = 20  # predicted; 00 01 02 11 12 22
-COLUMNS = 26
+INFORMATION = 16  # 1 / innovation variance; 0 = not seen
+COVARIANCE = 17  # predicted; 00 01 02 11 12 22; its first three times INFORMATION are the gain
+COLUMNS = 23
 
 # Columns of what state_space_push carries on, (T, STATE); POSE to BEND as in a ring, filtered.
 NOW_COVARIANCE = 10
@@ -234,15 +233,19 @@ def state_space_gain(order: int, noise: float, dt: float, ahead: int, frequency:
 @njit("float64(int64, float64, float64, int64)", cache=True, nogil=True)
 def state_space_noise(order: int, cutoff: float, dt: float, ahead: int) -> float:
     """Noise ratio that puts the -3 dB point of :func:`state_space_gain` at ``cutoff``, Hz."""
-    middle = 2 * order * np.log(2.0 * np.pi * cutoff) + np.log(dt)
-    low, high = middle - 14.0, middle + 28.0
-    for _ in range(60):
+    low = 2 * order * np.log(2.0 * np.pi * cutoff) + np.log(dt)
+    while state_space_gain(order, np.exp(low), dt, ahead, cutoff) > np.sqrt(0.5):
+        low -= 2.0
+    high = low + 2.0
+    while state_space_gain(order, np.exp(high), dt, ahead, cutoff) < np.sqrt(0.5):
+        high += 2.0
+    for _ in range(30):
         middle = 0.5 * (low + high)
         if state_space_gain(order, np.exp(middle), dt, ahead, cutoff) < np.sqrt(0.5):
             low = middle
         else:
             high = middle
-    return float(np.exp(middle))
+    return float(np.exp(0.5 * (low + high)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -314,7 +317,6 @@ def update_state(
         slot[t, POSE + c] = pose[c]
     for c in range(3):
         slot[t, DELTA + c] = error[c]
-        slot[t, GAIN + c] = work[2, c]
         now[t, RATE + c] = slot[t, RATE + c] + work[2, 1] * error[c]
         now[t, BEND + c] = slot[t, BEND + c] + work[2, 2] * error[c]
         error[c] *= work[2, 0]
@@ -328,8 +330,8 @@ def update_state(
 
 
 @njit(
-    "void(float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64[:,:,::1],"
-    " float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
+    "void(float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64,"
+    " float64[:,:,::1], float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
     cache=True,
     error_model="numpy",
     nogil=True,
@@ -339,6 +341,7 @@ def state_space_push(
     links: Floats,
     marker_confidences: Floats,
     link_confidences: Floats,
+    person: int,
     ring: Floats,
     times: Floats,
     step: int,
@@ -353,15 +356,15 @@ def state_space_push(
     the step's slot of ``ring`` is filled for :func:`state_space_emit`. A track unseen for more
     than ``max_gap`` s starts anew. ``tuning`` holds :func:`state_space_noise`.
     """
-    n_markers, n_links, mask, noise = markers.shape[0], links.shape[0], len(ring) - 1, tuning[0]
+    n_markers, n_links, mask, noise = markers.shape[1], links.shape[1], len(ring) - 1, tuning[0]
     slot = ring[step & mask]
     dt = times[step & mask] - times[(step - 1) & mask] if step > 0 else 0.0
     z, pose, error = np.zeros(4), np.zeros(4), np.zeros(3)
     work, twin = np.zeros((4, 6)), -1  # tracks with one history share one covariance: work's
     for block in range(4):
         of_markers, turning, start, size = block_of(block, n_markers, n_links)
-        elements = markers if of_markers else links
-        confidences = marker_confidences if of_markers else link_confidences
+        elements = markers[person] if of_markers else links[person]
+        confidences = (marker_confidences if of_markers else link_confidences)[person]
         for k in range(size):
             t = start + k
             seen = measure(elements, k, turning, z)
@@ -461,12 +464,13 @@ def adjoint(ring: Any, times: Any, first: int, end: int, t: int, out: Any) -> No
         if step < stop - 1:
             dt = times[(step + 1) & mask] - times[s]
         half, information = 0.5 * dt * dt, ring[s, t, INFORMATION]
-        k0, k1, k2 = ring[s, t, GAIN], ring[s, t, GAIN + 1], ring[s, t, GAIN + 2]
+        p0, p1, p2 = ring[s, t, COVARIANCE], ring[s, t, COVARIANCE + 1], ring[s, t, COVARIANCE + 2]
         for c in range(3):
             m0, m1, m2 = out[0, c], out[1, c], out[2, c]
             m2 += dt * m1 + half * m0
             m1 += dt * m0
-            out[0, c] = information * ring[s, t, DELTA + c] + m0 - k0 * m0 - k1 * m1 - k2 * m2
+            error = ring[s, t, DELTA + c] - p0 * m0 - p1 * m1 - p2 * m2
+            out[0, c] = m0 + information * error
             out[1, c] = m1
             out[2, c] = m2
 
@@ -485,7 +489,7 @@ def apply_adjoint(slot: Any, t: int, carried: Any, shift: Any, motion: Any) -> N
 
 @njit(
     "void(float64[:,:,::1], float64[::1], int64, int64, float64[::1], int64, float64,"
-    " float64[:,::1], float64[:,::1], float64[::1], float64[::1])",
+    " float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64)",
     cache=True,
     error_model="numpy",
     nogil=True,
@@ -502,21 +506,21 @@ def state_space_emit(
     links: Floats,
     marker_confidences: Floats,
     link_confidences: Floats,
+    person: int,
 ) -> None:
-    """Write the estimate at step ``first``, given all steps before ``end``, into a person's rows.
+    """Write the estimate at step ``first``, given all steps before ``end``, into a frame.
 
-    Order 2 has no acceleration in its state: with a
-    look-ahead it is the smoothed process noise, without one the rate at which the velocity
-    changed.
+    ``person`` is the row. Order 2 has no acceleration in its state: with a look-ahead it is the
+    smoothed process noise, without one the rate at which the velocity changed.
     """
-    n_markers, n_links, mask = markers.shape[0], links.shape[0], ring.shape[0] - 1
+    n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1
     slot = ring[first & mask]
     carried, pose, shift, motion = np.zeros((3, 3)), np.zeros(4), np.zeros(3), np.zeros(6)
     dt = times[first & mask] - times[(first - 1) & mask] if first > 0 else 0.0
     for block in range(4):
         of_markers, turning, start, size = block_of(block, n_markers, n_links)
-        elements = markers if of_markers else links
-        confidences = marker_confidences if of_markers else link_confidences
+        elements = markers[person] if of_markers else links[person]
+        confidences = (marker_confidences if of_markers else link_confidences)[person]
         for k in range(size):
             t = start + k
             if not slot[t, AGE] < np.inf:
@@ -530,7 +534,8 @@ def state_space_emit(
                 if end > first + 1:
                     motion[3 + c] = tuning[0] * carried[1, c]
                 elif dt > 0.0:
-                    motion[3 + c] = slot[t, GAIN + 1] * slot[t, DELTA + c] / dt
+                    gain = slot[t, COVARIANCE + 1] * slot[t, INFORMATION]
+                    motion[3 + c] = gain * slot[t, DELTA + c] / dt
             for c in range(4):
                 pose[c] = slot[t, POSE + c]
             displace(shift, pose, turning, pose)
@@ -540,13 +545,13 @@ def state_space_emit(
 
 
 @njit(
-    "void(float64[:,::1], int32[:,::1], float64, float64, float64[:,::1])",
+    "void(float64[:,:,::1], int64, int32[:,::1], float64, float64, float64[:,::1])",
     cache=True,
     error_model="numpy",
     nogil=True,
 )
 def follow_lengths(
-    markers: Floats, links: Links, dt: float, time_constant: float, lengths: Floats
+    markers: Floats, person: int, links: Links, dt: float, time_constant: float, lengths: Floats
 ) -> None:
     """Low-pass each link's length: ``lengths`` (L, 2) holds the mean and the seconds in it.
 
@@ -559,15 +564,19 @@ def follow_lengths(
             continue
         square = 0.0
         for c in range(3):
-            square += (markers[b, c] - markers[a, c]) ** 2
+            square += (markers[person, b, c] - markers[person, a, c]) ** 2
         if np.isfinite(square):
             lengths[k, 1] = min(lengths[k, 1] + dt, time_constant)
             lengths[k, 0] += (np.sqrt(square) - lengths[k, 0]) * dt / lengths[k, 1]
 
 
-@njit("int64(float64[:,::1], int32[:,::1], float64[:,::1], int64, float64)", cache=True, nogil=True)
+@njit(
+    "int64(float64[:,:,::1], int64, int32[:,::1], float64[:,::1], int64, float64)",
+    cache=True,
+    nogil=True,
+)
 def restore_lengths(
-    markers: Floats, links: Links, lengths: Floats, sweeps: int, tolerance: float
+    markers: Floats, person: int, links: Links, lengths: Floats, sweeps: int, tolerance: float
 ) -> int:
     """Move markers by as little as it takes to give every link its length; return the sweeps.
 
@@ -583,16 +592,16 @@ def restore_lengths(
                 continue
             square = 0.0
             for c in range(3):
-                square += (markers[b, c] - markers[a, c]) ** 2
+                square += (markers[person, b, c] - markers[person, a, c]) ** 2
             if not 1e-12 < square < np.inf:
                 continue
             length = np.sqrt(square)
             worst = max(worst, abs(length - lengths[k, 0]) / lengths[k, 0])
             factor = 0.5 * (length - lengths[k, 0]) / length
             for c in range(3):
-                move = factor * (markers[b, c] - markers[a, c])
-                markers[a, c] += move
-                markers[b, c] -= move
+                move = factor * (markers[person, b, c] - markers[person, a, c])
+                markers[person, a, c] += move
+                markers[person, b, c] -= move
         if worst <= tolerance:
             return sweep + 1
     return sweeps

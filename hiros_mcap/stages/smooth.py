@@ -29,11 +29,13 @@ _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
 _INTERVALS = 31
 """Number of intervals whose median is taken as the sample time."""
-_RETUNE = 0.02
-"""Relative change of the sample time that makes the filter be designed anew."""
+_RETUNE = 0.1
+"""Relative change of the sample time, once well known, that makes the filter be designed anew."""
+_SHORTEST = 0.002
+"""Least sample time in s to design for; nothing that sees people is faster."""
 _HIGHEST = 0.4
 """Highest cut-off over the sample rate; half of the rate cannot be filtered at all."""
-_SWEEPS, _TOLERANCE = 30, 1e-3
+_SWEEPS, _TOLERANCE = 30, 2e-3
 """Limit of the projections onto the limb lengths, and their relative accuracy."""
 
 
@@ -60,10 +62,10 @@ class FilterParams(Params):
         "(sharper, and a better acceleration); butterworth: any.",
     )
     lookahead: float = Field(
-        0.4,
+        0.3,
         ge=0,
-        description="s of data after an instant that its estimate uses. 0 = strictly causal. "
-        "From about 1 / cutoff on, more changes nothing.",
+        description="s of data after an instant that its estimate uses. 0 = strictly causal. More "
+        "than 1 / cutoff changes nothing at order 2 or 3; a high order rings for longer.",
     )
     bridge: float = Field(
         0.2,
@@ -127,7 +129,7 @@ _METHODS = {
 def smooth(
     frames: Iterable[Frame],
     model: SkeletonModel,
-    params: FilterParams = FilterParams(),
+    params: FilterParams = FilterParams(),  # noqa: B008 - immutable
     events: Events | None = None,
 ) -> Iterator[Frame]:
     """Filter marker positions and link orientations; fill in velocities and accelerations.
@@ -188,9 +190,11 @@ class _Rhythm:
         """Note a frame; design the filter anew when the sample time has changed."""
         if self._stamp is not None and 0 < stamp - self._stamp <= self._params.max_gap * 1e9:
             self._intervals.append((stamp - self._stamp) * 1e-9)
-            self.period = median(self._intervals)
+            self.period = max(median(self._intervals), _SHORTEST)
         self._stamp = stamp
-        if abs(self.period - self._tuned_to) > _RETUNE * self._tuned_to:
+        doubt = _RETUNE * (_INTERVALS / max(len(self._intervals), 1)) ** 0.5
+        first = len(self._intervals) == 1 and self.period != self._tuned_to
+        if first or abs(self.period - self._tuned_to) > doubt * self._tuned_to:
             self._tune()
 
     def _tune(self) -> None:
@@ -200,7 +204,7 @@ class _Rhythm:
             self._events.count("filter: cut-off lowered", self._source)
         ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / period))
         corner = _METHODS[params.method].tune(params.order, cutoff, period, ahead)
-        self.tuning = np.array([corner, 2 * np.pi * params.cutoff])
+        self.tuning = np.array([corner, period])
         self._tuned_to = period
 
 
@@ -292,10 +296,11 @@ class _Run:
         before = person.stamp if person.n_steps else stamp - int(rhythm.period * 1e9)
         step = person.step(stamp)
         _METHODS[params.method].push(
-            frame.markers[row],
-            frame.links[row],
-            frame.marker_confidences[row],
-            frame.link_confidences[row],
+            frame.markers,
+            frame.links,
+            frame.marker_confidences,
+            frame.link_confidences,
+            row,
             person.ring,
             person.times,
             step,
@@ -306,7 +311,8 @@ class _Run:
         )
         if params.keep_lengths:
             _filters.follow_lengths(
-                frame.markers[row],
+                frame.markers,
+                row,
                 self.limbs,
                 (stamp - before) * 1e-9,
                 params.length_time,
@@ -333,14 +339,15 @@ class _Run:
                 self.rhythms[frame.source].tuning,
                 params.order,
                 params.bridge,
-                out.markers[row],
-                out.links[row],
-                out.marker_confidences[row],
-                out.link_confidences[row],
+                out.markers,
+                out.links,
+                out.marker_confidences,
+                out.link_confidences,
+                row,
             )
             person.first = step + 1
             if params.keep_lengths:
                 _filters.restore_lengths(
-                    out.markers[row], self.limbs, person.lengths, _SWEEPS, _TOLERANCE
+                    out.markers, row, self.limbs, person.lengths, _SWEEPS, _TOLERANCE
                 )
         return out
