@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-NOTICE = "hiros: compiling kernels for this machine, once (about 20 s)"
+NOTICE = "hiros: compiling kernels for this machine, once (about half a minute)"
 
 
 def prepare(*, quiet: bool) -> None:

@@ -8,7 +8,7 @@ from hiros_cli.options import Quiet
 
 
 def warmup(quiet: Quiet = False) -> None:
-    """Compile the kernels for this machine (about 20 s, once), so that the first run is fast."""
+    """Compile the kernels for this machine (half a minute, once), so that the first run is fast."""
     import pkgutil
     from importlib import import_module
 
