@@ -2,9 +2,9 @@
 
 Each marker and link of a person is a track of its own, filtered at the person's source times by
 one of two filters with a free cut-off and order. With a look-ahead (the default) the estimate at
-time t also uses the data up to t + lookahead: no lag, and about 10 % less error than the input,
-where a strictly causal filter of the same smoothness adds error. Frames come out in the order
-they came in, each with the log time of the frame that completed its look-ahead.
+time t also uses the data up to t + lookahead: no lag and less error than the input, where a
+strictly causal filter of the same smoothness adds error (benchmarks/bench_filter.py). Frames come
+out in the order they came in, each with the log time of the frame that completed its look-ahead.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import butterworth as _butterworth
 from hiros_mcap.kernels import filters as _filters
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
@@ -84,7 +83,11 @@ class FilterParams(Params):
         "length_time; smoothing each joint on its own shortens limbs that swing.",
     )
     length_time: float = Field(
-        2.0, gt=0, description="Time constant in s of the average of the link lengths."
+        2.0,
+        gt=0,
+        description="Time constant in s of the average of the link lengths. Longer is slightly "
+        "better where nothing has corrected the lengths before, and slower to follow a new "
+        "calibration.",
     )
 
     @model_validator(mode="after")
@@ -102,28 +105,31 @@ class _Method:
     push: Callable[..., None]
     emit: Callable[..., None]
     ring_columns: int
-    state_columns: Callable[[int], int]
+    state_columns: int
     age_column: int
 
 
-_METHODS = {
-    "state_space": _Method(
-        _filters.state_space_noise,
-        _filters.state_space_push,
-        _filters.state_space_emit,
-        _filters.COLUMNS,
-        lambda order: _filters.STATE,
-        _filters.NOW_AGE,
-    ),
-    "butterworth": _Method(
-        _butterworth.butterworth_rate,
-        _butterworth.butterworth_push,
-        _butterworth.butterworth_emit,
-        _butterworth.COLUMNS,
-        lambda order: _butterworth.STATE + 3 * (order - 1),
-        _butterworth.NOW_AGE,
-    ),
-}
+def _method(params: FilterParams) -> _Method:
+    """Kernels of the chosen filter; those of the other one are not even compiled."""
+    if params.method == "state_space":
+        return _Method(
+            _filters.state_space_noise,
+            _filters.state_space_push,
+            _filters.state_space_emit,
+            _filters.COLUMNS,
+            _filters.STATE,
+            _filters.NOW_AGE,
+        )
+    from hiros_mcap.kernels import butterworth
+
+    return _Method(
+        butterworth.butterworth_rate,
+        butterworth.butterworth_push,
+        butterworth.butterworth_emit,
+        butterworth.COLUMNS,
+        butterworth.STATE + 3 * (params.order - 1),
+        butterworth.NOW_AGE,
+    )
 
 
 def smooth(
@@ -177,8 +183,8 @@ class _Waiting:
 class _Rhythm:
     """The sample time of one source and the filter tuned to it."""
 
-    def __init__(self, params: FilterParams, events: Events, source: str) -> None:
-        self._params, self._events, self._source = params, events, source
+    def __init__(self, params: FilterParams, method: _Method, events: Events, source: str) -> None:
+        self._params, self._method, self._events, self._source = params, method, events, source
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
         self._stamp: int | None = None
         self._tuned_to = 0.0
@@ -203,7 +209,7 @@ class _Rhythm:
         if cutoff < params.cutoff:
             self._events.count("filter: cut-off lowered", self._source)
         ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / period))
-        corner = _METHODS[params.method].tune(params.order, cutoff, period, ahead)
+        corner = self._method.tune(params.order, cutoff, period, ahead)
         self.tuning = np.array([corner, period])
         self._tuned_to = period
 
@@ -211,10 +217,9 @@ class _Rhythm:
 class _Person:
     """The tracks of one person: their filters' states and a ring of the steps still waited for."""
 
-    def __init__(self, model: SkeletonModel, params: FilterParams) -> None:
-        method = _METHODS[params.method]
+    def __init__(self, model: SkeletonModel, method: _Method) -> None:
         n_tracks = 2 * (model.n_markers + model.n_links)
-        self.now = np.zeros((n_tracks, method.state_columns(params.order)))
+        self.now = np.zeros((n_tracks, method.state_columns))
         self.now[:, method.age_column] = np.inf
         self.ring = np.zeros((4, n_tracks, method.ring_columns))
         self.ring[:, :, _filters.AGE] = np.inf
@@ -255,15 +260,19 @@ class _Run:
     people: dict[tuple[str, int], _Person] = field(default_factory=dict)
     rhythms: dict[str, _Rhythm] = field(default_factory=dict)
     limbs: npt.NDArray[np.int32] = field(init=False)
+    method: _Method = field(init=False)
 
     def __post_init__(self) -> None:
+        self.method = _method(self.params)
         self.limbs = np.ascontiguousarray(self.model.links)
 
     def take(self, frame: Frame) -> _Waiting:
         """Update the filters of the people of a frame."""
         rhythm = self.rhythms.get(frame.source)
         if rhythm is None:
-            rhythm = self.rhythms[frame.source] = _Rhythm(self.params, self.events, frame.source)
+            rhythm = self.rhythms[frame.source] = _Rhythm(
+                self.params, self.method, self.events, frame.source
+            )
         rhythm.beat(frame.stamp)
         self._forget(frame.stamp)
         rows = []
@@ -288,14 +297,14 @@ class _Run:
         if person is not None and stamp <= person.stamp:
             return None
         if person is None or stamp - person.stamp > self.params.max_gap * 1e9:
-            person = self.people[key] = _Person(self.model, self.params)
+            person = self.people[key] = _Person(self.model, self.method)
         return person
 
     def _push(self, frame: Frame, row: int, person: _Person, stamp: int) -> int:
         params, rhythm = self.params, self.rhythms[frame.source]
         before = person.stamp if person.n_steps else stamp - int(rhythm.period * 1e9)
         step = person.step(stamp)
-        _METHODS[params.method].push(
+        self.method.push(
             frame.markers,
             frame.links,
             frame.marker_confidences,
@@ -331,7 +340,7 @@ class _Run:
             link_confidences=frame.link_confidences.copy(),
         )
         for row, person, step in waiting.rows:
-            _METHODS[params.method].emit(
+            self.method.emit(
                 person.ring,
                 person.times,
                 step,
