@@ -1,7 +1,7 @@
 """Error against the truth after every stage: T, TM, TMF, TMO, TMOF.
 
-    python benchmarks/accuracy.py                       simulated logs, 1 to 4 people
-    python benchmarks/accuracy.py LOG TRUTH [LOG TRUTH ...]
+python benchmarks/accuracy.py                       simulated logs, 1 to 4 people
+python benchmarks/accuracy.py LOG TRUTH [LOG TRUTH ...]
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Scores, Truth, evaluate
 from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import ProcessOptions, process
-
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.log import write_log
 from hiros_mcap.transforms import transform_to_fixed
 
 COLUMNS = "mean  sd    p95   angle  angSD   turn  limbCV  jitter  lag    miss false switch"
@@ -34,7 +35,8 @@ def scores_of(path: Path, channel: str, truth: Truth) -> Scores:
 def row(name: str, s: Scores) -> str:
     return (
         f"{name:9} {s.mean:5.1f} {s.deviation:5.1f} {s.percentile_95:5.1f} {s.angle_rmse:6.2f} "
-        f"{s.angle_deviation:6.2f} {s.turn_error:6.2f} {s.limb_variation:7.4f} {s.jitter:6.1f} {s.lag:6.1f} "
+        f"{s.angle_deviation:6.2f} {s.turn_error:6.2f} {s.limb_variation:7.4f} "
+        f"{s.jitter:6.1f} {s.lag:6.1f} "
         f"{s.missing:5d} {s.false:5d} {s.switches:5d}"
     )
 
@@ -63,7 +65,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for people in range(1, 5):
             path = Path(folder) / f"{people}.mcap"
-            write(simulate(SimulateParams(people=people, seconds=20.0, seed=people)), path)
+            write_log(path, SimulateParams(people=people, seconds=20.0, seed=people))
             print(f"\n{people} people, 5 cameras, 20 s, simulated")
             table(path, truth_of(path), overrides)
 

@@ -6,7 +6,9 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+import numpy as np
 
 from hiros_mcap.log import Log
 from hiros_mcap.skeletons import UNTRACKED, Frame
@@ -80,12 +82,11 @@ class _Rhythm:
 
 @dataclass(slots=True)
 class _Seen:
-    """When a person was in the output, and who saw them."""
+    """When a person was in the output."""
 
-    first: int = 0
-    last: int = 0
+    first: int
+    last: int
     frames: int = 0
-    cameras: set[str] = field(default_factory=set)
 
 
 class Observer:
@@ -96,6 +97,7 @@ class Observer:
         self._log, self._run, self._chain = log, run, tuple(chain)
         self._rhythms: dict[str, _Rhythm] = {}
         self._people: dict[int, _Seen] = {}
+        self._seen_by: dict[str, set[bytes]] = {}
         self._written: Counter[str] = Counter()
         self._lag: dict[str, list[int]] = {}
 
@@ -113,21 +115,28 @@ class Observer:
         final, tracked = channel == self._chain[-1], channel == "tracked"
         for frame in frames:
             self._written[channel] += 1
-            if tracked or final:
-                self._note(frame, tracked=tracked, final=final)
+            if tracked:
+                self._seen_by.setdefault(frame.source, set()).add(frame.ids.tobytes())
+            if final:
+                self._note(frame)
             yield frame
 
-    def _note(self, frame: Frame, *, tracked: bool, final: bool) -> None:
+    def _note(self, frame: Frame) -> None:
+        """Note the people of a frame of the last stage."""
         for person in frame.ids.tolist():
-            if person == UNTRACKED:
-                continue
-            seen = self._people.setdefault(person, _Seen(first=frame.stamp))
-            if tracked:
-                seen.cameras.add(frame.source)
-            if final:
+            if person != UNTRACKED:
+                seen = self._people.setdefault(person, _Seen(frame.stamp, frame.stamp))
                 seen.frames += 1
                 seen.first = min(seen.first, frame.stamp)
                 seen.last = max(seen.last, frame.stamp)
+
+    def _cameras_of(self, person: int) -> tuple[str, ...]:
+        """Names of the cameras whose tracked frames hold a person, sorted."""
+        return tuple(
+            source
+            for source, groups in sorted(self._seen_by.items())
+            if any(person in np.frombuffer(ids, np.int32) for ids in groups)
+        )
 
     def summary(self, target: str | None) -> Summary:
         """Everything noted so far."""
@@ -171,7 +180,7 @@ class Observer:
             first_ns=seen.first,
             last_ns=seen.last,
             frames=seen.frames,
-            cameras=tuple(sorted(seen.cameras)),
+            cameras=self._cameras_of(person),
             limbs=self._limbs(person),
         )
 
@@ -188,14 +197,14 @@ class Observer:
         return None
 
     def _notes(self) -> Iterator[str]:
-        """What nobody asked for but should know."""
+        """Tell what nobody asked for but should know."""
         for account in self._log.accounts.values():
             if account.stale:
                 yield f"{account.topic}: {account.stale} stale repeats of a skeleton left out"
             for kind, n in sorted(account.cleaned.items()):
                 yield f"{account.topic}: {n} x {kind} taken out"
             if account.first_error:
-                yield f"{account.topic}: first message that cannot be decoded: {account.first_error}"
+                yield f"{account.topic}: first fault of a message: {account.first_error}"
         shown = {"flip", "outlier", "optimizer outlier"}
         totals: Counter[str] = Counter()
         for (kind, _), n in self._run.events.counts.items():

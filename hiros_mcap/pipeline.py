@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hiros_mcap._version import __version__
-from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, add_skeleton_channel
+from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skeleton_channel
 from hiros_mcap.codec import Encoder
 from hiros_mcap.config import Config, to_toml
 from hiros_mcap.container import ChunkCopier, McapWriter
@@ -61,7 +61,7 @@ class ProcessOptions:
     topics: tuple[str, ...] = ()
     """Globs of the detection channels; empty = every SkeletonGroup channel."""
     keep: tuple[str, ...] | None = None
-    """Globs of the input channels to copy; None = the read ones and the transforms."""
+    """Globs of the input channels to copy; None = those read, the transforms and a /truth."""
     extrinsics: Path | None = None
     """File with the cameras' poses, instead of the log's transforms."""
     limbs_in: Path | None = None
@@ -110,9 +110,7 @@ def process(
         fixed_frame=config.input.fixed_frame or None,
     )
     with log:
-        run = Run(
-            log.model, config, Events(), limbs, camera_positions(log), log.fixed_frame
-        )
+        run = Run(log.model, config, Events(), limbs, camera_positions(log), log.fixed_frame)
         if "optimized" in chain and config.optimize.calibration == "two-pass" and not limbs.people:
             limbs.people.update(_calibrate_first(log, run, chain).people)
         observer = Observer(log, run, chain, watch)
@@ -163,7 +161,7 @@ def _ignore(channel: str, frame: Frame) -> None:
 def _frames(
     log: Log, run: Run, chain: Sequence[str], observer: Observer, sink: Sink
 ) -> Iterator[Frame]:
-    """The whole of a run: every stage pulls from the one before, every output is observed."""
+    """Join the stages: each pulls from the one before; every output is observed and written."""
     watch = observer.watch
     frames: Iterable[Frame] = observer.watch_input(watch.timed("read", log.frames()))
     frames = watch.timed("transform", transform_to_fixed(frames, log.transforms, run.fixed_frame))
@@ -230,7 +228,11 @@ def _kept(log: Log, options: ProcessOptions) -> list[int]:
         read = {camera.channel.id for camera in log.cameras}
         # Transforms that a file replaced would contradict the result.
         transforms = () if options.extrinsics else TF_TOPICS
-        return [i.id for i in log.channels if i.id in read or i.topic in transforms]
+        return [
+            i.id
+            for i in log.channels
+            if i.id in read or i.topic in transforms or i.topic.startswith(f"{TRUTH_PREFIX}/")
+        ]
     outputs = {f"{OUTPUT_PREFIX}/{name}" for name in LETTERS.values()}
     return [
         info.id

@@ -15,7 +15,9 @@ from hiros_mcap.skeletons import Ints, SkeletonModel
 
 # "SHOULDER_LEFT", "ShoulderLeft", "left_shoulder", "LShoulder", "lhip", "Shoulder.L". An initial
 # is taken generously ("Lumbar" too): a side counts only if the other side exists.
-_SIDE = re.compile(r"left|right|(?<![A-Za-z])[lr](?=[A-Za-z_.\s-])|(?<=[_.\s-])[lr]$", re.IGNORECASE)
+_SIDE = re.compile(
+    r"left|right|(?<![A-Za-z])[lr](?=[A-Za-z_.\s-])|(?<=[_.\s-])[lr]$", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)

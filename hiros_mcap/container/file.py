@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import stat
-import zlib
 from pathlib import Path
 from threading import Lock
+
+from isal.isal_zlib import crc32
 
 from hiros_mcap.container.records import FormatError
 from hiros_mcap.errors import LogError
@@ -59,7 +60,7 @@ class LogFile:
         """CRC-32 of the bytes from ``start`` to before ``stop``."""
         value = 0
         for at in range(start, stop, _BLOCK):
-            value = zlib.crc32(self.read(at, min(_BLOCK, stop - at)), value)
+            value = crc32(self.read(at, min(_BLOCK, stop - at)), value)
         return value
 
     def check_unchanged(self) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import secrets
 import weakref
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
+
+from isal.isal_zlib import crc32
 
 from hiros_mcap.container.records import Bytes
 from hiros_mcap.errors import LogError
@@ -44,7 +45,7 @@ class OutputFile:
         try:
             for part in parts:
                 left = memoryview(part)
-                self.crc = zlib.crc32(left, self.crc)
+                self.crc = crc32(left, self.crc)
                 self.offset += len(left)
                 while left:
                     left = left[self._file.write(left) :]

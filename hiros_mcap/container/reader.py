@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -20,6 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from isal.isal_zlib import crc32
 
 from hiros_mcap.container.compression import decompress
 from hiros_mcap.container.file import LogFile
@@ -184,7 +184,7 @@ class McapReader:
     def _plain(self, chunk: Chunk) -> Bytes:
         packed = self._file.read(chunk.data_offset, chunk.data_size)
         data = decompress(packed, chunk.compression, chunk.size)
-        if chunk.crc and zlib.crc32(data) != chunk.crc:
+        if chunk.crc and crc32(data) != chunk.crc:
             raise FormatError("the checksum is wrong")
         return data
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
+
+from isal.isal_zlib import crc32
 
 from hiros_mcap._version import __version__
 from hiros_mcap.container import records as r
@@ -53,7 +54,7 @@ class McapWriter:
     ----------
     path : the output.
     inputs : files that must not be the output.
-    compression : zstd (level 1), lz4 or "" for none.
+    compression : zstd, lz4 or "" for none.
     chunk_size : bytes of records per chunk.
     """
 
@@ -254,7 +255,7 @@ class McapWriter:
     def _emit_batch(self, batch: _Batch) -> None:
         packed = compress(batch.data, self._compression)
         head = r.CHUNK_HEAD.pack(
-            batch.start_time, batch.end_time, len(batch.data), zlib.crc32(batch.data)
+            batch.start_time, batch.end_time, len(batch.data), crc32(batch.data)
         )
         fixed = head + r.text(self._compression) + struct.pack("<Q", len(packed))
         start = self._out.offset
@@ -350,7 +351,7 @@ class McapWriter:
                 summary += b"".join(group)
         footer = r.HEAD.pack(r.FOOTER_OP, r.FOOTER.size)
         footer += struct.pack("<QQ", start, start + len(summary))
-        crc = zlib.crc32(summary + offsets + footer)
+        crc = crc32(summary + offsets + footer)
         self._out.write(summary, offsets, footer, struct.pack("<I", crc), r.MAGIC)
 
 

@@ -48,7 +48,8 @@ def _compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
 @njit(cache=True, nogil=True)
 def _dot4(a: Floats, i: int, b: Floats, j: int) -> float:
     """Scalar product of rows of two (N, 4) arrays."""
-    return a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
+    dot: float = a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
+    return dot
 
 
 @njit(cache=True, nogil=True)

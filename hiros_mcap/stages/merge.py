@@ -296,8 +296,8 @@ class _Merger:
         """Source time and confidence of each merged person: the means over the views."""
         n = out.n_people
         late = np.bincount(person_of, stamps - out.stamp, n)
-        late /= np.maximum(np.bincount(person_of, minlength=n), 1)
-        out.stamps[:] = out.stamp + np.rint(late).astype(np.int64)
+        mean = late / np.maximum(np.bincount(person_of, minlength=n), 1)
+        out.stamps[:] = out.stamp + np.rint(mean).astype(np.int64)
         trust = np.array([f.confidences[r] for _, f, r in views])
         given = ~np.isnan(trust)
         if given.any():

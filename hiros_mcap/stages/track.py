@@ -226,8 +226,12 @@ class _Held:
     """A frame that waits for its people to be confirmed."""
 
     frame: Frame
+    markers: Floats
+    links: Floats
+    """Own copies, in which velocities are filled."""
     tracks: list[_Track | None]
     reasons: list[str]
+    """Why a detection is of nobody; "" where it is of a track."""
 
 
 def track(
@@ -313,64 +317,58 @@ class _Tracker:
     def step(self, frame: Frame) -> _Held:
         """Associate, update, add and remove (the three parts of section 3.1.2)."""
         self._forget(frame.stamp)
-        frame = self._own(frame)
-        found: list[_Track | None] = [None] * frame.n_people
-        reasons = [""] * frame.n_people
-        usable = [j for j in range(frame.n_people) if self._usable(frame, j, reasons)]
+        held = self._hold(frame)
+        usable = [j for j in range(frame.n_people) if self._usable(held, j)]
         known = [t for t in self.tracks if t.person != UNTRACKED]
-        gap = self._match(frame, known, usable, found)
-        rest = [j for j in usable if found[j] is None]
-        if rest or len(known) < len(self.tracks):
+        gap = self._match(held, known, usable)
+        rest = [j for j in usable if held.tracks[j] is None]
+        if rest:
             tentative = [t for t in self.tracks if t.person == UNTRACKED]
-            rest = self._drop_second_bodies(known, gap, rest, found, reasons)
-            self._match(frame, tentative, rest, found)
-            self._add([j for j in rest if found[j] is None], frame, found, reasons)
-        self._judge(frame, found)
-        return _Held(frame, found, reasons)
+            rest = self._drop_second_bodies(held, known, gap, rest)
+            self._match(held, tentative, rest)
+            self._add(held, [j for j in rest if held.tracks[j] is None])
+        self._judge(held)
+        return held
 
     def release(self, held: _Held, log_time: int) -> Frame:
         """Write the ids that the tracks have by now."""
         frame = held.frame
-        for j, body in enumerate(held.tracks):
-            frame.ids[j] = UNTRACKED if body is None else body.person
-            if frame.ids[j] == UNTRACKED:
-                self.events.count(held.reasons[j] or "not confirmed", frame.source)
-        return frame.replace(log_time=max(log_time, frame.log_time))
-
-    def _own(self, frame: Frame) -> Frame:
-        """Copy what this stage writes into, without what is below the confidence threshold."""
-        own = Frame(
-            frame.stamp, frame.log_time, frame.source, frame.frame_id, frame.ids.copy(),
-            frame.stamps, frame.confidences, frame.markers.copy(), frame.marker_confidences,
-            frame.links.copy(), frame.link_confidences, frame.boxes,
+        ids = [UNTRACKED if body is None else body.person for body in held.tracks]
+        if UNTRACKED in ids:
+            for person, reason in zip(ids, held.reasons, strict=True):
+                if person == UNTRACKED:
+                    self.events.count(reason or "not confirmed", frame.source)
+        return Frame(
+            frame.stamp, max(log_time, frame.log_time), frame.source, frame.frame_id,
+            np.array(ids, np.int32), frame.stamps, frame.confidences, held.markers,
+            frame.marker_confidences, held.links, frame.link_confidences, frame.boxes,
         )  # fmt: skip
+
+    def _hold(self, frame: Frame) -> _Held:
+        """Copy what this stage writes into, without what is below the confidence threshold."""
+        markers, links = frame.markers.copy(), frame.links.copy()
         least = self.params.min_marker_confidence
         if least > 0:
-            own.markers[frame.marker_confidences < least] = np.nan
-            own.links[frame.link_confidences < least] = np.nan
-        return own
+            markers[frame.marker_confidences < least] = np.nan
+            links[frame.link_confidences < least] = np.nan
+        n = frame.n_people
+        return _Held(frame, markers, links, [None] * n, [""] * n)
 
-    def _usable(self, frame: Frame, j: int, reasons: list[str]) -> bool:
-        if self._is_empty(frame, j):
-            reasons[j] = "no markers"
-        elif frame.confidences[j] < self.params.min_skeleton_confidence:
-            reasons[j] = "low confidence"
-        return not reasons[j]
+    def _usable(self, held: _Held, j: int) -> bool:
+        x = held.markers[j, :, 0]
+        # Looking at the first marker is enough nearly always, and much quicker.
+        if not (x.size and x[0] == x[0]) and np.isnan(x).all():
+            held.reasons[j] = "no markers"
+        elif held.frame.confidences[j] < self.params.min_skeleton_confidence:
+            held.reasons[j] = "low confidence"
+        return not held.reasons[j]
 
-    @staticmethod
-    def _is_empty(frame: Frame, j: int) -> bool:
-        first = frame.markers[j, 0, 0] if frame.markers.shape[1] else np.nan
-        return first != first and bool(np.isnan(frame.markers[j, :, 0]).all())
-
-    def _match(
-        self, frame: Frame, tracks: list[_Track], people: list[int], found: list[_Track | None]
-    ) -> Floats:
+    def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> Floats:
         """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update; return the gaps."""
-        shape = (len(tracks), frame.n_people)
-        gap = np.full(shape, np.inf)
+        frame, bank = held.frame, self.bank
+        gap = np.full((len(tracks), frame.n_people), np.inf)
         if not tracks or not people:
             return gap
-        bank = self.bank
         rows = np.array([t.row for t in tracks], np.int64)
         wanted = np.zeros(frame.n_people, np.bool_)
         wanted[people] = True
@@ -378,63 +376,56 @@ class _Tracker:
         flipped = np.empty(frame.n_people, np.bool_)
         kernels.associate(
             frame.stamp, rows, bank.motion, bank.seen, bank.turn, bank.spin, bank.turn_seen,
-            frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
+            held.markers, frame.marker_confidences, held.links, frame.link_confidences,
             self.mirror, self.association, wanted, gap, match, flipped,
         )  # fmt: skip
-        for j, i in enumerate(match.tolist()):
-            if i >= 0:
-                found[j] = tracks[i]
-        self._update(frame, [None if i < 0 else tracks[i] for i in match.tolist()], flipped)
+        self._update(held, [tracks[i] if i >= 0 else None for i in match.tolist()], flipped)
         return gap
 
-    def _update(self, frame: Frame, bodies: list[_Track | None], flipped: Flags) -> None:
-        """Move the tracks of the people in ``frame``; fill their velocities in it."""
-        bank = self.bank
+    def _update(self, held: _Held, bodies: list[_Track | None], flipped: Flags) -> None:
+        """Give people to their tracks, move these, and fill the people's velocities."""
+        frame, bank = held.frame, self.bank
         row_of = np.array([UNTRACKED if t is None else t.row for t in bodies], np.int64)
         kernels.update(
             frame.stamp, row_of, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
-            bank.turn_spread, bank.turn_seen, frame.markers, frame.marker_confidences,
-            frame.links, flipped, self.mirror, self.dynamics,
+            bank.turn_spread, bank.turn_seen, held.markers, frame.marker_confidences,
+            held.links, flipped, self.mirror, self.dynamics,
         )  # fmt: skip
-        for body in bodies:
+        for j, body in enumerate(bodies):
             if body is not None:
+                held.tracks[j] = body
                 body.seen = max(body.seen, frame.stamp)
 
     def _drop_second_bodies(
-        self,
-        known: list[_Track],
-        gap: Floats,
-        rest: list[int],
-        found: list[_Track | None],
-        reasons: list[str],
+        self, held: _Held, known: list[_Track], gap: Floats, rest: list[int]
     ) -> list[int]:
         """Leave out detections on top of a person whom this camera has reported already."""
         left = []
         for j in rest:
             near = [t for i, t in enumerate(known) if gap[i, j] < self.params.min_distance]
-            if near and any(t in found for t in near):
-                reasons[j] = "second body"
+            if any(t in held.tracks for t in near):
+                held.reasons[j] = "second body"
             else:
                 left.append(j)
         return left
 
-    def _add(
-        self, people: list[int], frame: Frame, found: list[_Track | None], reasons: list[str]
-    ) -> None:
-        born: list[_Track | None] = [None] * frame.n_people
+    def _add(self, held: _Held, people: list[int]) -> None:
+        """Start tracks of bodies that are of nobody known."""
+        stamp = held.frame.stamp
+        born: list[_Track | None] = [None] * held.frame.n_people
         for j in people:
-            here = frame.markers[j, :, :3]
+            here = held.markers[j, :, :3]
             if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
-                reasons[j] = "too few markers"
+                held.reasons[j] = "too few markers"
                 continue
-            evidence = _Evidence(frame.stamp, np.nanmean(here, axis=0))
-            body = _Track(self.bank.take(), frame.stamp, evidence)
+            body = _Track(self.bank.take(), stamp, _Evidence(stamp, np.nanmean(here, axis=0)))
             self.tracks.append(body)
-            found[j] = born[j] = body
-        self._update(frame, born, np.zeros(frame.n_people, np.bool_))
+            born[j] = body
+        self._update(held, born, np.zeros(len(born), np.bool_))
 
-    def _judge(self, frame: Frame, found: list[_Track | None]) -> None:
+    def _judge(self, held: _Held) -> None:
         """Weigh the evidence that this message adds to bodies that are not people yet."""
+        frame, found = held.frame, held.tracks
         teaches = self.coverage.is_due(frame.source, frame.stamp)
         for body in self.tracks:
             if body.person != UNTRACKED and len(body.evidence.reports) > 1:
