@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -190,10 +191,11 @@ class Observer:
             spread = {name: limb.deviation / limb.length for name, limb in limbs.items()}
             worst = max(spread, key=lambda name: spread[name])
             frames = max(limb.frames for limb in limbs.values())
-            return LimbSummary(frames, spread[worst], worst, accepted=True)
+            middle = float(np.median(list(spread.values())))
+            return LimbSummary(frames, middle, spread[worst], worst, accepted=True)
         for event in reversed(self._run.events.log):
             if event.kind == "calibration rejected" and event.person == person:
-                return LimbSummary(0, float("nan"), "", accepted=False, reason=event.detail)
+                return LimbSummary(0, math.nan, math.nan, "", accepted=False, reason=event.detail)
         return None
 
     def _notes(self) -> Iterator[str]:

@@ -38,6 +38,8 @@ class LimbSummary:
 
     frames: int
     """Frames that the lengths were taken from."""
+    median_cv: float
+    """Coefficient of variation of half of the links before optimizing; NaN if not measured."""
     worst_cv: float
     """Largest coefficient of variation (standard deviation / mean) of a link's length."""
     worst_link: str

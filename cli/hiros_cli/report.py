@@ -113,8 +113,8 @@ def _limbs(limbs: LimbSummary | None) -> str:
         return "-"
     if not limbs.accepted:
         return f"not calibrated, passed through: {limbs.reason}"
-    worst = f" ({limbs.worst_link})" if limbs.worst_link else ""
-    return f"from {limbs.frames} frames, varying by up to {limbs.worst_cv:.1%}{worst}"
+    worst = f", {limbs.worst_link} {limbs.worst_cv:.0%}" if limbs.worst_link else ""
+    return f"from {limbs.frames} frames, +-{limbs.median_cv:.0%} before{worst}"
 
 
 def _times(summary: Summary) -> Table:

@@ -289,15 +289,15 @@ class _Merger:
                 self.events.count("flip", source, int(verdict != kernels.KEPT))
         self._summarize(out, person_of, stamps, views)
 
-    @staticmethod
     def _summarize(
-        out: Frame, person_of: Stamps, stamps: Stamps, views: list[tuple[int, Frame, int]]
+        self, out: Frame, person_of: Stamps, stamps: Stamps, views: list[tuple[int, Frame, int]]
     ) -> None:
         """Source time and confidence of each merged person: the means over the views."""
         n = out.n_people
-        late = np.bincount(person_of, stamps - out.stamp, n)
-        mean = late / np.maximum(np.bincount(person_of, minlength=n), 1)
-        out.stamps[:] = out.stamp + np.rint(mean).astype(np.int64)
+        if not self.params.compensate_motion:  # otherwise every pose is that of the merged time
+            late = np.bincount(person_of, stamps - out.stamp, n)
+            mean = late / np.maximum(np.bincount(person_of, minlength=n), 1)
+            out.stamps[:] = out.stamp + np.rint(mean).astype(np.int64)
         trust = np.array([f.confidences[r] for _, f, r in views])
         given = ~np.isnan(trust)
         if given.any():
@@ -312,7 +312,6 @@ class _Merger:
             getattr(out, name)[row] = getattr(last, name)[last_row]
         out.markers[row, :, POSITION] += dt * np.nan_to_num(last.markers[last_row, :, VELOCITY])
         out.confidences[row] = last.confidences[last_row]
-        out.stamps[row] = last.stamps[last_row]
         self.events.count("bridged")
 
 
