@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -163,7 +164,8 @@ class _Tables(NamedTuple):
         words = bytearray()
         markers = _prepare(words, model.marker_ids, model.marker_names)
         links = _prepare(words, model.link_ids, model.link_names)
-        ids = (*model.marker_ids, cdr.ABSENT)  # slot -1 is ABSENT
+        unused = next(key for key in count(-1, -1) if key not in model.marker_ids)
+        ids = (*model.marker_ids, cdr.ABSENT + unused)  # for slot -1
         ends = [
             (*row, ids[parent], ids[child])
             for row, parent, child in zip(
@@ -240,8 +242,8 @@ class Decoder:
             return [frame]
         header = frame.frame_id  # without a common src_frame it is the header's
         people: dict[str, list[int]] = {}
-        for person, (start, end) in enumerate(self._sources[: frame.n_people].tolist()):
-            people.setdefault(_text(data, start, end, self._topic), []).append(person)
+        for person, source in enumerate(self._names(data, frame.n_people)):
+            people.setdefault(source, []).append(person)
         return [
             frame.select(rows).replace(source=source or header, frame_id=header or source)
             for source, rows in people.items()
@@ -259,8 +261,16 @@ class Decoder:
             raise _fault(code, self._report, data, self._topic)
         *_, stamp, header, header_end, source, source_end, mixed = self._report.tolist()
         frame_id = _text(data, header, header_end, self._topic)
-        common = "" if mixed else _text(data, source, source_end, self._topic)
+        common = _text(data, source, source_end, self._topic)
+        if mixed:
+            self._names(data, len(arrays[0]))  # for the fault, if one is no text
+            common = ""
         return Frame(stamp, log_time, common or frame_id, frame_id or common, *arrays)
+
+    def _names(self, data: Bytes, n_people: int) -> list[str]:
+        """Return each person's src_frame."""
+        places = self._sources[:n_people].tolist()
+        return [_text(data, start, end, self._topic) for start, end in places]
 
     def _resize(self, n_people: int) -> None:
         """Prepare the shapes of a Frame's arrays."""

@@ -100,7 +100,7 @@ def message_of(frame: Frame, model: SkeletonModel) -> dict[str, Any]:
 
 
 def skeleton(frame: Frame, model: SkeletonModel, p: int) -> dict[str, Any]:
-    ids = (*model.marker_ids, -1)
+    ids = (*model.marker_ids, next(k for k in range(-1, -9, -1) if k not in model.marker_ids))
     given = (~np.isnan(frame.markers[p]).all(-1)) | ~np.isnan(frame.marker_confidences[p])
     given_links = (~np.isnan(frame.links[p]).all(-1)) | ~np.isnan(frame.link_confidences[p])
     box = frame.boxes[p]
@@ -185,7 +185,7 @@ def numbers(message: Any) -> list[float]:
 
 
 def frame_of(message: Any, model: SkeletonModel) -> Frame:
-    """What a generic decoder gave, as a frame; sources are those of a message with one src_frame."""
+    """What a generic decoder gave, as a frame."""
     header, people = message.header, message.skeletons
     sources = {person.src_frame for person in people}
     common = sources.pop() if len(sources) == 1 else ""

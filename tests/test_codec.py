@@ -133,9 +133,7 @@ def test_mutated_messages_are_refused_or_decode_as_the_generic_reader_does() -> 
             continue
         if rng.random() < 0.1:
             compared += 1
-            expected = gen.frame_of(gen.generic_reader()(data), model)
-            assert np.array_equal(frame.markers, expected.markers, equal_nan=True)
-            assert frame.stamp == expected.stamp
+            assert gen.same(frame, gen.frame_of(gen.generic_reader()(data), model))
     assert compared > 100
 
 
@@ -429,7 +427,7 @@ def test_cameras_whose_links_differ_are_refused() -> None:
     builder = ModelBuilder()
     builder.add(Encoder(stick()).encode(full(stick())), "/cam0")
     other = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(child_marker=0))
-    with pytest.raises(LogError, match="/cam1: link 0 .*'l0' from marker 0 to 1 on /cam0"):
+    with pytest.raises(LogError, match="/cam1: link 0 .* and 'l0' from 0 to 1 on /cam0"):
         builder.add(other, "/cam1")
 
 
@@ -507,9 +505,16 @@ def test_quaternion_of_float32_precision_is_left_alone() -> None:
 
 @pytest.mark.parametrize(("value", "kept"), [(1.5, 1.0), (-0.1, 0.0), (100.0, 1.0)])
 def test_confidence_is_clamped(value: float, kept: float) -> None:
-    _, cleaned, counts = spoiled(marker_confidences=((1,), value), confidences=((), value))
+    _, cleaned, counts = spoiled(marker_confidences=((1,), value))
+    assert counts == {"confidence out of range": 1}
+    assert cleaned.marker_confidences[0, 1] == kept
+
+
+def test_confidence_of_a_person_is_clamped() -> None:
+    frame = full(stick(), 2).replace(confidences=np.array([-1.0, 7.0]))
+    cleaned, counts = clean(frame)
     assert counts == {"confidence out of range": 2}
-    assert cleaned.marker_confidences[0, 1] == cleaned.confidences[0] == kept
+    assert cleaned.confidences.tolist() == [0.0, 1.0]
 
 
 def test_infinite_confidence_is_unset() -> None:
@@ -519,7 +524,7 @@ def test_infinite_confidence_is_unset() -> None:
 
 
 def test_cleaning_twice_changes_nothing_more() -> None:
-    model, frame = gen.random_case(5001)
+    _, frame = gen.random_case(5001)
     once, _ = clean(frame)
     assert clean(once)[0] is once
 
@@ -587,7 +592,7 @@ def test_translated_message_of_several_cameras_can_be_split() -> None:
         (TEXT.replace("int32 sec", "string sec"), "string instead of int32 for .*header.stamp.sec"),
         (TEXT.replace("Link[] links\n", ""), r"lacks the field skeletons\[\].links\[\].id"),
         (TEXT.replace("Skeleton[] skel", "Skeleton skel"), r"lacks the field skeletons\[\].id"),
-        (TEXT.replace("MSG: hiros_skeleton_msgs/Box", "MSG: hiros_skeleton_msgs/Bax"), "Box is miss"),
+        (TEXT.replace("MSG: hiros_skeleton_msgs/Box", "MSG: hiros_skeleton_msgs/B"), "Box is miss"),
         (TEXT.replace("float64 height", "Box inner\nfloat64 height"), "contains itself"),
         (TEXT.replace("float64 height", "Bomb[] b\nfloat64 height") + "\n" + "=" * 80
          + "\nMSG: hiros_skeleton_msgs/Bomb\nuint8[4] x\n", "nothing but bytes"),
@@ -604,9 +609,9 @@ def test_other_schemas_are_refused_by_their_first_fault(text: str, said: str) ->
 
 
 def test_schema_of_exponential_size_is_refused() -> None:
-    levels = [f"{'=' * 80}\nMSG: a/T{k}\nT{k + 1} x\nT{k + 1} y\n" for k in range(30)]
+    levels = [f"{'=' * 80}\nMSG: a/T{k}\nT{k + 1} x\nT{k + 1} y\n" for k in range(20)]
     bomb = TEXT.replace("float64 height", "a/T0 t\nfloat64 height")
-    last = f"{'=' * 80}\nMSG: a/T30\nint8 x\n"
+    last = f"{'=' * 80}\nMSG: a/T20\nint8 x\n"
     with pytest.raises(SchemaError, match="more than 4096 fields"):
         checked("\n".join([bomb, *levels, last]))
 

@@ -13,7 +13,7 @@ Tables, one row per slot, ids increasing::
 
     marker_table  (M, 3) int64   id, first word of its prepared bytes, how many bytes
     link_table    (L, 5) int64   the same, then the ids of the parent and the child marker,
-                                 ABSENT for a marker that the log never shows
+                                 or ABSENT + an unused id for a marker that the log never shows
 """
 
 # mypy: disable-error-code="no-any-return"
@@ -52,8 +52,8 @@ MAX_STRING = 65536
 # RTPS pads a payload to a multiple of four bytes, and some recorders keep that padding.
 MAX_PADDING = 3
 
-# No int32, so it is no id; written as 32 bits it is -1.
-ABSENT = 0xFFFFFFFF
+# Added to a negative id that no marker has: beyond every int32, and that id again in 32 bits.
+ABSENT = 1 << 32
 
 # Elements of the report.
 AT, PERSON, ID, NAME, NAME_END = 0, 1, 2, 3, 4
@@ -74,6 +74,8 @@ ORIGIN = 4
 STATE = 19
 BOX = 22
 NANO = 1_000_000_000
+
+_INT32_MAX = 2**31 - 1
 
 Bytes = npt.NDArray[np.uint8]
 Table = npt.NDArray[np.int64]
@@ -416,7 +418,7 @@ def _markers(
 @kernel
 def _is_end(marker: int, expected: int, marker_table: Table) -> bool:
     """Whether a link's parent or child is the marker that the model has there."""
-    return marker == expected or (expected == ABSENT and _slot(marker_table, marker) < 0)
+    return marker == expected or (expected > _INT32_MAX and _slot(marker_table, marker) < 0)
 
 
 @kernel
