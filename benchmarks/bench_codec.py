@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from time import perf_counter
 
-import hiros_schemas
 import numpy as np
 from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
 
+import hiros_schemas
 from hiros_mcap.codec import Decoder, Encoder, ModelBuilder, check_schema, clean
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Frame, SkeletonModel
 
@@ -46,6 +45,8 @@ def typical(model: SkeletonModel) -> Frame:
 
 def main() -> None:
     """Print the table."""
+    from mcap_ros2.decoder import DecoderFactory
+
     links = [(f"link_{k:02}", k, k + 1) for k in range(MARKERS - 1)]
     model = SkeletonModel.of([f"marker_{k:02}" for k in range(MARKERS)], links)
     frame = typical(model)
