@@ -24,6 +24,7 @@ from hiros_mcap.skeletons import (
     VELOCITY,
     Floats,
     Frame,
+    Ints,
     SkeletonModel,
     Stamps,
 )
@@ -229,23 +230,18 @@ class _Merger:
 
     def fuse(self, buffer: dict[str, Frame], log_time: int) -> Frame:
         """Merge what the buffer holds into one frame at its mean time (H20-H25)."""
-        frames = [buffer[source] for source in sorted(buffer)]
+        frames = [_tracked_only(buffer[source]) for source in sorted(buffer)]
         stamp = sum(f.stamp for f in frames) // len(frames)
-        views = [
-            (int(person), f, row)
-            for f in frames
-            for row, person in enumerate(f.ids.tolist())
-            if person != UNTRACKED
-        ]
-        seen = {person for person, _, _ in views}
+        ids = np.concatenate([f.ids for f in frames])
+        seen = set(ids.tolist())
         people = sorted(seen | self._bridged(seen, stamp))
         fixed = self.fixed_frame or frames[0].frame_id
         out = Frame.empty(
             len(people), self.model, stamp=stamp, log_time=log_time, source=fixed, frame_id=fixed
         )
         out.ids[:] = people
-        if views:
-            self._merge(out, people, views)
+        if seen:
+            self._merge(out, ids, frames)
         for row, person in enumerate(people):
             if person in seen:
                 self.last[person] = (out, row)
@@ -261,44 +257,42 @@ class _Merger:
         self.last = kept
         return {p for p, (f, _) in kept.items() if p not in seen and 0 <= stamp - f.stamp <= limit}
 
-    def _merge(self, out: Frame, people: list[int], views: list[tuple[int, Frame, int]]) -> None:
-        bank, n = self.bank, len(views)
-        sources = [f.source for _, f, _ in views]
-        index = {person: row for row, person in enumerate(people)}
-        stamps = np.array([f.stamp for _, f, _ in views])
-        rows = np.array([bank.row(person) for person in people], np.int64)
-        cameras = np.array([bank.camera(source) for source in sources], np.int64)
-        person_of = np.array([index[person] for person, _, _ in views], np.int64)
-        verdicts, outliers = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    def _merge(self, out: Frame, ids: Ints, frames: list[Frame]) -> None:
+        """Fill the rows of the people whom the buffer shows; ``ids`` (N,) are its views'."""
+        bank, counts = self.bank, [f.n_people for f in frames]
+        stamps = np.repeat([f.stamp for f in frames], counts)
+        rows = np.array([bank.row(person) for person in out.ids.tolist()], np.int64)
+        cameras = np.repeat([bank.camera(f.source) for f in frames], counts)
+        person_of = np.searchsorted(out.ids, ids)
+        verdicts, outliers = np.zeros(len(ids), np.int64), np.zeros(len(ids), np.int64)
         kernels.fuse(
             out.stamp, (out.stamp - stamps) * 1e-9, person_of, cameras,
-            np.array([f.markers[r] for _, f, r in views]),
-            np.array([f.marker_confidences[r] for _, f, r in views]),
-            np.array([f.links[r] for _, f, r in views]),
-            np.array([f.link_confidences[r] for _, f, r in views]),
+            np.concatenate([f.markers for f in frames]),
+            np.concatenate([f.marker_confidences for f in frames]),
+            np.concatenate([f.links for f in frames]),
+            np.concatenate([f.link_confidences for f in frames]),
             rows, bank.seen, bank.facing_seen, bank.positions, bank.velocities, bank.turns,
             bank.bias, self.symmetry.mirror, self.symmetry.lateral, self.numbers,
             out.markers, out.marker_confidences, out.links, out.link_confidences,
             verdicts, outliers,
         )  # fmt: skip
         if outliers.any() or verdicts.any():
-            for source, lost, verdict in zip(
-                sources, outliers.tolist(), verdicts.tolist(), strict=True
-            ):
-                self.events.count("outlier", source, lost)
-                self.events.count("flip", source, int(verdict != kernels.KEPT))
-        self._summarize(out, person_of, stamps, views)
+            start = 0
+            for frame, n in zip(frames, counts, strict=True):
+                views = slice(start, start + n)
+                flips = int(np.count_nonzero(verdicts[views] != kernels.KEPT))
+                self.events.count("outlier", frame.source, int(outliers[views].sum()))
+                self.events.count("flip", frame.source, flips)
+                start += n
+        self._summarize(out, person_of, stamps, np.concatenate([f.confidences for f in frames]))
 
-    def _summarize(
-        self, out: Frame, person_of: Stamps, stamps: Stamps, views: list[tuple[int, Frame, int]]
-    ) -> None:
+    def _summarize(self, out: Frame, person_of: Stamps, stamps: Stamps, trust: Floats) -> None:
         """Source time and confidence of each merged person: the means over the views."""
         n = out.n_people
         if not self.params.compensate_motion:  # otherwise every pose is that of the merged time
             late = np.bincount(person_of, stamps - out.stamp, n)
             mean = late / np.maximum(np.bincount(person_of, minlength=n), 1)
             out.stamps[:] = out.stamp + np.rint(mean).astype(np.int64)
-        trust = np.array([f.confidences[r] for _, f, r in views])
         given = ~np.isnan(trust)
         if given.any():
             total = np.bincount(person_of[given], trust[given], n)
@@ -313,6 +307,12 @@ class _Merger:
         out.markers[row, :, POSITION] += dt * np.nan_to_num(last.markers[last_row, :, VELOCITY])
         out.confidences[row] = last.confidences[last_row]
         self.events.count("bridged")
+
+
+def _tracked_only(frame: Frame) -> Frame:
+    """Return the frame without people who have no id."""
+    tracked = frame.ids != UNTRACKED
+    return frame if tracked.all() else frame.select(tracked)
 
 
 def _pelvis_link(model: SkeletonModel, name: str) -> int:
