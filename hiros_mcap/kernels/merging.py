@@ -16,12 +16,13 @@ import numpy as np
 from numba import njit
 
 from hiros_mcap.kernels.tracking import angle_of, exponential, multiply, norm3
+from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 KEPT, FLIPPED, RELABELLED = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
     """Carry a view to the merged time by its own velocities, in place.
 
@@ -45,14 +46,14 @@ def _compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
                 links[view, m, 3 + c] = q[c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _dot4(a: Floats, i: int, b: Floats, j: int) -> float:
     """Scalar product of rows of two (N, 4) arrays."""
     dot: float = a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
     return dot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lateral(poses: Floats, view: int, pairs: Ints, out: Floats, row: int) -> None:
     """Write the direction from left to right, the mean over shoulders and hips; NaN if unknown."""
     x = y = z = 0.0
@@ -136,10 +137,9 @@ def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) 
     return best
 
 
-@njit(cache=True, nogil=True)
-def _powers(confidences: Floats, power: float) -> Floats:
-    """Weights of eq 12: confidences to a power, 1 where not given."""
-    out = np.empty_like(confidences)
+@kernel
+def _raise(confidences: Floats, power: float, out: Floats) -> None:
+    """Fill ``out`` with the weights of eq 12: confidences to a power, 1 where not given."""
     known, known_power = 1.0, 1.0  # detectors give few distinct confidences, and pow is slow
     for k in range(out.shape[0]):
         for m in range(out.shape[1]):
@@ -150,10 +150,9 @@ def _powers(confidences: Floats, power: float) -> Floats:
             if c != known:
                 known, known_power = c, c**power
             out[k, m] = known_power
-    return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _weigh(members: Stamps, powers: Floats, m: int, usable: Flags, out: Floats) -> None:
     """Weight of each usable view; equal if all are zero."""
     total = 0.0
@@ -165,20 +164,19 @@ def _weigh(members: Stamps, powers: Floats, m: int, usable: Flags, out: Floats) 
             out[k] = 1.0 if usable[k] else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _robust_mean(
-    here: Floats, weights: Floats, start: Floats, scale: float, n: int, out: Floats
+    here: Floats, weights: Floats, robust: Floats, start: Floats, scale: float, out: Floats
 ) -> None:
-    """Weighted mean (eq 12) of the first ``n`` rows, (3,), by Cauchy weights of ``scale`` m.
+    """Weighted mean (eq 12) of the rows of ``here``, by Cauchy weights of ``scale`` m.
 
     The weights are multiplied by how much each row counts, so that velocities can use them.
     """
     for c in range(3):
         out[c] = start[c]
-    robust = np.empty(n)
     for _ in range(3 if scale > 0.0 else 1):
         norm = x = y = z = 0.0
-        for k in range(n):
+        for k in range(len(weights)):
             robust[k] = weights[k]
             if weights[k] <= 0.0:
                 continue
@@ -190,11 +188,11 @@ def _robust_mean(
             y += robust[k] * here[k, 1]
             z += robust[k] * here[k, 2]
         out[0], out[1], out[2] = x / norm, y / norm, z / norm
-    for k in range(n):
+    for k in range(len(weights)):
         weights[k] = robust[k]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mean(
     views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats, p: int
 ) -> None:
@@ -214,7 +212,7 @@ def _mean(
     out[p, m, first], out[p, m, first + 1], out[p, m, first + 2] = x, y, z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mean_turn(
     views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats, p: int
 ) -> None:
@@ -243,7 +241,7 @@ def _mean_turn(
     out[p, m, 3], out[p, m, 4], out[p, m, 5], out[p, m, 6] = qx, qy, qz, qw
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Floats) -> float:
     total = norm = 0.0
     for k in range(len(members)):
@@ -254,7 +252,7 @@ def _mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Floa
     return total / norm if norm > 0.0 else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _vote(
     apart: Floats, weights: Floats, voter: bool, limit: float, usable: Flags, lost: Flags
 ) -> int:
@@ -268,7 +266,7 @@ def _vote(
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _first(usable: Flags) -> int:
     k = 0
     while not usable[k]:
@@ -276,7 +274,7 @@ def _first(usable: Flags) -> int:
     return k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _agree(here: Floats, usable: Flags, voter: bool, limit: float) -> bool:
     """Whether all positions lie within ``limit`` of one of them, so that no vote is needed."""
     n = len(usable)
@@ -291,7 +289,7 @@ def _agree(here: Floats, usable: Flags, voter: bool, limit: float) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _aligned(turns: Floats, usable: Flags, voter: bool, near: float) -> bool:
     """Whether all orientations lie near one of them, so that no vote is needed."""
     n = len(usable)
@@ -300,6 +298,66 @@ def _aligned(turns: Floats, usable: Flags, voter: bool, near: float) -> bool:
         if usable[k] and abs(_dot4(turns, k, turns, centre)) <= near:
             return False
     return True
+
+
+@kernel
+def _merge_markers(
+    members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
+    bias: Floats, person: int, cameras: Stamps, limit: float, scale: float, learning: float,
+    apart: Floats, alone: Floats, here: Floats, two_weights: Floats, two_flags: Flags,
+    two_points: Floats, p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+) -> None:  # fmt: skip
+    """Do the work of :func:`merge_markers` in the room that it gives."""
+    n = len(members)
+    weights, robust = two_weights[0], two_weights[1]
+    usable, lost = two_flags[0], two_flags[1]
+    start, mean = two_points[0], two_points[1]
+    for m in range(views.shape[1]):
+        count = 0
+        for k in range(n):
+            v = members[k]
+            usable[k] = not math.isnan(views[v, m, 0])
+            lost[k] = False
+            count += int(usable[k])
+            for c in range(3):
+                here[k, c] = views[v, m, c] - bias[person, cameras[v], m, c]
+        if count == 0:
+            continue
+        voter = not math.isnan(past[m, 0])
+        for c in range(3):
+            here[n, c] = past[m, c]
+        _weigh(members, powers, m, usable, weights)
+        if limit > 0.0 and not _agree(here, usable, voter, 0.5 * limit):
+            for a in range(n + 1):
+                for b in range(n + 1):
+                    apart[a, b] = norm3(
+                        here[a, 0] - here[b, 0], here[a, 1] - here[b, 1], here[a, 2] - here[b, 2]
+                    )
+            if not voter:
+                for a in range(n):
+                    for b in range(n):
+                        alone[a, b] = apart[a, b]
+            best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
+            _weigh(members, powers, m, usable, weights)
+            voter = voter and apart[best, n] < limit
+        else:
+            best = _first(usable)
+            voter = voter and limit > 0.0
+        for c in range(3):
+            start[c] = here[n, c] if voter else here[best, c]
+        _robust_mean(here, weights, robust, start, scale, mean)
+        for c in range(3):
+            out[p, m, c] = mean[c]
+        if not math.isnan(views[members[best], m, 6]):
+            _mean_turn(views, members, m, weights, best, out, p)
+        for first in (7, 10, 13, 16):
+            _mean(views, members, m, first, weights, out, p)
+        out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
+        for k in range(n):
+            outliers[members[k]] += int(lost[k])
+            if learning > 0.0 and usable[k]:
+                for c in range(3):
+                    bias[person, cameras[members[k]], m, c] += learning * (here[k, c] - mean[c])
 
 
 @njit(
@@ -340,94 +398,24 @@ def merge_markers(
     outliers : (N,) votes lost per view, added to.
     """
     n = len(members)
-    apart = np.empty((n + 1, n + 1))
-    alone = np.empty((n, n))
-    here = np.empty((n + 1, 3))
-    weights = np.empty(n)
-    usable = np.empty(n, np.bool_)
-    lost = np.empty(n, np.bool_)
-    start = np.empty(3)
-    mean = np.empty(3)
-    powers = _powers(confidences, power)
-    for m in range(views.shape[1]):
-        count = 0
-        for k in range(n):
-            v = members[k]
-            usable[k] = not math.isnan(views[v, m, 0])
-            lost[k] = False
-            count += int(usable[k])
-            for c in range(3):
-                here[k, c] = views[v, m, c] - bias[person, cameras[v], m, c]
-        if count == 0:
-            continue
-        voter = not math.isnan(past[m, 0])
-        for c in range(3):
-            here[n, c] = past[m, c]
-        _weigh(members, powers, m, usable, weights)
-        if limit > 0.0 and not _agree(here, usable, voter, 0.5 * limit):
-            for a in range(n + 1):
-                for b in range(n + 1):
-                    apart[a, b] = norm3(
-                        here[a, 0] - here[b, 0], here[a, 1] - here[b, 1], here[a, 2] - here[b, 2]
-                    )
-            if not voter:
-                for a in range(n):
-                    for b in range(n):
-                        alone[a, b] = apart[a, b]
-            best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
-            _weigh(members, powers, m, usable, weights)
-            voter = voter and apart[best, n] < limit
-        else:
-            best = _first(usable)
-            voter = voter and limit > 0.0
-        for c in range(3):
-            start[c] = here[n, c] if voter else here[best, c]
-        _robust_mean(here, weights, start, scale, n, mean)
-        for c in range(3):
-            out[p, m, c] = mean[c]
-        if not math.isnan(views[members[best], m, 6]):
-            _mean_turn(views, members, m, weights, best, out, p)
-        for first in (7, 10, 13, 16):
-            _mean(views, members, m, first, weights, out, p)
-        out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
-        for k in range(n):
-            outliers[members[k]] += int(lost[k])
-            if learning > 0.0 and usable[k]:
-                for c in range(3):
-                    bias[person, cameras[members[k]], m, c] += learning * (here[k, c] - mean[c])
+    powers = np.empty_like(confidences)
+    _raise(confidences, power, powers)
+    _merge_markers(
+        members, views, confidences, powers, past, bias, person, cameras, limit, scale, learning,
+        np.empty((n + 1, n + 1)), np.empty((n, n)), np.empty((n + 1, 3)), np.empty((2, n)),
+        np.empty((2, n), np.bool_), np.empty((2, 3)), p, out, out_confidences, outliers,
+    )  # fmt: skip
 
 
-@njit(
-    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1],"
-    " float64, float64, int64, float64[:,:,::1], float64[:,::1], int64[::1])",
-    cache=True,
-    nogil=True,
-)
-def merge_links(
-    members: Stamps,
-    views: Floats,
-    confidences: Floats,
-    past: Floats,
-    limit: float,
-    power: float,
-    p: int,
-    out: Floats,
-    out_confidences: Floats,
-    outliers: Stamps,
-) -> None:
-    """Merge the links of one person's views as :func:`merge_markers` does, by orientation.
-
-    ``past`` is (L, 4), ``limit`` in rad (eq 10). A link without orientation is averaged without a
-    vote.
-    """
+@kernel
+def _merge_links(
+    members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
+    limit: float, apart: Floats, alone: Floats, turns: Floats, weights: Floats, two_flags: Flags,
+    p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+) -> None:  # fmt: skip
+    """Do the work of :func:`merge_links` in the room that it gives."""
     n = len(members)
-    apart = np.empty((n + 1, n + 1))
-    alone = np.empty((n, n))
-    turns = np.empty((n + 1, 4))
-    weights = np.empty(n)
-    usable = np.empty(n, np.bool_)
-    lost = np.empty(n, np.bool_)
-    powers = _powers(confidences, power)
+    usable, lost = two_flags[0], two_flags[1]
     near = math.cos(0.25 * max(limit, 0.0))  # of half the angle between two quaternions
     for m in range(views.shape[1]):
         turned = 0
@@ -467,7 +455,40 @@ def merge_links(
             outliers[members[k]] += int(lost[k])
 
 
-@njit(cache=True, nogil=True)
+@njit(
+    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1],"
+    " float64, float64, int64, float64[:,:,::1], float64[:,::1], int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def merge_links(
+    members: Stamps,
+    views: Floats,
+    confidences: Floats,
+    past: Floats,
+    limit: float,
+    power: float,
+    p: int,
+    out: Floats,
+    out_confidences: Floats,
+    outliers: Stamps,
+) -> None:
+    """Merge the links of one person's views as :func:`merge_markers` does, by orientation.
+
+    ``past`` is (L, 4), ``limit`` in rad (eq 10). A link without orientation is averaged without a
+    vote.
+    """
+    n = len(members)
+    powers = np.empty_like(confidences)
+    _raise(confidences, power, powers)
+    _merge_links(
+        members, views, confidences, powers, past, limit, np.empty((n + 1, n + 1)),
+        np.empty((n, n)), np.empty((n + 1, 4)), np.empty(n), np.empty((2, n), np.bool_), p, out,
+        out_confidences, outliers,
+    )  # fmt: skip
+
+
+@kernel
 def _right_views(
     apart: Floats, trust: Floats, has_past: bool, patient: bool, limit: float, right: Flags
 ) -> bool:
@@ -494,7 +515,7 @@ def _right_views(
     return none
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mend(
     view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats,
     mirror: Ints, reference: Floats, relabel: bool, drop: bool,

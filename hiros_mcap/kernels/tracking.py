@@ -16,6 +16,7 @@ import math
 import numpy as np
 from numba import njit
 
+from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _INFINITE = 1e18
@@ -25,7 +26,7 @@ _NOT_MIRRORED = 0.1  # m: a body whose sides are swapped is farther than this fr
 Quaternion = tuple[float, float, float, float]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     """Quaternion product; x y z w. Tuples, since a view of an array costs more than the product."""
     return (
@@ -36,7 +37,7 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def exponential(x: float, y: float, z: float) -> Quaternion:
     """Quaternion of a rotation vector, rad."""
     square = x * x + y * y + z * z
@@ -49,23 +50,21 @@ def exponential(x: float, y: float, z: float) -> Quaternion:
     return s * x, s * y, s * z, math.cos(0.5 * angle)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def angle_of(dot: float) -> float:
     """Rotation angle between unit quaternions of this scalar product, eq 10, in [0, pi]."""
     return 2.0 * math.acos(min(1.0, abs(dot)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def norm3(x: float, y: float, z: float) -> float:
     """Length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(
+@kernel(
     "void(int64, int64[::1], float64[:,:,:,::1], int64[:,::1], float64[:,:,::1],"
     " float64[:,:,:,::1], int64[:,::1], float64, float64[:,:,::1], float64[:,:,::1])",
-    cache=True,
-    nogil=True,
 )
 def predict(
     stamp: int,
@@ -109,7 +108,7 @@ def predict(
                 out_turns[i, k, c] = turned[c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _slow_down(velocities: Floats, decay: float, out: Floats) -> None:
     """Velocity weight of eq 11 for each row."""
     for m in range(velocities.shape[0]):
@@ -120,7 +119,7 @@ def _slow_down(velocities: Floats, decay: float, out: Floats) -> None:
             out[m] = speed**-decay
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _marker_distance(
     positions: Floats, motion: Floats, markers: Floats, confidences: Floats, weights: Floats,
     by_confidence: bool, velocity_weight: float, exponent: float, linear: Floats, gap: Floats,
@@ -156,7 +155,7 @@ def _marker_distance(
         gap[0] = total / norm
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mirrored_distance(
     positions: Floats, markers: Floats, confidences: Floats, weights: Floats, mirror: Ints,
     by_confidence: bool,
@@ -181,7 +180,7 @@ def _mirrored_distance(
     return total / norm if norm > 0.0 else np.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _link_distance(
     turns: Floats, spin: Floats, links: Floats, confidences: Floats, weights: Floats,
     by_confidence: bool, velocity_weight: float, exponent: float,
@@ -404,7 +403,7 @@ def associate(
         flipped[j] = found[j] >= 0 and turned[found[j], j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grow(spread: Floats, row: int, m: int, dt: float, jerk: float) -> None:
     """Covariance prediction of a constant-acceleration state driven by white jerk."""
     p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
@@ -426,7 +425,7 @@ def _grow(spread: Floats, row: int, m: int, dt: float, jerk: float) -> None:
     spread[row, m, 5] = p22 + q * dt
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _start(spread: Floats, row: int, m: int, noise: float, speed: float, boost: float) -> None:
     """Covariance of a state of which only the position is known."""
     for c in range(6):
@@ -434,7 +433,7 @@ def _start(spread: Floats, row: int, m: int, noise: float, speed: float, boost: 
     spread[row, m, 0], spread[row, m, 3], spread[row, m, 5] = noise, speed, boost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _absorb(
     spread: Floats, row: int, m: int, noise: float, error: float, gate: float
 ) -> tuple[float, float, float]:
@@ -459,7 +458,7 @@ def _absorb(
     return k0, k1, k2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _update_markers(
     stamp: int,
     row: int,
@@ -521,7 +520,7 @@ def _update_markers(
                 markers[person, slot, 13 + c] = motion[row, m, 2, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rotation_vector(q: Quaternion) -> tuple[float, float, float]:
     """Rotation vector, rad, along the shortest path, of a unit quaternion."""
     sign = 1.0 if q[3] >= 0.0 else -1.0
@@ -535,7 +534,7 @@ def _rotation_vector(q: Quaternion) -> tuple[float, float, float]:
     return scale * q[0], scale * q[1], scale * q[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _update_links(
     stamp: int,
     row: int,
@@ -594,13 +593,11 @@ def _update_links(
                 links[person, k, 16 + c] = spin[row, k, 1, c]
 
 
-@njit(
+@kernel(
     "void(int64, int64[::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
     " float64[:,:,::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
     " float64[:,:,::1], float64[:,::1], float64[:,:,::1], boolean[::1],"
     " int32[::1], float64[::1])",
-    cache=True,
-    nogil=True,
 )
 def update(
     stamp: int,
