@@ -71,6 +71,7 @@ _PAPER: Table = {
         "compensate_motion": False,
         "confidence_power": 1.0,
         "robust_scale": 0.0,
+        "bias_time": 0.0,
         "bridge": 0.0,
     },
     "optimize": {
@@ -80,6 +81,7 @@ _PAPER: Table = {
         "lengths": "paper",
         "max_length_error": 0.1,
         "outliers": "remove",
+        "turn_links": True,
     },
     # Causal, at the low end of the 6 to 10 Hz that section 3.4 names.
     "filter": {"cutoff": 6.0, "lookahead": 0.0, "bridge": 0.0, "keep_lengths": False},
@@ -90,7 +92,7 @@ PRESETS: Mapping[str, Table] = {
     "realtime": {
         "track": {"lookahead": 0.0},
         "optimize": {"lookahead": 0.0},
-        "filter": {"lookahead": 0.0},
+        "filter": {"lookahead": 0.0, "cutoff": 8.0},
     },
     "paper": _PAPER,
     "upstream": {

@@ -37,7 +37,7 @@ def process(
         list[str] | None,
         typer.Option(
             metavar="GLOB",
-            help="Input channels to copy, '' for none. Default: those read, the transforms and /truth.",
+            help="Input channels to copy, '' for none. Default: those read, transforms and /truth.",
         ),
     ] = None,
     preset: Preset = "default",
