@@ -353,11 +353,16 @@ def _merge_markers(
         for first in (7, 10, 13, 16):
             _mean(views, members, m, first, weights, out, p)
         out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
+        heaviest = 0.0
+        for k in range(n):
+            heaviest = max(heaviest, weights[k])
         for k in range(n):
             outliers[members[k]] += int(lost[k])
-            if learning > 0.0 and usable[k]:
+            if learning > 0.0 and weights[k] > 0.0:
+                # In proportion to the weight that the view has: a guess teaches little.
+                rate = learning * weights[k] / heaviest
                 for c in range(3):
-                    bias[person, cameras[members[k]], m, c] += learning * (here[k, c] - mean[c])
+                    bias[person, cameras[members[k]], m, c] += rate * (here[k, c] - mean[c])
 
 
 @njit(
