@@ -465,8 +465,10 @@ class _Tracker:
             if other.person != UNTRACKED and other is not body:
                 there = self.bank.motion[other.row, :, 0]
                 common = (self.bank.seen[body.row] > 0) & (self.bank.seen[other.row] > 0)
+                if not common.any():
+                    continue
                 distance = np.linalg.norm(here[common] - there[common], axis=1).mean()
-                if common.any() and distance < self.params.min_distance:
+                if distance < self.params.min_distance:
                     return True
         return False
 

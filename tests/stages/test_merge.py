@@ -1,0 +1,289 @@
+"""The merger against section 3.2 of the paper, and the laws that fusing has to obey."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from stick_figures import MIRROR, MODEL, SECOND, START, at, person, seen
+
+from hiros_mcap.events import Events
+from hiros_mcap.kernels import merging
+from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.stages.merge import MergeParams, merge
+
+PLAIN = MergeParams(
+    robust_scale=0.0, confidence_power=1.0, past_votes=False, bias_time=0.0, bridge=0.0
+)
+
+
+def views(poses: Sequence[Floats], k: int = 0, *, turns: bool = False) -> list[Frame]:
+    """One frame per camera, at the same time, of person 0."""
+    return [seen([p], at(k), f"c{c}", ids=[0], turns=turns) for c, p in enumerate(poses)]
+
+
+def stream(poses: Sequence[Sequence[Floats]], **changes: object) -> list[Frame]:
+    """Merge what ``poses[k][camera]`` shows."""
+    frames = [frame for k, each in enumerate(poses) for frame in views(each, k)]
+    return list(merge(frames, MODEL, PLAIN.model_copy(update=changes)))
+
+
+def test_eq12_weighs_by_confidence() -> None:
+    frames = views([person(x) for x in (0.0, 10.0, 20.0, 30.0)])
+    for frame, confidence in zip(frames, (0.9, 0.3, 0.6, 0.9), strict=True):
+        frame.marker_confidences[:] = confidence
+    params = PLAIN.model_copy(update={"max_position_delta": 0.0, "cameras": 4})
+    (merged,) = merge(frames, MODEL, params)
+    assert merged.positions[0, 0, 0] == pytest.approx(15.5556, abs=1e-4)
+
+
+@pytest.mark.parametrize("confidence", [np.nan, 0.0])
+def test_without_confidences_all_count_the_same(confidence: float) -> None:
+    frames = views([person(0.0), person(0.1)])
+    for frame in frames:
+        frame.marker_confidences[:] = confidence
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0, :, 0].mean() == pytest.approx(person()[:, 0].mean() + 0.05)
+
+
+def test_partial_skeletons_merge_to_the_union() -> None:
+    left, right = person(), person()
+    left[4:], right[:3] = np.nan, np.nan
+    (merged,) = merge(views([left, right]), MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0] == pytest.approx(person())
+
+
+def test_merged_stamp_is_the_mean_of_the_source_times() -> None:
+    frames = [seen([person()], START + t, f"c{t}", ids=[0]) for t in (0, 10, 1)]
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}))
+    assert (merged.stamp, merged.source, merged.frame_id) == (START + 11 // 3, "world", "world")
+
+
+def emitted_after(frames: list[Frame], params: MergeParams) -> list[int]:
+    """How many messages had gone in when each merged frame came out."""
+    count = itertools.count(1)
+    fed = 0
+
+    def feed() -> itertools.chain[Frame]:
+        nonlocal fed
+        for frame in frames:
+            fed = next(count)
+            yield frame
+
+    return [fed for _ in merge(feed(), MODEL, params)]
+
+
+def test_the_same_camera_again_closes_the_buffer() -> None:
+    frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), (1, "a"))]
+    params = PLAIN.model_copy(update={"cameras": 9, "max_delta_time": 9.0})
+    assert emitted_after(frames, params) == [3, 3]
+
+
+def test_a_late_message_closes_the_buffer() -> None:
+    frames = [seen([person()], at(k), c, ids=[0]) for k, c in ((0, "a"), (0.1, "b"), (9, "c"))]
+    params = PLAIN.model_copy(update={"cameras": 9, "max_delta_time": 0.07})
+    assert emitted_after(frames, params) == [3, 3]
+
+
+def test_the_last_camera_closes_the_buffer() -> None:
+    frames = [seen([person()], at(0, c), f"c{c}", ids=[0]) for c in range(3)]
+    params = PLAIN.model_copy(update={"cameras": 3, "max_delta_time": 9.0})
+    assert emitted_after(frames, params) == [3]
+
+
+def test_the_last_buffer_is_flushed() -> None:
+    frames = [seen([person()], at(k, c), f"c{c}", ids=[0]) for k in range(3) for c in range(2)]
+    merged = list(merge(frames[:-1], MODEL, PLAIN.model_copy(update={"cameras": 2})))
+    assert [len(merged), merged[-1].stamp] == [3, frames[-2].stamp]
+
+
+def test_flipped_views_are_dropped() -> None:
+    frames = views([person()] * 3 + [person(0.05)[MIRROR]] * 2, turns=True)
+    for frame in frames[3:]:
+        frame.links[:, :, 3:7] = [0, 0, 1, 0]
+    events = Events()
+    params = PLAIN.model_copy(update={"flips": "drop", "cameras": 5})
+    (merged,) = merge(frames, MODEL, params, events)
+    assert merged.positions[0] == pytest.approx(person())
+    assert merged.orientations[0] == pytest.approx(np.tile([0, 0, 0, 1.0], (7, 1)))
+    assert events.total("flip") == 2
+
+
+@pytest.mark.parametrize("flipped", [0, 1, 2])
+def test_a_view_with_swapped_sides_is_swapped_back_without_orientations(flipped: int) -> None:
+    poses = [person()] * 3
+    poses[flipped] = person()[MIRROR]
+    (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 3}))
+    assert merged.positions[0] == pytest.approx(person())
+
+
+def test_one_camera_that_flips_for_a_second_is_held_against_the_past() -> None:
+    poses = [[person()[MIRROR] if 20 <= k < 50 else person()] for k in range(80)]
+    merged = stream(poses, past_votes=True)
+    assert all(f.positions[0] == pytest.approx(person()) for f in merged)
+
+
+def test_one_camera_that_stays_turned_is_believed_in_the_end() -> None:
+    poses = [[person()[MIRROR] if k >= 20 else person()] for k in range(200)]
+    merged = stream(poses, past_votes=True)
+    assert merged[60].positions[0] == pytest.approx(person())
+    assert merged[-1].positions[0] == pytest.approx(person()[MIRROR])
+
+
+def test_one_bad_marker_of_one_camera_is_left_out() -> None:
+    poses = [person() for _ in range(4)]
+    poses[2][6] += [0.3, 0, 0]
+    events = Events()
+    (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 4}), events)
+    assert merged.positions[0] == pytest.approx(person())
+    assert events.counts == {("outlier", "c2"): 1}
+
+
+def test_one_bad_link_of_one_camera_is_left_out() -> None:
+    frames = views([person()] * 4, turns=True)
+    frames[1].links[0, 3, 3:7] = [0, 0, 1, 0]
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 4}))
+    assert merged.orientations[0, 3] == pytest.approx([0, 0, 0, 1])
+
+
+def test_a_tie_keeps_the_view_nearest_to_the_past() -> None:
+    still = [[person(), person()] for _ in range(5)]
+    split = [person(0.25), person(-0.15)]
+    merged = stream([*still, split], past_votes=True)
+    assert merged[-1].positions[0] == pytest.approx(person(-0.15))
+
+
+def test_votes_can_be_turned_off() -> None:
+    poses = [person(), person(), person(0.9)]
+    (merged,) = merge(
+        views(poses), MODEL, PLAIN.model_copy(update={"cameras": 3, "max_position_delta": 0.0})
+    )
+    assert merged.positions[0, 0, 0] == pytest.approx(0.3)
+
+
+def test_the_robust_mean_follows_the_majority() -> None:
+    poses = [person(), person(), person(), person(0.19)]
+    (plain,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 4}))
+    robust_params = PLAIN.model_copy(update={"cameras": 4, "robust_scale": 0.05})
+    (robust,) = merge(views(poses), MODEL, robust_params)
+    assert plain.positions[0, 0, 0] == pytest.approx(0.19 / 4)
+    assert abs(robust.positions[0, 0, 0]) < 0.01
+
+
+def test_unsynchronised_views_are_carried_to_the_merged_time() -> None:
+    frames = [seen([person(3e-9 * c)], START + c, f"c{c}", ids=[0]) for c in (0, 16_000_000)]
+    for frame in frames:
+        frame.velocities[:] = [3.0, 0.0, 0.0]
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0] == pytest.approx(person(3 * 0.008))
+
+
+def test_orientations_are_averaged_whatever_their_sign() -> None:
+    frames = views([person()] * 2, turns=True)
+    frames[0].links[0, :, 3:7] = Rotation.from_euler("z", 0.2).as_quat()
+    frames[1].links[0, :, 3:7] = -Rotation.from_euler("z", -0.1).as_quat()
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    turned = Rotation.from_quat(merged.orientations[0]).as_euler("zyx")
+    assert turned[:, 0] == pytest.approx(0.05, abs=1e-9)
+
+
+def test_somebody_unseen_for_a_moment_is_bridged_and_then_absent() -> None:
+    frames = [seen([person(), person(2)], at(k), "a", ids=[0, 1]) for k in range(5)]
+    frames += [seen([person()], at(k), "a", ids=[0]) for k in range(5, 15)]
+    counts = [f.n_people for f in merge(frames, MODEL, MergeParams(bridge=0.12))]
+    assert counts == [2] * 5 + [2] * 3 + [1] * 7
+
+
+def test_untracked_people_are_left_out() -> None:
+    (merged,) = merge([seen([person(), person(2)], at(0), "a", ids=[-1, 4])], MODEL)
+    assert merged.ids.tolist() == [4]
+
+
+def test_a_camera_with_an_offset_makes_no_jump_when_it_drops_out() -> None:
+    poses = [[person(), person(0.06)] for _ in range(300)] + [[person()] for _ in range(5)]
+    with_bias, without = stream(poses, bias_time=5.0, cameras=2), stream(poses, cameras=2)
+    step = [
+        abs(m[300].positions[0, 0, 0] - m[299].positions[0, 0, 0]) for m in (with_bias, without)
+    ]
+    assert step[1] == pytest.approx(0.03)
+    assert step[0] < 0.005  # after two time constants
+
+
+def test_one_camera_merges_to_itself() -> None:
+    rng = np.random.default_rng(0)
+    poses = [[person() + rng.normal(0, 0.02, (8, 3))] for _ in range(50)]
+    merged = list(merge([f for k, p in enumerate(poses) for f in views(p, k)], MODEL))
+    for frame, (pose,) in zip(merged, poses, strict=True):
+        assert frame.positions[0] == pytest.approx(pose, abs=1e-9)
+
+
+def noisy(seed: int) -> list[Frame]:
+    rng = np.random.default_rng(seed)
+    frames = []
+    for k, c in itertools.product(range(30), range(3)):
+        poses = [person(x) + rng.normal(0, 0.05, (8, 3)) for x in (0.0, 2.0)]
+        frames.append(seen(poses, at(k, c), f"c{c}", ids=[0, 1], turns=True))
+    return frames
+
+
+def test_the_order_of_people_does_not_matter() -> None:
+    frames = noisy(1)
+    turned = [frame.select([1, 0]) for frame in frames]
+    for one, other in zip(merge(frames, MODEL), merge(turned, MODEL), strict=True):
+        assert np.array_equal(one.markers, other.markers, equal_nan=True)
+
+
+def test_the_order_and_the_names_of_cameras_do_not_matter() -> None:
+    frames = noisy(2)
+    names = {"c0": "z", "c1": "y", "c2": "x"}
+    renamed = [frame.replace(source=names[frame.source]) for frame in frames]
+    for one, other in zip(merge(frames, MODEL), merge(renamed, MODEL), strict=True):
+        assert other.positions == pytest.approx(one.positions, abs=1e-12)
+
+
+def test_two_people_far_apart_are_two_single_runs() -> None:
+    frames = noisy(3)
+    both = list(merge(frames, MODEL))
+    for person_id in (0, 1):
+        alone = list(merge([f.select([person_id]) for f in frames], MODEL))
+        for one, two in zip(alone, both, strict=True):
+            assert np.array_equal(one.markers[0], two.markers[person_id], equal_nan=True)
+
+
+def test_a_motion_of_the_room_moves_the_result_alike() -> None:
+    turn, shift = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
+    frames = noisy(4)
+    moved = []
+    for frame in frames:
+        new = frame.replace(markers=frame.markers.copy(), links=frame.links.copy())
+        new.markers[:, :, :3] = turn.apply(frame.positions.reshape(-1, 3)).reshape(2, 8, 3) + shift
+        new.links[:, :, 3:7] = (turn * Rotation.from_quat([0, 0, 0, 1])).as_quat()
+        moved.append(new)
+    for one, other in zip(merge(frames, MODEL), merge(moved, MODEL), strict=True):
+        expected = turn.apply(one.positions.reshape(-1, 3)).reshape(2, 8, 3) + shift
+        assert other.positions == pytest.approx(expected, abs=1e-6)
+
+
+def test_given_frames_are_not_changed() -> None:
+    frames = noisy(5)
+    before = [(f.markers.copy(), f.links.copy(), f.ids.copy()) for f in frames]
+    list(merge(frames, MODEL))
+    for frame, kept in zip(frames, before, strict=True):
+        assert all(
+            np.array_equal(a, b, equal_nan=True)
+            for a, b in zip((frame.markers, frame.links, frame.ids), kept, strict=True)
+        )
+
+
+def test_the_largest_group_wins_a_vote() -> None:
+    positions = np.array([0.0, 0.05, 1.0, 0.1, 1.02])
+    apart = np.abs(positions[:, None] - positions)
+    assert merging.largest_group(apart, np.ones(5), False, 0.2) in (0, 1, 3)
+
+
+def test_people_who_left_are_forgotten() -> None:
+    frames = [seen([person()], START + k * 20 * SECOND, "a", ids=[k]) for k in range(40)]
+    assert [f.ids.tolist() for f in merge(frames, MODEL)] == [[k] for k in range(40)]

@@ -1,0 +1,129 @@
+"""A whole run, from a file to a file, on the sample logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_mcap.config import load_config
+from hiros_mcap.container import McapReader
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate import Truth, evaluate
+from hiros_mcap.log import open_log
+from hiros_mcap.pipeline import CHAINS, LETTERS, ProcessOptions, process
+from hiros_mcap.transforms import transform_to_fixed
+
+SAMPLES = Path(__file__).parent.parent / "sample_data"
+CROSSING = SAMPLES / "two_people_crossing.mcap"
+WALKING = SAMPLES / "one_person_walking.mcap"
+
+
+def truth_of(path: Path) -> Truth:
+    with open_log(path, topics=["/truth/*"]) as log:
+        return Truth.of(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+
+
+@pytest.mark.parametrize("chain", CHAINS)
+def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    summary = process(WALKING, out, options=ProcessOptions(stages=chain, keep=()))
+    topics = {channel.topic for channel in McapReader(out).channels.values()}
+    assert topics == {f"/hiros/{LETTERS[letter]}" for letter in chain}
+    assert [person.id for person in summary.people] == [0]
+
+
+@pytest.mark.parametrize("chain", ["M", "F", "MF", "FT", "", "TOM", "X"])
+def test_other_chains_are_refused(chain: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no chain of stages"):
+        process(WALKING, tmp_path / "out.mcap", options=ProcessOptions(stages=chain))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_error_falls_at_every_stage(tmp_path: Path) -> None:
+    out, truth = tmp_path / "out.mcap", truth_of(CROSSING)
+    process(CROSSING, out)
+    scores = []
+    for channel in LETTERS.values():
+        with open_log(out, topics=[f"/hiros/{channel}"], output_prefix="/truth") as log:
+            scores.append(evaluate(log.frames(), truth, log.model))
+    errors = [s.mean for s in scores]
+    assert errors == sorted(errors, reverse=True)
+    assert scores[1].deviation < 0.8 * scores[0].deviation
+    assert scores[3].limb_variation < 0.01
+    assert [s.switches for s in scores] == [0, 0, 0, 0]
+    assert (scores[3].missing, scores[3].false) == (0, 0)
+
+
+def test_same_input_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        process(CROSSING, tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_limbs_of_a_first_session_serve_a_second(tmp_path: Path) -> None:
+    limbs = tmp_path / "limbs.toml"
+    process(WALKING, None, options=ProcessOptions(limbs_out=limbs))
+    for name in ("a", "b"):
+        process(WALKING, tmp_path / name, options=ProcessOptions(limbs_in=limbs))
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
+    config = load_config(None, ["optimize.calibration=two-pass"])
+    process(WALKING, tmp_path / "out.mcap", config=config)
+    with open_log(tmp_path / "out.mcap", topics=["/hiros/optimized"], output_prefix="/x") as log:
+        poses = np.stack([frame.positions[0] for frame in log.frames()])
+    lengths = np.linalg.norm(
+        poses[:, log.model.links[:, 0]] - poses[:, log.model.links[:, 1]], axis=-1
+    )
+    assert (lengths.std(axis=0) / lengths.mean(axis=0)).max() < 2e-3
+
+
+def test_every_message_is_accounted_for() -> None:
+    summary = process(CROSSING)
+    for camera in summary.cameras:
+        assert camera.messages == camera.used + sum(camera.skipped.values())
+    assert sum(camera.used for camera in summary.cameras) == summary.written["/hiros/tracked"]
+    assert [person.cameras for person in summary.people] == [
+        ("camera_0", "camera_1", "camera_2")
+    ] * 2
+
+
+def test_progress_is_told(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+
+    class Watcher:
+        def update(self, done: int, total: int) -> None:
+            told.append((done, total))
+
+    process(WALKING, progress=Watcher())
+    assert told[-1][0] == told[-1][1] > 0
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_the_output_is_not_the_input(tmp_path: Path) -> None:
+    copy = tmp_path / "log.mcap"
+    copy.write_bytes(WALKING.read_bytes())
+    with pytest.raises(LogError):
+        process(copy, copy)
+    assert copy.read_bytes() == WALKING.read_bytes()
+
+
+def test_replay_of_the_output_is_causal(tmp_path: Path) -> None:
+    process(CROSSING, tmp_path / "out.mcap")
+    for channel in LETTERS.values():
+        topics = [f"/hiros/{channel}"]
+        with open_log(tmp_path / "out.mcap", topics=topics, output_prefix="/truth") as log:
+            assert all(frame.log_time >= frame.stamp for frame in log.frames())
+
+
+def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
+    process(WALKING, tmp_path / "out.mcap")
+    with McapReader(tmp_path / "out.mcap") as reader:
+        assert [name for name, _ in reader.contents.metadata] == ["hiros.provenance"]
+        found = {a.name: reader.attachment(a) for a in reader.contents.attachments}
+    assert sorted(found) == ["hiros/config.toml", "hiros/limbs.toml", "hiros/report.json"]
+    assert b"[track]" in bytes(found["hiros/config.toml"])
+    assert str(tmp_path).encode() not in bytes(found["hiros/report.json"])
