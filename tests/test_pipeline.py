@@ -29,7 +29,8 @@ def truth_of(path: Path) -> Truth:
 def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     summary = process(WALKING, out, options=ProcessOptions(stages=chain, keep=()))
-    topics = {channel.topic for channel in McapReader(out).channels.values()}
+    with McapReader(out) as reader:
+        topics = {channel.topic for channel in reader.channels.values()}
     assert topics == {f"/hiros/{LETTERS[letter]}" for letter in chain}
     assert [person.id for person in summary.people] == [0]
 
