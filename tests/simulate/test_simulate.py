@@ -1,0 +1,151 @@
+"""The simulator: true bodies are bodies, and every fault is what was asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_mcap.log import open_log
+from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
+from hiros_mcap.simulate.actions import ACTIONS
+from hiros_mcap.simulate.log import write_log
+from hiros_mcap.simulate.scene import Simulation
+from hiros_mcap.skeletons import Floats
+from hiros_mcap.transforms import transform_to_fixed
+
+OFF = {
+    "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,
+    "calibration_error": 0.0, "phantoms": 0.0,
+}  # fmt: skip
+
+
+def perfect(**changes: object) -> Simulation:
+    return simulate(SimulateParams.model_validate({"seconds": 1.5, "cameras": 2, **OFF, **changes}))
+
+
+def in_room(simulation: Simulation) -> list[tuple[str, Floats]]:
+    """Source and markers (P, M, 3) in the world of every detection."""
+    rooms = []
+    for frame in simulation.detections:
+        pose = simulation.transforms[frame.source]
+        points = frame.positions @ _matrix(pose.xyzw).T + pose.translation
+        rooms.append((frame.source, points))
+    return rooms
+
+
+def _matrix(xyzw: Floats) -> Floats:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(xyzw).as_matrix()
+
+
+@pytest.mark.parametrize("action", sorted(ACTIONS))
+def test_bodies_have_constant_limbs_and_move_smoothly(action: str) -> None:
+    truth = list(perfect(action=action, people=2).truth)
+    poses = np.stack([frame.positions for frame in truth])
+    parents, children = perfect().model.links.T
+    lengths = np.linalg.norm(poses[:, :, parents] - poses[:, :, children], axis=-1)
+    assert np.ptp(lengths, axis=0).max() < 1e-9
+    assert not np.isnan(poses).any()
+    speed = np.linalg.norm(np.diff(poses, axis=0), axis=-1).max() * 30
+    assert speed < 12
+
+
+def test_without_faults_the_cameras_see_the_truth() -> None:
+    simulation = perfect(people=1, action="wave")
+    stamps = {frame.stamps[0] for frame in simulation.detections if frame.n_people}
+    poses = {f.stamp: f.positions[0] for f in simulation.truth}
+    rooms = in_room(simulation)
+    assert len(stamps) > 60
+    nearest = min(
+        np.nanmax(np.abs(points[0] - pose))
+        for _, points in rooms if len(points)
+        for pose in poses.values()
+    )  # fmt: skip
+    assert nearest < 0.02  # a camera's instant is never exactly one of the truth's
+
+
+def test_the_truth_moves_at_its_own_velocities() -> None:
+    truth = list(perfect(action="walk").truth)
+    moved = (truth[11].positions - truth[9].positions) * 15
+    assert moved == pytest.approx(truth[10].velocities, abs=0.25)
+
+
+def test_same_seed_same_bytes_other_seed_others(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        write_log(tmp_path / name, SimulateParams(seconds=1, cameras=2, seed=seed))
+    a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_noise_has_the_spread_that_was_asked_for() -> None:
+    quiet = {"coloured": 0.0, "bias": 0.0, "white": 0.01, "extremities": 1.0, "range_growth": 0.0}
+    detector = DetectorParams.model_validate(quiet)
+    noisy = in_room(perfect(noise=1.0, detector=detector, action="free_static", seconds=3))
+    still = in_room(perfect(action="free_static", seconds=3))
+    pairs = zip(noisy, still, strict=True)
+    error = np.concatenate([(a - b).ravel() for (_, a), (_, b) in pairs if a.shape == b.shape])
+    assert np.std(error[~np.isnan(error)]) == pytest.approx(0.01, rel=0.05)
+
+
+def test_slow_noise_is_correlated_as_asked() -> None:
+    slow = {"coloured": 0.02, "bias": 0.0, "white": 0.0, "correlation": 0.85}
+    detector = DetectorParams.model_validate(slow)
+    changes = {"action": "free_static", "seconds": 6, "cameras": 1}
+    noisy = in_room(perfect(noise=1.0, detector=detector, **changes))
+    still = in_room(perfect(**changes))
+    error = np.stack([a[0] - b[0] for (_, a), (_, b) in zip(noisy, still, strict=True)])
+    lagged = np.mean(error[1:] * error[:-1]) / np.mean(error**2)
+    assert lagged == pytest.approx(0.85, abs=0.05)
+
+
+def test_flips_swap_the_sides() -> None:
+    often = DetectorParams(flips_per_minute=60.0)
+    names = perfect().model.marker_names
+    left, right = names.index("SHOULDER_LEFT"), names.index("SHOULDER_RIGHT")
+    scene = {"people": 1, "action": "circle", "seconds": 4}
+    flipped = in_room(perfect(flips=1.0, detector=often, **scene))
+    true = in_room(perfect(**scene))
+    sides = [
+        float(np.dot(a[0, left] - a[0, right], b[0, left] - b[0, right]))
+        for (_, a), (_, b) in zip(flipped, true, strict=True)
+        if len(a) and len(b)
+    ]
+    assert min(sides) < 0 < max(sides)
+
+
+def test_occluded_joints_are_guessed_and_say_so() -> None:
+    frames = list(perfect(people=3, occlusion=1.0, action="circle", seconds=2).detections)
+    confidences = np.concatenate([f.marker_confidences.ravel() for f in frames])
+    assert {0.33, 0.66} <= set(np.round(confidences, 2))
+    unhidden = np.concatenate(
+        [f.marker_confidences.ravel() for f in perfect(people=3, action="circle").detections]
+    )
+    assert 0.33 not in np.round(unhidden, 2)
+
+
+def test_a_static_phantom_stands_in_one_camera() -> None:
+    detector = DetectorParams(static_phantoms=1)
+    frames = list(perfect(phantoms=1.0, people=1, cameras=3, detector=detector).detections)
+    most = {c: max(f.n_people for f in frames if f.source == c) for c in {f.source for f in frames}}
+    assert max(most.values()) >= 2
+
+
+def test_frames_are_lost_at_the_rate_that_was_asked_for() -> None:
+    rig = RigParams(lost_frames=0.3)
+    all_frames = len(list(perfect(seconds=4).detections))
+    left = len(list(perfect(seconds=4, dropouts=1.0, rig=rig).detections))
+    assert left / all_frames == pytest.approx(0.7, abs=0.1)
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    params = SimulateParams(people=2, cameras=3, seconds=1)
+    write_log(tmp_path / "log.mcap", params)
+    expected = [f for f in simulate(params).detections if f.n_people]
+    with open_log(tmp_path / "log.mcap") as log:
+        assert len(log.cameras) == 3
+        read = [f for f in transform_to_fixed(log.frames(), log.transforms, "world") if f.n_people]
+    assert len(read) == len(expected)
+    assert log.model == simulate(params).model
