@@ -76,6 +76,7 @@ _PAPER: Table = {
     },
     "optimize": {
         "lookahead": 0.0,
+        "max_free": 0.0,
         "debias": False,
         "refine": False,
         "lengths": "paper",

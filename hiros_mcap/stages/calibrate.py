@@ -77,6 +77,15 @@ class CalibrationParams(Params):
         "long: the noise of a joint does not shrink with the bone, and a hand of 5 cm with 2 cm "
         "noise would reject everybody.",
     )
+    max_free: float = Field(
+        0.3,
+        ge=0.0,
+        le=1.0,
+        description="Share of the links that may fail the gate: they keep the lengths that are "
+        "measured, the others are made constant. With more, the person is not calibrated. 0 = one "
+        "failing link is enough (the paper); but then one thumb that a single camera guesses "
+        "leaves a whole body as it was.",
+    )
     debias: bool = Field(
         True,
         description="Correct for the lengthening by noise. false: plain (robust) mean, as the "
@@ -331,8 +340,8 @@ class Calibration:
         if not person.tried.any():
             return
         bad = person.tried & (person.good.count == 0)
-        if bad.any():
-            names = ", ".join(key for key, fault in zip(self._keys, bad, strict=True) if fault)
+        names = ", ".join(key for key, fault in zip(self._keys, bad, strict=True) if fault)
+        if bad.sum() > self._params.max_free * person.tried.sum():
             self._reject(person, identity, f"{names} varies too much")
             person.good, person.tried = Moments.none(len(bad)), np.zeros(len(bad), bool)
             return
@@ -340,9 +349,11 @@ class Calibration:
         person.known = _Lengths(anchor=lengths, target=lengths, current=lengths.copy())
         self._record(identity, person)
         frames = int(person.good.count.max())
+        free = f", {names} left free" if names else ""
         self._events.note(
-            person.last, "limbs calibrated", person=identity, detail=f"{frames} frames"
+            person.last, "limbs calibrated", person=identity, detail=f"{frames} frames{free}"
         )
+        self._events.count("limbs left free", n=int(bad.sum()))
 
     def _reject(self, person: _Person, identity: int, why: str) -> None:
         self._events.count("calibration rejected")

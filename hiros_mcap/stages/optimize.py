@@ -97,6 +97,7 @@ class OptimizeParams(CalibrationParams):
             max_length_error=0.1,
             outliers="remove",
             turn_links=True,
+            max_free=0.0,
             debias=False,
             refine=False,
         )
