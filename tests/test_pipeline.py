@@ -117,7 +117,10 @@ def test_replay_of_the_output_is_causal(tmp_path: Path) -> None:
     for channel in LETTERS.values():
         topics = [f"/hiros/{channel}"]
         with open_log(tmp_path / "out.mcap", topics=topics, output_prefix="/truth") as log:
-            assert all(frame.log_time >= frame.stamp for frame in log.frames())
+            frames = list(log.frames())
+        assert all(frame.log_time >= frame.stamp for frame in frames)
+        stamps = [frame.stamp for frame in frames]
+        assert stamps == sorted(stamps)
 
 
 def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:

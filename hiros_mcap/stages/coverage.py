@@ -11,7 +11,7 @@ from hiros_mcap.skeletons import Floats
 
 _BODY_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
 _MARGIN = 0.3  # m: by how much a place may lie beyond the farthest person reported
-_INTERVAL = 200_000_000  # ns between two lessons of a camera
+_INTERVAL = 500_000_000  # ns between two lessons of a camera
 _ENOUGH = 5  # people to have learned before a camera's silence says anything
 
 

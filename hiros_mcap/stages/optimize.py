@@ -142,15 +142,25 @@ def optimize(
 
 
 def _held_back(frames: Iterable[Frame], calibration: Calibration) -> Iterator[Frame]:
-    """Delay frames, in order, until the calibration of everybody in them is settled."""
+    """Delay frames, in order, until the calibration of everybody in them is settled.
+
+    A delayed frame gets the log time of the frame that let it go.
+    """
     held: deque[Frame] = deque()
+    now = 0
     for frame in frames:
         calibration.observe(frame)
         held.append(frame)
+        now = max(now, frame.log_time)
         while held and not calibration.waits_for(held[0]):
-            yield held.popleft()
+            yield _at(held.popleft(), now)
     calibration.finish()
-    yield from held
+    for frame in held:
+        yield _at(frame, now)
+
+
+def _at(frame: Frame, log_time: int) -> Frame:
+    return frame if frame.log_time == log_time else frame.replace(log_time=log_time)
 
 
 class _Fit:

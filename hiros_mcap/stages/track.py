@@ -259,9 +259,10 @@ def track(
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
     held: deque[_Held] = deque()
+    patience = round(params.lookahead * 1e9)
     for frame in in_time_order(frames, params.reorder):
         held.append(tracker.step(frame))
-        while held and (held[0].frame.stamp + params.lookahead * 1e9) <= frame.stamp:
+        while held and held[0].frame.stamp + patience <= frame.stamp:
             yield tracker.release(held.popleft(), frame.log_time)
     for waiting in held:
         yield tracker.release(waiting, held[-1].frame.log_time)
@@ -270,18 +271,20 @@ def track(
 def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
     """Sort frames by (stamp, source), holding each until one ``delay`` seconds younger came.
 
-    A frame that is later still goes on at once: it is used, out of order, and not dropped.
+    A frame that is later still goes on at once: it is used, out of order, and not dropped. Log
+    times become those of the arrivals that let the frames go, so they never run backwards.
     """
     waiting: list[tuple[int, str, int, Frame]] = []
-    newest = 0
+    newest = now = 0
+    patience = round(delay * 1e9)
     count = itertools.count()
     for frame in frames:
         heapq.heappush(waiting, (frame.stamp, frame.source, next(count), frame))
-        newest = max(newest, frame.stamp)
-        while waiting and waiting[0][0] <= newest - delay * 1e9:
-            yield heapq.heappop(waiting)[3]
+        newest, now = max(newest, frame.stamp), max(now, frame.log_time)
+        while waiting and waiting[0][0] <= newest - patience:
+            yield heapq.heappop(waiting)[3].replace(log_time=now)
     while waiting:
-        yield heapq.heappop(waiting)[3]
+        yield heapq.heappop(waiting)[3].replace(log_time=now)
 
 
 class _Tracker:
