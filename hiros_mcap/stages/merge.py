@@ -97,7 +97,7 @@ class MergeParams(Params):
         ge=0,
         description="s: time constant of each camera's slow offset from the others per marker, "
         "which is taken off its views so that the mean does not jump when a camera drops out; 3 to "
-        "30 s take 2 to 4 % off the error. 0 = off (paper).",
+        "30 s take 1 to 3 % off the error after the filter. 0 = off (paper).",
     )
     bridge: float = Field(
         0.12,
