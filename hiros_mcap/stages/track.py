@@ -178,6 +178,8 @@ class _Track:
     seen: int
     evidence: _Evidence
     person: int = UNTRACKED
+    former: int = UNTRACKED
+    """The id before it was doubted; it gets it back if it is a person after all."""
 
 
 class _Bank:
@@ -448,14 +450,14 @@ class _Tracker:
         """Make a body a person, or take that back, as the evidence now says."""
         confirmed = body.evidence.confirms(body.seen, self.params)
         if body.person == UNTRACKED and confirmed and not self._shadows(body):
-            body.person = next(self.people)
+            body.person = next(self.people) if body.former == UNTRACKED else body.former
             self.events.note(
                 frame.stamp, "track born", person=body.person, source=frame.source,
                 detail=f"seen by {', '.join(sorted(body.evidence.reports))}",
             )  # fmt: skip
         elif body.person != UNTRACKED and self._refuted(body):
             self.events.note(frame.stamp, "track doubted", person=body.person)
-            body.person = UNTRACKED
+            body.former, body.person = body.person, UNTRACKED
 
     def _refuted(self, body: _Track) -> bool:
         evidence = body.evidence

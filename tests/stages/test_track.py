@@ -277,3 +277,190 @@ def test_log_time_is_that_of_the_frame_that_settled_it() -> None:
     params = TrackParams(lookahead=1.0, reorder=0.0)
     first = next(iter(track(frames, MODEL, params)))
     assert at(30) <= first.log_time <= at(31)
+
+
+def table(
+    tracks: Floats, turns: Floats, detections: Floats, links: Floats, *, gamma: float = 0.0,
+    spin: float = 0.0, omega_weight: float = 0.0, exponent: float = 1.0,
+    confidence: float = 1.0,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Eq 8, eq 9 and mean distances (T, P) of tracks (T, M, 3), (T, L, 4) and detections."""
+    t, m, n, p = *tracks.shape[:2], turns.shape[1], len(detections)
+    motion, spins = np.zeros((t, m, 3, 3)), np.zeros((t, n, 2, 3))
+    motion[:, :, 0], spins[:, :, 0, 2] = tracks, spin
+    markers, states = np.full((p, m, 19), np.nan), np.full((p, n, 19), np.nan)
+    markers[:, :, :3], states[:, :, 3:7], states[:, :, 10:13] = detections, links, 0.0
+    linear, angular, gap, mirrored = (np.empty((t, p)) for _ in range(4))
+    tracking.distances(
+        tracks, turns, np.arange(t), motion, spins, markers, np.ones((p, m)), states,
+        np.full((p, n), confidence), np.arange(m, dtype=np.int32), True, True, gamma, 0.0,
+        omega_weight, exponent, 10.0, linear, angular, gap, mirrored,
+    )  # fmt: skip
+    return linear, angular, gap
+
+
+def about_z(*angles: float) -> Floats:
+    """Quaternions (len, 4), x y z w, of turns about the vertical, rad."""
+    half = np.array(angles) / 2
+    return np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
+
+
+def test_eq8_and_eq9_of_two_tracks_and_two_detections() -> None:
+    """Two markers and two links each; every entry worked out by hand."""
+    tracks = np.array([[[0.0, 0, 0], [0, 0, 1]], [[1, 0, 0], [1, 0, 1]]])
+    seen_at = np.array([[[0.0, 0, 0], [0, 0.2, 1]], [[1, 0, 0], [1, 0, 1.5]]])
+    turns = np.stack([about_z(0.0, 0.0), about_z(0.5, 1.0)])
+    links = np.stack([about_z(0.1, 0.3), about_z(0.7, 0.8)])
+    linear, angular, gap = table(tracks, turns, seen_at, links)
+    across = math.hypot(1, 0.2), math.hypot(1, 0.5)
+    assert linear == pytest.approx(
+        np.array([[0.1, (1 + across[1]) / 2], [(1 + across[0]) / 2, 0.25]]), abs=1e-12
+    )
+    assert angular == pytest.approx(np.array([[0.2, 0.75], [0.55, 0.2]]), abs=1e-12)
+    assert gap == pytest.approx(linear, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, 0.4),
+        ({"confidence": 0.5}, 0.2),
+        ({"exponent": 2.0}, 0.2),
+        ({"spin": 3.0, "omega_weight": 0.1}, 0.7),
+        ({"spin": 3.0, "gamma": 0.5}, 0.2),
+    ],
+)
+def test_eq9(changes: dict[str, float], expected: float) -> None:
+    here, turned = np.zeros((1, 2, 3)), about_z(0.3, -0.5)[None]
+    angular = table(here, about_z(0.0, 0.0)[None], here, turned, **changes)[1]
+    assert angular[0, 0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_link_of_opposite_sign_is_the_same_orientation() -> None:
+    here, turned = np.zeros((1, 1, 3)), about_z(2.0)[None]
+    assert table(here, turned, here, -turned)[1][0, 0] == pytest.approx(0, abs=1e-7)
+
+
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
+def test_eq6_adds_turns_to_distances(weight: float, expected: int) -> None:
+    """The nearer track is turned by 0.5 rad: which one wins is up to the weight of eq 6."""
+    motion, turn = np.zeros((2, 1, 3, 3)), np.stack([about_z(0.0), about_z(0.5)])
+    motion[:, 0, 0, 0] = 0.2, 0.1
+    markers, links = np.full((1, 1, 19), np.nan), np.full((1, 1, 19), np.nan)
+    markers[0, 0, :3], links[0, :, 3:7] = 0.0, about_z(0.0)
+    numbers = np.array([0.2, 0.6, weight, 1, 1, 0.25, 0.0, 0.0, 1.0, 0.0])
+    seen_at, match = np.ones((2, 1), np.int64), np.empty(1, np.int64)
+    tracking.associate(
+        1, np.arange(2), motion, seen_at, turn, np.zeros((2, 1, 2, 3)), seen_at, markers,
+        np.ones((1, 1)), links, np.ones((1, 1)), np.zeros(1, np.int32), numbers,
+        np.ones(1, np.bool_), np.empty((2, 1)), match, np.empty(1, np.bool_),
+    )  # fmt: skip
+    assert match.tolist() == [expected]
+
+
+def test_assignment_with_forbidden_pairs_is_largest_and_then_cheapest() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        n = int(rng.integers(1, 6))
+        cost = np.where(rng.random((n, n)) < 0.4, np.inf, rng.random((n, n)))
+        sets = [
+            [cost[i, j] for j, i in enumerate(rows) if cost[i, j] < np.inf]
+            for rows in itertools.permutations(range(n))
+        ]
+        most = max(map(len, sets))
+        cheapest = min(sum(pairs) for pairs in sets if len(pairs) == most)
+        taken = [cost[i, j] for j, i in enumerate(tracking.assign(cost)) if i >= 0]
+        assert len(taken) == most
+        assert sum(taken) == pytest.approx(cheapest)
+
+
+def test_prediction_stands_still_beyond_the_horizon() -> None:
+    motion, turn, stamps = np.zeros((1, 1, 3, 3)), about_z(0.0)[None], np.ones((1, 1), np.int64)
+    motion[0, 0, 1, 0] = 2.0
+    position, turned = np.empty((1, 1, 3)), np.empty((1, 1, 4))
+    tracking.predict(
+        3 * SECOND, np.zeros(1, np.int64), motion, stamps, turn, np.zeros((1, 1, 2, 3)), stamps,
+        0.2, position, turned,
+    )  # fmt: skip
+    assert position[0, 0] == pytest.approx([0.4, 0, 0])
+
+
+def test_a_track_out_of_reach_is_not_moved() -> None:
+    far = [seen([person(5.0)], at(k)) for k in range(5, 10)]
+    frames = [seen([person()], at(k)) for k in range(5)] + far + [seen([person()], at(10))]
+    assert ids(track(frames, MODEL, AT_ONCE)) == [[0]] * 5 + [[1]] * 5 + [[0]]
+
+
+def test_accelerations_of_a_steady_push() -> None:
+    frames = [seen([person(0.5 * 2.0 * (k / 30) ** 2)], at(k)) for k in range(45)]
+    last = list(track(frames, MODEL, AT_ONCE))[-1]
+    assert last.accelerations[0, :, 0] == pytest.approx(np.full(8, 2.0), rel=0.1)
+
+
+def test_angular_velocities_of_a_steady_turn() -> None:
+    frames = [seen([person()], at(k), turns=True) for k in range(45)]
+    for k, frame in enumerate(frames):
+        frame.links[0, :, 3:7] = about_z(3.0 * k / 30)
+    last = list(track(frames, MODEL, AT_ONCE))[-1]
+    assert last.links[0, :, 10:13] == pytest.approx(np.tile([0, 0, 3.0], (7, 1)), abs=0.1)
+    assert last.orientations == pytest.approx(frames[-1].orientations)
+
+
+def test_velocities_of_the_detector_are_kept() -> None:
+    frames = [seen([person()], at(k)) for k in range(10)]
+    for frame in frames:
+        frame.velocities[:] = [0.5, 0.0, 0.0]
+    assert all(np.all(f.velocities == [0.5, 0, 0]) for f in track(frames, MODEL, AT_ONCE))
+
+
+def test_markers_below_the_threshold_are_absent() -> None:
+    frame = seen([person()], at(0))
+    frame.marker_confidences[0, 6:] = 0.1, np.nan
+    params = AT_ONCE.model_copy(update={"min_marker_confidence": 0.2})
+    (tracked,) = track([frame], MODEL, params)
+    assert np.isnan(tracked.positions[0, 6]).all()
+    assert tracked.positions[0, 7] == pytest.approx(person()[7])
+
+
+def test_far_cameras_of_mixed_rates_lose_nothing() -> None:
+    """H01: 15, 30 and 50 Hz together; every message comes out, in order, with the same person."""
+    stamped = sorted(
+        (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
+        for c, rate in enumerate((15, 30, 50, 15, 30))
+        for k in range(2 * rate)
+    )
+    tracked = list(track([seen([person()], t, c) for t, c in stamped], MODEL))
+    assert [(f.stamp, f.source) for f in tracked] == stamped
+    assert all(f.ids.tolist() == [0] for f in tracked)
+
+
+def test_jittered_clocks_lose_nobody() -> None:
+    rng = np.random.default_rng(4)
+    frames = [
+        seen([person(0.02 * k), person(0.02 * k, 1.0)], at(k + rng.uniform(-0.6, 0.6)), c)
+        for k in range(60)
+        for c in "abc"
+    ]
+    assert {tuple(i) for i in ids(track(frames, MODEL))} == {(0, 1)}
+
+
+def test_somebody_two_cameras_agree_on_counts_at_once() -> None:
+    frames = [seen([person()], at(k, c), "ab"[c]) for k in range(3) for c in range(2)]
+    assert ids(track(frames, MODEL)) == [[0]] * 6
+    assert ids(track(frames[::2], MODEL)) == [[-1]] * 3
+
+
+def test_a_doubted_person_who_walks_after_all_has_the_old_id() -> None:
+    """Behind a pillar for two of three cameras: the third alone sees him stand, then walk."""
+    frames = []
+    for k in range(420):
+        hidden = person(max(0.0, (k - 360) * 0.03), 0.2)
+        for c, name in enumerate("abc"):
+            people = walkers(k) + ([hidden] if name == "a" else [])
+            frames.append(seen(people, at(k, c), name))
+    events = Events()
+    tracked = list(track(frames, MODEL, events=events, cameras=CAMERAS))
+    of_hidden = [f.ids[2] for f in tracked if f.n_people == 3]
+    assert "track doubted" in {event.kind for event in events.log}
+    assert of_hidden[-1] >= 0
+    assert len({i for i in of_hidden if i >= 0}) == 1
