@@ -165,6 +165,19 @@ def _weigh(members: Stamps, powers: Floats, m: int, usable: Flags, out: Floats) 
 
 
 @kernel
+def _plain_mean(here: Floats, weights: Floats, out: Floats) -> None:
+    """Weighted mean of the rows of ``here``: a start that prefers no camera."""
+    norm = x = y = z = 0.0
+    for k in range(len(weights)):
+        if weights[k] > 0.0:
+            norm += weights[k]
+            x += weights[k] * here[k, 0]
+            y += weights[k] * here[k, 1]
+            z += weights[k] * here[k, 2]
+    out[0], out[1], out[2] = x / norm, y / norm, z / norm
+
+
+@kernel
 def _robust_mean(
     here: Floats, weights: Floats, robust: Floats, start: Floats, scale: float, out: Floats
 ) -> None:
@@ -343,8 +356,11 @@ def _merge_markers(
         else:
             best = _first(usable)
             voter = voter and limit > 0.0
-        for c in range(3):
-            start[c] = here[n, c] if voter else here[best, c]
+        if voter:
+            for c in range(3):
+                start[c] = here[n, c]
+        else:
+            _plain_mean(here, weights, start)
         _robust_mean(here, weights, robust, start, scale, mean)
         for c in range(3):
             out[p, m, c] = mean[c]
@@ -504,7 +520,8 @@ def _right_views(
     """
     n = len(trust)
     for k in range(apart.shape[0]):
-        apart[k, k] = 0.0
+        if not math.isnan(apart[k, k]):  # who faces nowhere known leads no group
+            apart[k, k] = 0.0
     best = largest_group(apart, trust, has_past, limit)
     if has_past and patient and apart[best, n] >= limit:
         with_best = with_past = 0

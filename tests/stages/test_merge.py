@@ -287,3 +287,185 @@ def test_the_largest_group_wins_a_vote() -> None:
 def test_people_who_left_are_forgotten() -> None:
     frames = [seen([person()], START + k * 20 * SECOND, "a", ids=[k]) for k in range(40)]
     assert [f.ids.tolist() for f in merge(frames, MODEL)] == [[k] for k in range(40)]
+
+
+@pytest.mark.parametrize(
+    ("cameras", "times", "merged"),
+    [
+        (9, [("a", 0), ("b", 4), ("a", 8)], [2, 8]),  # the same camera again
+        (9, [("a", 0), ("b", 60), ("c", 71)], [30, 71]),  # more than 70 ms
+        (9, [("b", 60), ("a", 0), ("c", 71)], [30, 71]),  # the oldest need not be the first
+        (2, [("a", 0), ("b", 4), ("c", 8)], [2, 8]),  # all cameras are there
+    ],
+)
+def test_what_closes_a_buffer_does_not_get_into_it(
+    cameras: int, times: list[tuple[str, int]], merged: list[int]
+) -> None:
+    frames = [seen([person()], START + ms * 1_000_000, c, ids=[0]) for c, ms in times]
+    out = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": cameras}))
+    assert [(f.stamp - START) // 1_000_000 for f in out] == merged
+
+
+def test_cameras_of_random_phase_merge_to_one_set_per_period() -> None:
+    """H20; the number of cameras is counted while they appear."""
+    phases = np.random.default_rng(5).uniform(0, 1, 5)
+    stamped = sorted((at(k + phase), f"c{c}") for k in range(30) for c, phase in enumerate(phases))
+    merged = list(merge([seen([person()], t, c, ids=[0]) for t, c in stamped], MODEL))
+    steps = np.diff([f.stamp for f in merged])
+    assert 28 <= len(merged) <= 34
+    assert steps[5:-1] == pytest.approx(at(1) - at(0), abs=2)
+
+
+def test_a_message_out_of_order_is_merged() -> None:
+    times = [("a", 0.0), ("c", 0.3), ("b", 0.1)]
+    frames = [seen([person(i)], at(k), c, ids=[0]) for i, (c, k) in enumerate(times)]
+    params = PLAIN.model_copy(update={"cameras": 3, "max_position_delta": 0.0})
+    (merged,) = merge(frames, MODEL, params)
+    assert merged.positions[0, 0, 0] == pytest.approx(1.0)
+
+
+def test_a_camera_without_confidences_counts_fully() -> None:
+    frames = views([person(0.0), person(0.1)])
+    frames[0].marker_confidences[:], frames[1].marker_confidences[:] = 0.25, np.nan
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0, 0, 0] == pytest.approx(0.08)
+    assert merged.marker_confidences[0, 0] == pytest.approx(0.25)
+
+
+def test_orientations_are_weighed_by_confidence() -> None:
+    frames = views([person()] * 2, turns=True)
+    for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
+        frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
+        frame.link_confidences[:] = confidence
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    turned = Rotation.from_quat(merged.orientations[0]).as_euler("zyx")[:, 0]
+    assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
+
+
+def test_mended_sides_are_no_outliers() -> None:
+    """H25: flips are settled before outliers are sought."""
+    events = Events()
+    frames = views([person(), person(), person()[MIRROR]])
+    list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), events))
+    assert events.counts == {("flip", "c2"): 1}
+
+
+@pytest.mark.parametrize(
+    ("switch", "kind"),
+    [
+        ({"max_position_delta": 0.0}, "outlier"),
+        ({"max_facing_delta": 0.0, "max_position_delta": 0.0}, "flip"),
+    ],
+)
+def test_a_threshold_of_zero_turns_a_vote_off(switch: dict[str, float], kind: str) -> None:
+    frames = views([person(), person(0.5), person()[MIRROR]])
+    on, off = Events(), Events()
+    list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), on))
+    list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3, **switch}), off))
+    assert on.total(kind) > 0 == off.total(kind)
+
+
+def test_votes_of_links_can_be_turned_off() -> None:
+    frames = views([person()] * 3, turns=True)
+    frames[1].links[0, 3, 3:7] = Rotation.from_euler("z", 1.5).as_quat()
+    params = PLAIN.model_copy(update={"cameras": 3, "max_orientation_delta": 0.0})
+    (merged,) = merge(frames, MODEL, params)
+    assert 0.3 < Rotation.from_quat(merged.orientations[0, 3]).magnitude() < 0.7
+
+
+@pytest.mark.parametrize(
+    ("facing", "link", "flips"),
+    [("auto", "", 1), ("pelvis", "", 1), ("sides", "", 0), ("pelvis", "HIP_LEFT", 0)],
+)
+def test_where_the_facing_comes_from(facing: str, link: str, flips: int) -> None:
+    """One view has the pelvis turned, and only it: "NECK" is the first link of the root."""
+    frames = views([person()] * 3, turns=True)
+    frames[0].links[0, MODEL.link_names.index("NECK"), 3:7] = [0, 0, 1, 0]
+    events = Events()
+    params = PLAIN.model_copy(update={"cameras": 3, "facing": facing, "pelvis_link": link})
+    list(merge(frames, MODEL, params, events))
+    assert events.total("flip") == flips
+
+
+def test_the_past_votes_only_if_it_may() -> None:
+    poses = [[person(), person()]] * 5 + [[person(0.3), person(0.32)]]
+    assert stream(poses, cameras=2)[-1].positions[0, 0, 0] == pytest.approx(0.31)
+    tie = [[person(), person()]] * 5 + [[person(0.05), person(0.5)]]
+    assert stream(tie, cameras=2, past_votes=True)[-1].positions[0, 0, 0] == pytest.approx(0.05)
+
+
+def test_a_flip_beside_a_view_that_tells_no_side_is_mended() -> None:
+    """A camera that sees neither shoulders nor hips must not shield the flip of another."""
+    blind = person()
+    blind[2:6] = np.nan
+    poses = [[person(), blind]] * 20 + [[person()[MIRROR], blind]] * 20
+    merged = stream(poses, past_votes=True, cameras=2)
+    assert all(f.positions[0] == pytest.approx(person()) for f in merged)
+
+
+def test_bridging_carries_on_at_constant_velocity() -> None:
+    frames = [seen([person(0.02 * k), person(2)], at(k), "a", ids=[0, 1]) for k in range(5)]
+    for frame in frames:
+        frame.velocities[:] = [[[0.6, 0.0, 0.0]], [[0.0, 0.0, 0.0]]]
+    frames += [seen([person(2)], at(k), "a", ids=[1]) for k in range(5, 8)]
+    events = Events()
+    merged = list(merge(frames, MODEL, MergeParams(bridge=0.12), events))
+    assert merged[6].positions[0] == pytest.approx(person(0.02 * 6), abs=1e-6)
+    assert events.total("bridged") == 3
+
+
+@pytest.mark.parametrize("past_votes", [True, False])
+@pytest.mark.parametrize("apart", [0.02, 0.08, 0.15])
+def test_which_camera_is_called_what_does_not_matter_even_at_first(
+    apart: float, past_votes: bool
+) -> None:
+    poses = [person(), person(apart), person(-0.3 * apart)]
+    params = MergeParams(cameras=3, past_votes=past_votes)
+    (one,) = merge(views(poses), MODEL, params)
+    (other,) = merge(views(poses[::-1]), MODEL, params)
+    assert other.positions == pytest.approx(one.positions, abs=1e-9)
+
+
+def test_two_views_that_hardly_agree_are_averaged() -> None:
+    (merged,) = merge(views([person(), person(0.15)]), MODEL, MergeParams(cameras=2))
+    assert merged.positions[0, 0, 0] == pytest.approx(0.075)
+
+
+def test_the_order_in_which_a_buffer_fills_does_not_matter() -> None:
+    frames = noisy(6)
+    shuffled = [frames[3 * k + c] for k in range(30) for c in (2, 0, 1)]
+    params = MergeParams(cameras=3)
+    for one, other in zip(
+        merge(frames, MODEL, params), merge(shuffled, MODEL, params), strict=True
+    ):
+        assert np.array_equal(one.markers, other.markers, equal_nan=True)
+        assert np.array_equal(one.links, other.links, equal_nan=True)
+        assert one.stamp == other.stamp
+
+
+@pytest.mark.parametrize(
+    ("apart", "past", "expected"),
+    [
+        ([0.0, 1.0, 2.0, 3.0], False, 0),  # four of one each: equal weights, equal spread
+        ([0.0, 1.0, 1.1, 3.0], False, 1),
+        ([0.0, 0.1, 1.0, 1.1, 1.05], False, 4),
+        ([0.0, 1.0, 0.9], True, 1),  # a tie goes to the view nearest to the past, the last
+    ],
+)
+def test_largest_group(apart: list[float], past: bool, expected: int) -> None:
+    at_x = np.array(apart)
+    between = np.abs(at_x[:, None] - at_x)
+    weights = np.ones(len(apart) - past)
+    assert merging.largest_group(between, weights, past, 0.3) == expected
+
+
+def test_an_absent_view_leads_no_group() -> None:
+    apart = np.array([[np.nan, np.nan], [np.nan, 0.0]])
+    assert merging.largest_group(apart, np.ones(2), False, 0.2) == 1
+    assert merging.largest_group(apart[:1, :1].copy(), np.ones(1), False, 0.2) == -1
+
+
+def test_of_equal_groups_the_more_confident_wins() -> None:
+    apart = np.array([[0.0, 1.0], [1.0, 0.0]])
+    assert merging.largest_group(apart, np.array([0.3, 0.6]), False, 0.2) == 1
+    assert merging.largest_group(apart, np.array([0.6, 0.3]), False, 0.2) == 0
