@@ -12,6 +12,7 @@ from hiros_mcap.skeletons import Floats
 _BODY_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
 _MARGIN = 0.3  # m: by how much a place may lie beyond the farthest person reported
 _INTERVAL = 500_000_000  # ns between two lessons of a camera
+_AT_FIRST = 200_000_000  # ns between them until it has learned enough, before bodies are confirmed
 _ENOUGH = 5  # people to have learned before a camera's silence says anything
 
 
@@ -43,7 +44,9 @@ class Coverage:
     def is_due(self, source: str, stamp: int) -> bool:
         """Whether ``source`` is worth teaching again: neighbouring frames teach nothing new."""
         view = self._views.get(source)
-        return source in self._origins and (view is None or stamp - view.stamp >= _INTERVAL)
+        if source not in self._origins or view is None:
+            return source in self._origins
+        return stamp - view.stamp >= (_INTERVAL if view.people >= _ENOUGH else _AT_FIRST)
 
     def learn(self, source: str, place: Floats, stamp: int) -> None:
         """Note that ``source`` reported a person at ``place`` (3,), m, in the fixed frame."""

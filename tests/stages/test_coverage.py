@@ -57,12 +57,15 @@ def test_a_camera_nobody_knows_covers_nothing() -> None:
     assert not coverage.is_due("b", 0)
 
 
-def test_lessons_are_half_a_second_apart() -> None:
-    coverage = Coverage(CAMERA)
-    assert coverage.is_due("a", 1_000)
-    coverage.learn("a", place(3, 0), 1_000)
-    assert not coverage.is_due("a", 500_000_999)
-    assert coverage.is_due("a", 500_001_000)
+@pytest.mark.parametrize(("lessons", "pause"), [(1, 200_000_000), (5, 500_000_000)])
+def test_lessons_are_closer_together_at_first(lessons: int, pause: int) -> None:
+    coverage = taught(lessons)
+    assert not coverage.is_due("a", lessons - 1 + pause - 1)
+    assert coverage.is_due("a", lessons - 1 + pause)
+
+
+def test_a_camera_that_has_reported_nobody_is_due() -> None:
+    assert Coverage(CAMERA).is_due("a", 0)
 
 
 def test_the_cone_grows_with_the_people() -> None:
