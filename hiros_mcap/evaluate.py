@@ -12,23 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.angles import flexions
 from hiros_mcap.kernels.tracking import assign
 from hiros_mcap.rotations import angle
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.symmetry import split_side
 
 MATCH_DISTANCE = 1.0
 """m: a skeleton farther than this from every true person, on average, is of nobody."""
-
-# Markers of a joint's limbs, towards the extremity; two of them are compared with the trunk.
-_CHAINS = (
-    ("shoulder", "elbow"),
-    ("shoulder", "elbow", "wrist"),
-    ("hip", "knee"),
-    ("hip", "knee", "ankle"),
-)
-# From neck to pelvis, by the names that detectors use.
-_TRUNKS = (("neck", "pelvis"), ("neck", "spinebase"), ("neck", "midhip"), ("neck", "hips"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,36 +92,6 @@ class Truth:
         turns = (1 - part) * first + part * sign * second
         norm = np.linalg.norm(turns, axis=-1, keepdims=True)
         return positions, turns / np.where(norm > 0, norm, np.nan)
-
-
-def flexions(model: SkeletonModel, positions: Floats) -> Floats:
-    """(..., 8) flexion angles, rad: left then right shoulder, elbow, hip, knee.
-
-    ``positions`` (..., M, 3). The angle between a limb's bone and the next one towards the trunk,
-    or the trunk itself, from the marker positions: 0 is straight. It needs no convention of link
-    frames, in which detectors differ. NaN where a marker is missing.
-    """
-    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
-    names = {part for part, _ in slots}
-    trunk = next(((a, b) for a, b in _TRUNKS if a in names and b in names), ("", ""))
-    angles = []
-    for side in ("left", "right"):
-        for chain in _CHAINS:
-            ends = [slots.get((name, side)) for name in chain]
-            ends = [slots.get((name, "")) for name in trunk] * (len(chain) == 2) + ends
-            if None in ends or len(ends) < 3:
-                angles.append(np.full(positions.shape[:-2], np.nan))
-                continue
-            points = [positions[..., slot, :] for slot in ends]
-            angles.append(_between(points[1] - points[0], points[-1] - points[-2]))
-    return np.stack(angles, axis=-1)
-
-
-def _between(u: Floats, v: Floats) -> Floats:
-    """Angle between vectors, rad; by its tangent, which is exact for small angles, too."""
-    cross = np.linalg.norm(np.cross(u, v), axis=-1)
-    angle: Floats = np.arctan2(cross, np.sum(u * v, axis=-1))
-    return angle
 
 
 @dataclass(slots=True)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from stick_figures import MODEL, at, person, seen
 
-from hiros_mcap.evaluate import Truth, evaluate, flexions
+from hiros_mcap.angles import flexions
+from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 ARM = SkeletonModel.of(["Neck", "Pelvis", "LShoulder", "LElbow", "LWrist"], [])

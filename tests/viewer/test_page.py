@@ -1,0 +1,54 @@
+"""Reports are one file that loads nothing."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hiros_viewer.page import Page
+
+
+def page() -> Page:
+    figure_module = pytest.importorskip("matplotlib.figure")
+    result = Page("A <title> & more")
+    result.heading("Errors")
+    result.text("per joint")
+    result.table(["joint", "mm"], [["<wrist>", "1.0"]], caption="Table")
+    for _ in range(2):
+        figure = figure_module.Figure()
+        figure.subplots().plot([0, 1], [0, 1], marker="o")
+        result.figure(figure, "A line")
+    return result
+
+
+def test_the_page_is_self_contained_and_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    page().write(path)
+    text = path.read_text(encoding="utf-8")
+    assert "&lt;wrist&gt;" in text
+    assert "A &lt;title&gt; &amp; more" in text
+    assert not re.findall(r"""(?:src|href)=["'](?!#)|@import|url\((?!#)""", text)
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_ids_are_unique_and_every_reference_resolves() -> None:
+    text = page().html()
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    references = re.findall(r"url\(#([^)]+)\)", text) + re.findall(r'href="#([^"]+)"', text)
+    assert references
+    assert set(references) <= set(ids)
+
+
+def test_the_same_page_has_the_same_bytes() -> None:
+    assert page().html() == page().html()
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    target = tmp_path / "folder"
+    target.mkdir()
+    with pytest.raises(OSError):
+        page().write(target)
+    assert [p.name for p in tmp_path.iterdir()] == ["folder"]

@@ -1,0 +1,123 @@
+"""A report as one self-contained HTML file: text, tables and plots, nothing loaded from elsewhere.
+
+::
+
+    page = Page("Evaluation of lab.hiros.mcap")
+    page.table(["joint", "mean, mm"], [["wrist", "18.2"]], caption="Error per joint")
+    page.figure(figure, "Error over time")
+    page.write(Path("report.html"))
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import tempfile
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 70rem; padding: 0 1rem;
+       color: #1b1f24; background: #fff; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0; }
+th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
+th:first-child, td:first-child { text-align: left; }
+th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
+caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
+figure { margin: 1rem 0; } figure svg { max-width: 100%; height: auto; }
+.wide { overflow-x: auto; }
+"""
+
+
+class Page:
+    """Collects sections in order; :meth:`write` makes the file."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self._parts: list[str] = []
+        self._figures = 0
+
+    def heading(self, text: str) -> None:
+        """Start a section."""
+        self._parts.append(f"<h2>{escape(text)}</h2>")
+
+    def text(self, text: str) -> None:
+        """Add a paragraph."""
+        self._parts.append(f"<p>{escape(text)}</p>")
+
+    def table(
+        self, header: Sequence[str], rows: Iterable[Sequence[str]], caption: str = ""
+    ) -> None:
+        """Add a table; the first column is aligned left, the others right."""
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
+        )
+        title = f"<caption>{escape(caption)}</caption>" if caption else ""
+        self._parts.append(
+            f'<div class="wide"><table>{title}<thead><tr>{head}</tr></thead>\n'
+            f"<tbody>{body}</tbody></table></div>"
+        )
+
+    def figure(self, figure: Figure, caption: str = "") -> None:
+        """Add a matplotlib figure as inline SVG; the same figure gives the same bytes."""
+        self._figures += 1
+        below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+        self._parts.append(f"<figure>{_svg(figure, f'f{self._figures}')}{below}</figure>")
+
+    def html(self) -> str:
+        """Return the page."""
+        parts = "\n".join(self._parts)
+        return (
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style></head>\n"
+            f"<body><h1>{escape(self.title)}</h1>\n{parts}\n</body></html>\n"
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the file; whole or not at all.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        temporary = Path(name)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(self.html())
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+def _svg(figure: Figure, prefix: str) -> str:
+    """Return the figure as an SVG element whose ids are unique within the page."""
+    import matplotlib as mpl
+
+    buffer = io.StringIO()
+    # Without a date and with a fixed salt the bytes depend on the figure alone.
+    with mpl.rc_context({"svg.hashsalt": "hiros", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches="tight")
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
+    return re.sub(r'(url\(#|xlink:href="#|href="#)(?!f\d+-)', rf"\1{prefix}-", svg)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
