@@ -12,24 +12,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hiros_mcap.config import load_config
-from hiros_mcap.evaluate import Scores, Truth, evaluate
-from hiros_mcap.log import open_log
+from hiros_mcap.evaluate import Scores, Truth, load_truth
+from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.log import write_log
-from hiros_mcap.transforms import transform_to_fixed
 
 COLUMNS = "mean  sd    p95   angle  angSD   turn  limbCV  jitter  lag    miss false switch"
-
-
-def truth_of(path: Path) -> Truth:
-    with open_log(path, topics=["/truth/*"], output_prefix="/hiros") as log:
-        return Truth.of(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
-
-
-def scores_of(path: Path, channel: str, truth: Truth) -> Scores:
-    with open_log(path, topics=[f"/hiros/{channel}"], output_prefix="/truth") as log:
-        return evaluate(log.frames(), truth, log.model)
 
 
 def row(name: str, s: Scores) -> str:
@@ -47,11 +36,11 @@ def table(log: Path, truth: Truth, overrides: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
         process(log, out, config=config)
-        rows = {"T": "tracked", "TM": "merged", "TMO": "optimized", "TMOF": "filtered"}
-        for chain, channel in rows.items():
-            print(row(chain, scores_of(out, channel, truth)))
+        chains = ("T", "TM", "TMO", "TMOF")
+        for chain, result in zip(chains, evaluate_log(out, truth).values(), strict=True):
+            print(row(chain, result.scores))
         process(log, out, config=config, options=ProcessOptions(stages="TMF"))
-        print(row("TMF", scores_of(out, "filtered", truth)))
+        print(row("TMF", evaluate_log(out, truth, ["/hiros/filtered"])["/hiros/filtered"].scores))
 
 
 def main() -> None:
@@ -60,14 +49,14 @@ def main() -> None:
     if arguments:
         for log, truth in zip(arguments[::2], arguments[1::2], strict=True):
             print(f"\n{Path(log).name}")
-            table(Path(log), truth_of(Path(truth)), overrides)
+            table(Path(log), load_truth(Path(truth)), overrides)
         return
     with tempfile.TemporaryDirectory() as folder:
         for people in range(1, 5):
             path = Path(folder) / f"{people}.mcap"
             write_log(path, SimulateParams(people=people, seconds=20.0, seed=people))
             print(f"\n{people} people, 5 cameras, 20 s, simulated")
-            table(path, truth_of(path), overrides)
+            table(path, load_truth(path), overrides)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiros_mcap.rotations import conjugate, multiply
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.symmetry import split_side
 
@@ -50,3 +51,73 @@ def _between(u: Floats, v: Floats) -> Floats:
     cross = np.linalg.norm(np.cross(u, v), axis=-1)
     angle: Floats = np.arctan2(cross, np.sum(u * v, axis=-1))
     return angle
+
+
+def euler_zxy(xyzw: Floats) -> Floats:
+    """(..., 3) Angles about z, x', y'' of rotations (..., 4), rad: R = Rz Rx Ry.
+
+    The sequence of the ISB recommendation that Hi-ROS follows (section 4): z is flexion and
+    extension, x abduction and adduction, y internal and external rotation. z and y lie in
+    -pi..pi, x in -pi/2..pi/2; at the ends of x, z and y turn about the same axis.
+    """
+    x, y, z, w = np.moveaxis(np.asarray(xyzw, np.float64), -1, 0)
+    return np.stack(
+        [
+            np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)),
+            np.arcsin(np.clip(2 * (y * z + w * x), -1.0, 1.0)),
+            np.arctan2(2 * (w * y - x * z), 1 - 2 * (x * x + y * y)),
+        ],
+        axis=-1,
+    )
+
+
+def wrapped(angles: Floats) -> Floats:
+    """Angles, rad, brought to -pi..pi: the difference of 179 and -179 degrees is 2."""
+    return np.asarray((np.asarray(angles) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
+    """(proximal, distal) link slots of each of :data:`ANGLES`, -1 where the model lacks one.
+
+    A limb's link is the one between two of its markers; the trunk's is the one that ends at the
+    neck for the shoulders, and the first one that leaves the pelvis upwards for the hips.
+    """
+    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
+    ends = list(zip(model.link_parents, model.link_children, strict=True))
+
+    def between(parent: tuple[str, str], child: tuple[str, str]) -> int:
+        pair = (slots.get(parent, -2), slots.get(child, -2))
+        return ends.index(pair) if pair in ends else -1
+
+    neck = slots.get(("neck", ""), -2)
+    upper = next((k for k, (_, child) in enumerate(ends) if child == neck), -1)
+    root = next((slots[(name, "")] for _, name in _TRUNKS if (name, "") in slots), -2)
+    middle = {slot for (_, side), slot in slots.items() if not side}
+    lower = next((k for k, (p, c) in enumerate(ends) if p == root and c in middle), -1)
+    pairs = []
+    for side in ("left", "right"):
+        arm = between(("shoulder", side), ("elbow", side))
+        leg = between(("hip", side), ("knee", side))
+        pairs += [
+            (upper, arm),
+            (arm, between(("elbow", side), ("wrist", side))),
+            (lower, leg),
+            (leg, between(("knee", side), ("ankle", side))),
+        ]
+    return tuple(pairs)
+
+
+def link_flexions(model: SkeletonModel, turns: Floats) -> Floats:
+    """(..., 8) Flexion angles, rad, of link orientations ``turns`` (..., L, 4) x y z w.
+
+    Equation 21 of Hi-ROS: the z angle of the distal link seen from the proximal one. It depends on
+    how a detector lays axes into its links; NaN where a link or its orientation is missing.
+    """
+    angles = []
+    for proximal, distal in joint_links(model):
+        if min(proximal, distal) < 0:
+            angles.append(np.full(turns.shape[:-2], np.nan))
+            continue
+        relative = multiply(conjugate(turns[..., proximal, :]), turns[..., distal, :])
+        angles.append(euler_zxy(relative)[..., 0])
+    return np.stack(angles, axis=-1)

@@ -114,7 +114,11 @@ class Summary:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; derived numbers included, numbers that are not finite are None."""
         people = [{**plain(person), "seconds": person.seconds} for person in self.people]
-        return {**plain(self), "people": people, "times_real_time": _plain(self.times_real_time)}
+        return {
+            **plain(self),
+            "people": people,
+            "times_real_time": plain_value(self.times_real_time),
+        }
 
     def reproducible(self) -> dict[str, Any]:
         """Return :meth:`to_dict` without what differs from run to run: times taken and paths.
@@ -127,16 +131,17 @@ class Summary:
 
 def plain(record: Any) -> dict[str, Any]:
     """Return a dataclass as JSON data; tuples become lists, what is not finite becomes None."""
-    return {item.name: _plain(getattr(record, item.name)) for item in fields(record)}
+    return {item.name: plain_value(getattr(record, item.name)) for item in fields(record)}
 
 
-def _plain(value: object) -> object:
+def plain_value(value: object) -> object:
+    """Return one value as JSON data; see :func:`plain`."""
     if is_dataclass(value):
         return plain(value)
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain_value(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

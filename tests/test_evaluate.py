@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -92,3 +93,95 @@ def test_a_right_angle_at_the_elbow() -> None:
 def test_nothing_in_common_is_an_error() -> None:
     with pytest.raises(ValueError, match="no frame"):
         evaluate([seen([person()], at(1000), ids=[0])], TRUTH, MODEL)
+
+
+def still(n: int = 60, turn: float = 0.0) -> list[Frame]:
+    """Somebody who stands; all links turned about the vertical by ``turn`` rad."""
+    result = [seen([person()], at(k), ids=[0], turns=True) for k in range(n)]
+    for frame in result:
+        frame.links[0, :, 3:7] = [0.0, 0.0, math.sin(turn / 2), math.cos(turn / 2)]
+    return result
+
+
+def test_the_lag_of_somebody_who_stands_is_unknown() -> None:
+    assert np.isnan(evaluate(still(), Truth.of(still()), MODEL).lag)
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_logs_shorter_than_the_lags_that_are_tried(n: int) -> None:
+    truth = Truth.of(seen([moving(k)], at(k), ids=[0]) for k in range(n))
+    scores = evaluate([seen([moving(k)], at(k), ids=[0]) for k in range(n)], truth, MODEL)
+    assert scores.mean == pytest.approx(0, abs=1e-9)
+    assert scores.frames == n
+
+
+def test_frames_outside_the_truth_do_not_count() -> None:
+    truth = Truth.of(still()[20:40])
+    assert evaluate(still(), truth, MODEL).frames == 20
+
+
+def test_turned_links() -> None:
+    scores = evaluate(still(turn=0.5), Truth.of(still()), MODEL)
+    assert scores.turn_error == pytest.approx(math.degrees(0.5))
+
+
+def test_95_percent_of_the_errors_are_below() -> None:
+    result = still(20)
+    for k, frame in enumerate(result):
+        frame.positions[0] += [0.001 * k, 0, 0]
+    scores = evaluate(result, Truth.of(still(20)), MODEL)
+    assert scores.percentile_95 == pytest.approx(np.percentile(np.arange(20).repeat(8), 95))
+    assert (scores.mean, scores.deviation) == pytest.approx((9.5, np.std(np.arange(20))))
+
+
+def test_a_missing_marker_is_no_error() -> None:
+    result = still()
+    for frame in result:
+        frame.markers[0, 6] = np.nan
+    assert evaluate(result, Truth.of(still()), MODEL).mean == pytest.approx(0, abs=1e-9)
+
+
+def test_two_who_swap_ids_are_two_switches() -> None:
+    result = frames()
+    result[30:] = [f.replace(ids=np.array([7, 5], np.int32)) for f in result[30:]]
+    assert evaluate(result, TRUTH, MODEL).switches == 2
+
+
+def test_an_id_that_comes_back_after_a_gap_is_no_switch() -> None:
+    result = [f for k, f in enumerate(frames()) if not 20 <= k < 40]
+    assert evaluate(result, TRUTH, MODEL).switches == 0
+
+
+def bent(angle: float) -> Floats:
+    """An arm hanging down whose forearm is bent by ``angle``, rad."""
+    wrist = [0.3 * math.sin(angle), 0.2, 1.1 - 0.3 * math.cos(angle)]
+    return np.array([[0, 0, 1.5], [0, 0, 1], [0, 0.2, 1.4], [0, 0.2, 1.1], wrist])
+
+
+def arms(angles: Sequence[float]) -> list[Frame]:
+    result = []
+    for k, angle in enumerate(angles):
+        frame = Frame.empty(1, ARM, stamp=at(k), source="a")
+        frame.ids[:], frame.positions[0] = 0, bent(angle)
+        result.append(frame)
+    return result
+
+
+def test_eq20_angles_are_off_by_what_the_elbow_is() -> None:
+    """Shoulder right, elbow off by +4 and -2 degrees in turn: RMSE over both joints, and SD."""
+    off = np.radians([4.0, -2.0] * 10)
+    scores = evaluate(arms(1.0 + off), Truth.of(arms(np.full(20, 1.0))), ARM)
+    assert scores.angle_rmse == pytest.approx(math.sqrt((16 + 4) / 2 / 2))
+    assert scores.angle_deviation == pytest.approx(np.std([4, -2, 0, 0]))
+
+
+@pytest.mark.parametrize("degrees", [0, 45, 90, 179])
+def test_flexion_of_an_elbow(degrees: float) -> None:
+    assert np.degrees(flexions(ARM, bent(math.radians(degrees)))[1]) == pytest.approx(degrees)
+
+
+def test_somebody_farther_than_a_metre_is_somebody_else() -> None:
+    away = [f.replace(markers=f.markers + np.eye(19)[0] * 1.01) for f in still()]
+    scores = evaluate(away, Truth.of(still()), MODEL)
+    assert (scores.missing, scores.false) == (60, 60)
+    assert np.isnan(scores.mean)

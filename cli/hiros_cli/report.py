@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Iterable, Sequence
 
@@ -12,6 +11,7 @@ from rich.text import Text
 
 from hiros_cli.printable import printable
 from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary
+from hiros_mcap.text import number
 
 PIPE_WIDTH = 160
 STEPS = ("read", "transform", "tracked", "merged", "optimized", "filtered", "write")
@@ -45,11 +45,6 @@ def table(*columns: str, rows: Iterable[Sequence[str]]) -> Table:
     for row in rows:
         result.add_row(*(Text(printable(cell)) for cell in row))
     return result
-
-
-def number(value: float, digits: int, unit: str = "") -> str:
-    """Return a number with its unit, a dash when there is none."""
-    return "-" if math.isnan(value) else f"{value:.{digits}f}{unit}"
 
 
 def _headline(summary: Summary) -> str:

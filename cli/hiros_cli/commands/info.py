@@ -45,7 +45,8 @@ def _show(overview: Overview) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.report import console, number
+    from hiros_cli.report import console
+    from hiros_mcap.text import number
 
     out = console()
     out.print(
@@ -72,7 +73,8 @@ def _channels(overview: Overview) -> Any:
 
 
 def _cameras(overview: Overview) -> Any:
-    from hiros_cli.report import number, table
+    from hiros_cli.report import table
+    from hiros_mcap.text import number
 
     return table(
         "Camera",

@@ -1,0 +1,259 @@
+"""``hiros eval``: how good is it, against the truth or against the log itself."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hiros_cli.options import Assignments, ConfigFile, Json, Preset, Quiet
+from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.config import Config
+    from hiros_mcap.evaluate import Truth
+    from hiros_mcap.evaluate.logs import ChannelResult
+
+
+def evaluate(
+    log: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="LOG", help="What `hiros process` wrote, or a recording: processed first."
+        ),
+    ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TOPIC",
+            help="MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel.",
+        ),
+    ] = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB", help="Output channels to score; may be repeated. Default: all."
+        ),
+    ] = None,
+    leave_one_out: Annotated[
+        bool,
+        typer.Option(
+            "--leave-one-out",
+            help="Without truth: score each camera against what the others give. The default "
+            "when there is no truth.",
+        ),
+    ] = False,
+    table: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Instead of LOG, run a paper's experiments on simulated logs: hiros.",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=3.0, help="With --table: length of every simulated log.")
+    ] = 15.0,
+    jobs: Annotated[
+        int, typer.Option(min=0, help="With --table: processes at once; 0 = one per core.")
+    ] = 0,
+    match_distance: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            metavar="M",
+            help="Mean joint distance, m, from which a skeleton is of somebody else.",
+        ),
+    ] = 1.0,
+    shift: Annotated[
+        float, typer.Option(metavar="S", help="Add this to the times of the truth, s.")
+    ] = 0.0,
+    up: Annotated[str, typer.Option(help="Vertical axis of the truth: z, or y (OpenSim).")] = "z",
+    joints: Annotated[bool, typer.Option("--joints", help="Show every joint, too.")] = False,
+    preset: Preset = "default",
+    config: ConfigFile = None,
+    assignments: Assignments = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write a report with plots, one file."),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Score a result: joints, angles, limbs, jitter, lag, people; with truth or without.
+
+    A recording that was not processed yet is processed first, with the given parameters.
+    """
+    from hiros_cli.kernels import prepare
+
+    if up not in ("z", "y"):
+        raise ConfigError(f"--up: {up!r} is neither z nor y")
+    if html is not None:
+        _check_report(html)
+    if table is None and log is None:
+        raise ConfigError("eval needs a LOG, or --table hiros (see hiros eval --help)")
+    if log is not None:
+        log.stat()
+    prepare(quiet=quiet or json)
+
+    from hiros_mcap.config import load_config
+
+    effective = load_config(config, list(assignments or ()), preset)
+    if table is not None:
+        _paper_table(table, effective, seconds, jobs, html=html, json=json, quiet=quiet)
+        return
+    if log is None:
+        raise AssertionError("checked above")
+    true = None if leave_one_out else _find_truth(log, truth)
+    if true is None:
+        _show_self(log, effective, html=html, json=json, joints=joints)
+        return
+    moved = true.moved(shift, start=_start(log), up=up)
+    with ExitStack() as stack:
+        processed = _processed(log, effective, stack)
+        from hiros_mcap.evaluate.logs import evaluate_log
+
+        results = evaluate_log(processed, moved, channel or (), match_distance)
+    _show_truth(log, moved, results, html=html, json=json, joints=joints)
+
+
+def _check_report(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path.parent}: no such folder to write into")
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        raise ConfigError("--html needs matplotlib: pip install 'hiros-mcap[plots]'")
+
+
+def _find_truth(log: Path, named: str | None) -> Truth | None:
+    """Return the truth that the user names, else the log's own, else None."""
+    from hiros_mcap.channels import TRUTH_PREFIX, channels_of
+    from hiros_mcap.container import McapReader
+    from hiros_mcap.evaluate import load_truth
+
+    if named is None:
+        with McapReader(log) as reader:
+            topics = [info.topic for info in channels_of(reader)]
+        own = any(topic.startswith(f"{TRUTH_PREFIX}/") for topic in topics)
+        return load_truth(log) if own else None
+    if Path(named).is_file():
+        return load_truth(Path(named))
+    if not named.startswith("/"):
+        raise ConfigError(f"--truth: {named} is neither a file nor a channel (these begin with /)")
+    return load_truth(log, named)
+
+
+def _start(log: Path) -> int:
+    """Time at which a log starts, ns: what motion capture files count from."""
+    from hiros_mcap.container import McapReader
+
+    with McapReader(log) as reader:
+        statistics = reader.contents.statistics
+        return statistics.start_time if statistics else 0
+
+
+def _processed(log: Path, config: Config, stack: ExitStack) -> Path:
+    """Return the log itself if it holds outputs, else what processing makes of it."""
+    from hiros_mcap.evaluate.logs import has_outputs
+
+    if has_outputs(log):
+        return log
+    from hiros_mcap.pipeline import ProcessOptions, process
+
+    out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
+    process(log, out, config=config, options=ProcessOptions(keep=()))
+    return out
+
+
+def _show_truth(
+    log: Path,
+    truth: Truth,
+    results: dict[str, ChannelResult],
+    *,
+    html: Path | None,
+    json: bool,
+    joints: bool,
+) -> None:
+    if html is not None:
+        from hiros_viewer.evaluation import truth_page
+
+        truth_page(str(log), truth, results).write(html)
+    if json:
+        _print_json(
+            {
+                "log": str(log),
+                "true_people": list(truth.people),
+                "channels": {topic: _plain(result.scores) for topic, result in results.items()},
+            }
+        )
+        return
+    from hiros_cli.evaluation import show_truth
+
+    show_truth(log, truth, results, joints=joints)
+
+
+def _show_self(log: Path, config: Config, *, html: Path | None, json: bool, joints: bool) -> None:
+    from hiros_mcap.evaluate.leave_one_out import leave_one_out
+
+    scores = leave_one_out(log, config=config)
+    if html is not None:
+        from hiros_viewer.evaluation import self_page
+
+        self_page(str(log), scores).write(html)
+    if json:
+        pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
+        _print_json({"log": str(log), **_plain(scores), "disagreement": _finite(pairs)})
+        return
+    from hiros_cli.evaluation import show_self
+
+    show_self(log, scores, joints=joints)
+
+
+def _paper_table(
+    name: str,
+    config: Config,
+    seconds: float,
+    jobs: int,
+    *,
+    html: Path | None,
+    json: bool,
+    quiet: bool,
+) -> None:
+    if name != "hiros":
+        raise ConfigError(f"--table: no table {name!r} (there is: hiros)")
+    from hiros_cli.progress import bar
+    from hiros_mcap.evaluate.paper import run_experiments
+
+    with bar("16 actions, 1 to 4 people", quiet=quiet) as progress:
+        results = run_experiments(config, seconds=seconds, jobs=jobs, progress=progress)
+    if html is not None:
+        from hiros_viewer.evaluation import paper_page
+
+        paper_page(results).write(html)
+    if json:
+        _print_json(_plain(results))
+        return
+    from hiros_cli.evaluation import show_paper
+
+    show_paper(results)
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    from hiros_mcap.summary import plain
+
+    return plain(record)
+
+
+def _finite(value: Any) -> Any:
+    from hiros_mcap.summary import plain_value
+
+    return plain_value(value)
+
+
+def _print_json(data: dict[str, Any]) -> None:
+    from json import dumps
+
+    print(dumps(data, indent=2, allow_nan=False))

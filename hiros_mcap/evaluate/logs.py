@@ -1,0 +1,153 @@
+"""Scores of whole logs: every output channel against the truth, and what needs no truth."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from hiros_mcap.channels import OUTPUT_PREFIX
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
+from hiros_mcap.evaluate.motion import jitter, limb_variations
+from hiros_mcap.evaluate.scores import Scores, mean_of, score_matches
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.log import open_log
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+
+ORDER = ("tracked", "merged", "optimized", "filtered")
+
+
+@dataclass(frozen=True, slots=True)
+class PersonSpan:
+    """How long an id lives in a channel."""
+
+    id: int
+    seconds: float
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """What a channel says about itself, without any truth."""
+
+    frames: int
+    people: tuple[PersonSpan, ...]
+    limb_variation: float
+    """Mean over people and links of the coefficient of variation of the length."""
+    limbs: Mapping[str, float]
+    """The same by link."""
+    jitter: float
+    """Mean norm of the second difference of joint positions between frames, mm."""
+    jitters: Mapping[str, float] = field(default_factory=dict)
+    """The same by joint."""
+
+
+def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:
+    """Topics of a log's output channels in the order of the stages, or those that globs name.
+
+    Raises
+    ------
+    LogError
+        There is none.
+    """
+    with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
+        topics = [camera.channel.topic for camera in log.cameras]
+    order = {f"{OUTPUT_PREFIX}/{name}": k for k, name in enumerate(ORDER)}
+    return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
+
+
+def has_outputs(path: str | os.PathLike[str]) -> bool:
+    """Whether a log holds a channel that hiros wrote."""
+    from hiros_mcap.channels import channels_of
+    from hiros_mcap.container import McapReader
+
+    with McapReader(Path(path)) as reader:
+        return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
+
+
+def read_channel(
+    path: str | os.PathLike[str], topic: str
+) -> tuple[list[Frame], SkeletonModel, dict[str, int]]:
+    """Frames of an output channel, their model, and how many messages were skipped, by reason."""
+    with open_log(path, topics=[topic], output_prefix="/none") as log:
+        frames = list(log.frames())
+        skipped: dict[str, int] = {}
+        for account in log.accounts.values():
+            for reason, count in account.skipped.items():
+                skipped[reason] = skipped.get(reason, 0) + count
+        return frames, log.model, skipped
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelResult:
+    """A channel against the truth."""
+
+    scores: Scores
+    matches: Matches
+    model: SkeletonModel
+    skipped: Mapping[str, int]
+    """Messages that gave no frame, by reason."""
+
+
+def evaluate_log(
+    path: str | os.PathLike[str],
+    truth: Truth,
+    globs: Sequence[str] = (),
+    max_distance: float = MATCH_DISTANCE,
+) -> dict[str, ChannelResult]:
+    """Topic -> result of every output channel against the truth, in the order of the stages.
+
+    Raises
+    ------
+    LogError, ConfigError
+        The log cannot be read, has no output channel, or shares no time or marker with the truth.
+    """
+    results = {}
+    for topic in output_channels(path, globs):
+        frames, model, skipped = read_channel(path, topic)
+        try:
+            matches = match(frames, truth.seen_by(model), max_distance)
+            scores = score_matches(matches, truth, model)
+            results[topic] = ChannelResult(scores, matches, model, skipped)
+        except ValueError as error:
+            raise LogError(str(error), path=path, topic=topic) from None
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {topic}: {error}") from None
+    return results
+
+
+def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
+    """Measure what needs no truth: limb constancy, jitter, how long ids live."""
+    tracks: dict[int, Track] = {}
+    for frame, row, person in _people(frames):
+        track = tracks.setdefault(person, Track())
+        track.stamps.append(frame.stamp)
+        track.poses.append(frame.positions[row])
+    limbs, jitters = limb_variations(tracks.values(), model), jitter(tracks.values())
+    return Consistency(
+        frames=len(frames),
+        people=tuple(
+            PersonSpan(person, (t.stamps[-1] - t.stamps[0]) / 1e9, len(t.stamps))
+            for person, t in sorted(tracks.items())
+        ),
+        limb_variation=mean_of(limbs),
+        limbs={
+            name: float(value)
+            for name, value in zip(model.link_names, limbs, strict=True)
+            if not np.isnan(value)
+        },
+        jitter=mean_of(jitters),
+        jitters=dict(zip(model.marker_names, jitters.tolist(), strict=False)),
+    )
+
+
+def _people(frames: Sequence[Frame]) -> Iterator[tuple[Frame, int, int]]:
+    for frame in frames:
+        for row, person in enumerate(frame.ids.tolist()):
+            if person != UNTRACKED:
+                yield frame, row, person

@@ -1,0 +1,147 @@
+"""Who is who over time: MOTA, IDF1 and HOTA on 3D skeletons.
+
+The similarity of a skeleton to a true one falls from 1 (same joints) to 0 (mean joint distance at
+the matching distance or more). The numbers equal those of TrackEval on the same similarities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.kernels.tracking import assign
+from hiros_mcap.skeletons import Floats
+
+ALPHAS = np.arange(0.05, 0.99, 0.05)
+"""Similarities at which a match counts, averaged over by HOTA (Luiten et al. 2021, eq. 10)."""
+_KEEP = 1000.0
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """One frame: true people against skeletons with an id."""
+
+    true_ids: tuple[int, ...]
+    ids: tuple[int, ...]
+    similarity: Floats
+    """(true, found) 0..1."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingScores:
+    """The three families of tracking measures, 0..1 but for MOTA, which may be negative."""
+
+    mota: float
+    """1 - (missing + false + switches) / true (Bernardin and Stiefelhagen 2008)."""
+    motp: float
+    """Mean similarity of the matches."""
+    switches: int
+    """Id switches by CLEAR MOT, which keeps a match as long as it is possible."""
+    idf1: float
+    """F1 of the one-to-one map from true people to ids (Ristani et al. 2016)."""
+    hota: float
+    """Luiten et al. 2021: mean over similarities of sqrt(DetA AssA)."""
+    det_a: float
+    ass_a: float
+
+
+def tracking_scores(instants: Sequence[Instant]) -> TrackingScores:
+    """Compute all measures; NaN where nobody was there to be found."""
+    mota, motp, switches = _clear(instants)
+    return TrackingScores(mota, motp, switches, _idf1(instants), *_hota(instants))
+
+
+def _best(score: Floats) -> list[tuple[int, int]]:
+    """Pairs (row, column) of positive score with the largest sum."""
+    if not score.size:
+        return []
+    rows = assign(np.ascontiguousarray(score.max() - score))
+    return [(int(r), c) for c, r in enumerate(rows) if r >= 0 and score[r, c] > _TINY]
+
+
+def _clear(instants: Sequence[Instant]) -> tuple[float, float, int]:
+    """MOTA, MOTP and switches; pairs of the frame before are kept while they are possible."""
+    before: dict[int, int] = {}
+    last: dict[int, int] = {}
+    true = found = matched = switches = 0
+    similarity = 0.0
+    for now in instants:
+        held = np.array([[before.get(t) == i for i in now.ids] for t in now.true_ids], bool)
+        score = (now.similarity > _TINY) * (_KEEP * held + now.similarity)
+        pairs = _best(score)
+        before = {}
+        for row, column in pairs:
+            person, name = now.true_ids[row], now.ids[column]
+            switches += last.get(person, name) != name
+            before[person] = last[person] = name
+            similarity += float(now.similarity[row, column])
+        true, found, matched = true + len(now.true_ids), found + len(now.ids), matched + len(pairs)
+    if not true:
+        return np.nan, np.nan, switches
+    wrong = (true - matched) + (found - matched) + switches
+    return 1 - wrong / true, similarity / matched if matched else np.nan, switches
+
+
+def _counts(instants: Sequence[Instant]) -> tuple[dict[int, int], dict[int, int], Floats, Floats]:
+    """Slots of people and of ids, and how often each appears."""
+    people = {i: k for k, i in enumerate(sorted({i for now in instants for i in now.true_ids}))}
+    names = {i: k for k, i in enumerate(sorted({i for now in instants for i in now.ids}))}
+    true, found = np.zeros(len(people)), np.zeros(len(names))
+    for now in instants:
+        true[[people[i] for i in now.true_ids]] += 1
+        found[[names[i] for i in now.ids]] += 1
+    return people, names, true, found
+
+
+def _idf1(instants: Sequence[Instant]) -> float:
+    people, names, true, found = _counts(instants)
+    together = np.zeros((len(people), len(names)))
+    for now in instants:
+        for row, person in enumerate(now.true_ids):
+            for column, name in enumerate(now.ids):
+                close = now.similarity[row, column] > _TINY
+                together[people[person], names[name]] += close
+    total = true.sum() + found.sum()
+    hits = sum(together[row, column] for row, column in _best(together))
+    return float(2 * hits / total) if total else np.nan
+
+
+def _hota(instants: Sequence[Instant]) -> tuple[float, float, float]:
+    people, names, true, found = _counts(instants)
+    if not true.sum() + found.sum():
+        return np.nan, np.nan, np.nan
+    likeness = _alignment(instants, people, names, true, found)
+    together = np.zeros((len(ALPHAS), len(people), len(names)))
+    for now in instants:
+        rows = [people[i] for i in now.true_ids]
+        columns = [names[i] for i in now.ids]
+        for r, c in _best(likeness[np.ix_(rows, columns)] * now.similarity):
+            together[:, rows[r], columns[c]] += now.similarity[r, c] >= ALPHAS - 1e-9
+    matched = together.sum(axis=(1, 2))
+    detection = matched / (true.sum() + found.sum() - matched)
+    union = true[:, None] + found[None] - together
+    shared = (together * together / np.maximum(union, 1)).sum(axis=(1, 2))
+    association = shared / np.maximum(matched, 1)
+    hota = np.sqrt(detection * association)
+    return float(hota.mean()), float(detection.mean()), float(association.mean())
+
+
+def _alignment(
+    instants: Sequence[Instant],
+    people: dict[int, int],
+    names: dict[int, int],
+    true: Floats,
+    found: Floats,
+) -> Floats:
+    """(people, names) How well an id follows a person over the whole log, 0..1."""
+    shared = np.zeros((len(people), len(names)))
+    for now in instants:
+        s = now.similarity
+        rows = [people[i] for i in now.true_ids]
+        columns = [names[i] for i in now.ids]
+        union = s.sum(axis=0, keepdims=True) + s.sum(axis=1, keepdims=True) - s
+        shared[np.ix_(rows, columns)] += np.where(union > _TINY, s / np.maximum(union, _TINY), 0.0)
+    return shared / (true[:, None] + found[None] - shared)

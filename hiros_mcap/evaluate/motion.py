@@ -1,0 +1,98 @@
+"""How a result moves, and how late it is: limb lengths, jitter, lag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from hiros_mcap.evaluate.match import Matches, Track
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.skeletons import Floats, SkeletonModel
+
+SHIFTS_MS = range(-60, 181, 5)
+"""Delays that are tried: filters of this field lag by up to 150 ms."""
+_SAMPLES = 400
+_STANDS_STILL = 4e-6  # m2: a truth that moves less than 2 mm in 60 ms tells no time
+_PAUSE = 2.5
+
+
+def lengths_of(poses: Floats, model: SkeletonModel) -> Floats:
+    """(..., L) Length of every link of ``poses`` (..., M, 3), m; NaN if it lacks a marker."""
+    parents, children = np.array(model.link_parents), np.array(model.link_children)
+    if not len(parents):
+        return np.zeros((*poses.shape[:-2], 0))
+    lengths = np.linalg.norm(poses[..., parents, :] - poses[..., children, :], axis=-1)
+    return np.where((parents < 0) | (children < 0), np.nan, lengths)
+
+
+def limb_variations(tracks: Iterable[Track], model: SkeletonModel) -> Floats:
+    """(L,) Coefficient of variation of each link's length, mean over the people; NaN if unseen."""
+    rows = [np.full(model.n_links, np.nan)]
+    for track in tracks:
+        lengths = lengths_of(np.stack(track.poses), model)
+        seen = (~np.isnan(lengths)).sum(axis=0) > 1
+        row = np.full(model.n_links, np.nan)
+        row[seen] = np.nanstd(lengths[:, seen], axis=0) / np.nanmean(lengths[:, seen], axis=0)
+        rows.append(row)
+    return column_mean(np.stack(rows))
+
+
+def jitter(tracks: Iterable[Track]) -> Floats:
+    """(M,) Mean norm of the second difference between frames of each joint, mm.
+
+    Differences over a pause of the track (2.5 times its usual step) do not count.
+    """
+    parts: list[Floats] = []
+    for track in tracks:
+        if len(track.stamps) < 3:
+            continue
+        steps = np.diff(np.array(track.stamps))
+        even = np.maximum(steps[1:], steps[:-1]) <= _PAUSE * np.median(steps)
+        second = np.linalg.norm(np.diff(np.stack(track.poses), 2, axis=0), axis=-1)
+        parts.append(1000 * second[even])
+    return column_mean(np.concatenate(parts)) if parts else np.array([np.nan])
+
+
+def column_mean(table: Floats) -> Floats:
+    """Mean of each column without NaN; NaN where a column has nothing else."""
+    known = ~np.isnan(table)
+    total = np.where(known, table, 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
+def lag(matches: Matches, truth: Truth, shifts: Sequence[int] = SHIFTS_MS) -> float:
+    """By how many ms the result is late: the shift of the truth with the least squared error.
+
+    The peak of the cross-correlation, found on the error, which needs no common mean. A parabola
+    through the best three shifts; NaN when nobody moves or the log is too short.
+    """
+    step = max(1, len(matches.stamps) // _SAMPLES)
+    chosen = [
+        k
+        for k in range(0, len(matches.stamps), step)
+        if truth.covers(matches.stamps[k] - shifts[-1] * 1_000_000)
+        and truth.covers(matches.stamps[k] - shifts[0] * 1_000_000)
+    ]
+    if not chosen:
+        return np.nan
+    costs = np.array([_cost(matches, truth, chosen, shift) for shift in shifts])
+    if np.isnan(costs).any():
+        return np.nan
+    best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
+    left, middle, right = costs[best - 1 : best + 2]
+    bend = left - 2 * middle + right
+    if costs.max() - costs.min() < _STANDS_STILL or bend <= 0:
+        return np.nan
+    return float(shifts[best] + 0.5 * (shifts[1] - shifts[0]) * (left - right) / bend)
+
+
+def _cost(matches: Matches, truth: Truth, chosen: Sequence[int], shift: int) -> float:
+    """Mean squared distance to the truth ``shift`` ms earlier, m2."""
+    off = [
+        truth.at(matches.stamps[k] - shift * 1_000_000)[0][matches.people[k]] - matches.poses[k]
+        for k in chosen
+    ]
+    squares = np.stack(off) ** 2
+    known = ~np.isnan(squares)
+    return float(squares[known].mean()) if known.any() else np.nan

@@ -1,0 +1,189 @@
+"""What really happened, as arrays over time, and where a result's markers are in it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hiros_mcap.channels import TRUTH_PREFIX
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.log import open_log
+from hiros_mcap.rotations import multiply
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.symmetry import split_side
+from hiros_mcap.transforms import transform_to_fixed
+
+MAX_GAP_NS = 500_000_000
+"""The truth is not interpolated over a longer pause."""
+_EPOCH_2001 = 1_000_000_000 * 1_000_000_000  # ns
+_Y_TO_Z = np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])
+
+
+@dataclass(slots=True)
+class Truth:
+    """True skeletons as arrays over time: T instants, N people."""
+
+    stamps: npt.NDArray[np.int64]
+    """(T,) ns, increasing."""
+    positions: Floats
+    """(T, N, M, 3) m, NaN where a person or a marker is absent."""
+    turns: Floats
+    """(T, N, L, 4) orientations of the links, x y z w."""
+    people: tuple[int, ...] = ()
+    """Id of each of the N people."""
+    model: SkeletonModel | None = None
+    """Of the true skeletons; None = that of the result."""
+
+    @classmethod
+    def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:
+        """Collect frames whose ids are the true people; sorted by time.
+
+        Raises
+        ------
+        ValueError
+            There are no frames.
+        """
+        ordered = sorted(frames, key=lambda frame: frame.stamp)
+        if not ordered:
+            raise ValueError("no true skeletons")
+        people = tuple(sorted({int(i) for frame in ordered for i in frame.ids}))
+        row = {person: n for n, person in enumerate(people)}
+        shape = (len(ordered), len(people))
+        positions = np.full((*shape, *ordered[0].markers.shape[1:2], 3), np.nan)
+        turns = np.full((*shape, *ordered[0].links.shape[1:2], 4), np.nan)
+        for t, frame in enumerate(ordered):
+            for p, person in enumerate(frame.ids):
+                positions[t, row[int(person)]] = frame.positions[p]
+                turns[t, row[int(person)]] = frame.orientations[p]
+        stamps = np.array([frame.stamp for frame in ordered], np.int64)
+        return cls(stamps, positions, turns, people, model)
+
+    def covers(self, stamp: int) -> bool:
+        """Whether ``stamp`` lies between the first and the last true instant."""
+        return bool(self.stamps[0] <= stamp <= self.stamps[-1])
+
+    def at(self, stamp: int) -> tuple[Floats, Floats]:
+        """(N, M, 3) positions and (N, L, 4) orientations, linear between the neighbours.
+
+        NaN beyond the first and the last instant, and within a pause of more than half a second.
+        """
+        after = int(np.searchsorted(self.stamps, stamp))
+        if after < len(self.stamps) and self.stamps[after] == stamp:
+            return self.positions[after], self.turns[after]
+        inside = 0 < after < len(self.stamps)
+        if not inside or self.stamps[after] - self.stamps[after - 1] > MAX_GAP_NS:
+            return np.full_like(self.positions[0], np.nan), np.full_like(self.turns[0], np.nan)
+        early, late = self.stamps[after - 1], self.stamps[after]
+        part = float(stamp - early) / float(late - early)
+        positions = (1 - part) * self.positions[after - 1] + part * self.positions[after]
+        first, second = self.turns[after - 1], self.turns[after]
+        sign = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0, -1.0, 1.0)
+        turns = (1 - part) * first + part * sign * second
+        norm = np.linalg.norm(turns, axis=-1, keepdims=True)
+        return positions, turns / np.where(norm > 0, norm, np.nan)
+
+    def moved(self, seconds: float = 0.0, *, start: int | None = None, up: str = "z") -> Truth:
+        """Return the truth with other times or axes.
+
+        Parameters
+        ----------
+        seconds : added to all times.
+        start : ns; where the log starts. Times before the year 2001 are taken as seconds from
+            there, as motion capture files count them.
+        up : the vertical axis of the truth, "z" or "y" (OpenSim); y becomes z.
+        """
+        stamps = self.stamps + round(seconds * 1e9)
+        if start is not None and self.stamps[-1] < _EPOCH_2001:
+            stamps = stamps + start
+        positions, turns = self.positions, self.turns
+        if up == "y":
+            positions = np.stack(
+                [positions[..., 0], -positions[..., 2], positions[..., 1]], axis=-1
+            )
+            turns = multiply(_Y_TO_Z, turns)
+        return Truth(stamps, positions, turns, self.people, self.model)
+
+    def seen_by(self, model: SkeletonModel) -> Truth:
+        """Return the truth on the markers and links of another model; NaN where it has none.
+
+        Raises
+        ------
+        ConfigError
+            No marker has the same name in both.
+        """
+        if self.model is None or self.model == model:
+            return self
+        slots = _same_names(self.model, model)
+        if not slots:
+            raise ConfigError(
+                "the truth and the result share no marker: "
+                f"{_list(self.model.marker_names)} against {_list(model.marker_names)}"
+            )
+        links = _same_ends(self.model, model, slots)
+        positions = np.full((*self.positions.shape[:2], model.n_markers, 3), np.nan)
+        turns = np.full((*self.turns.shape[:2], model.n_links, 4), np.nan)
+        for theirs, ours in slots.items():
+            positions[:, :, ours] = self.positions[:, :, theirs]
+        for theirs, ours in links.items():
+            turns[:, :, ours] = self.turns[:, :, theirs]
+        return Truth(self.stamps, positions, turns, self.people, model)
+
+
+def _same_names(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:
+    """Slot in ``a`` -> slot in ``b`` of markers that mean the same, as LShoulder, shoulder_left."""
+    theirs = {_name(name): slot for slot, name in enumerate(b.marker_names)}
+    pairs = {slot: theirs.get(_name(name)) for slot, name in enumerate(a.marker_names)}
+    return {slot: other for slot, other in pairs.items() if other is not None}
+
+
+def _name(name: str) -> tuple[str, str]:
+    part, side = split_side(name)
+    return "".join(c for c in part if c.isalnum()), side
+
+
+def _same_ends(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
+    """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
+    ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
+    found = {}
+    for k, (parent, child) in enumerate(zip(a.link_parents, a.link_children, strict=True)):
+        other = ends.get((slots.get(parent, -2), slots.get(child, -2)))
+        if other is not None:
+            found[k] = other
+    return found
+
+
+def _list(names: tuple[str, ...], most: int = 5) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+
+
+def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
+    """Read the truth from a log's SkeletonGroup channel, or from a TRC or CSV file.
+
+    Parameters
+    ----------
+    path : an MCAP log, ``.trc`` or ``.csv`` (:mod:`hiros_mcap.evaluate.files`).
+    topic : glob of the channel in a log; the ids of its skeletons are the true people.
+
+    Raises
+    ------
+    LogError, ConfigError
+        The file cannot be read, or holds no truth.
+    """
+    from hiros_mcap.evaluate.files import read_csv, read_trc
+
+    readers = {".trc": read_trc, ".csv": read_csv}
+    if (read := readers.get(Path(path).suffix.lower())) is not None:
+        return read(Path(path))
+    with open_log(path, topics=[topic], output_prefix="/none") as log:
+        if len(log.cameras) > 1:
+            topics = ", ".join(camera.channel.topic for camera in log.cameras)
+            raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
+        frames = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+        if not frames:
+            raise LogError("holds no true skeletons", path=path, topic=topic)
+        return Truth.of(frames, log.model)
