@@ -248,15 +248,15 @@ def _cameras(cameras: Sequence[LeftOut]) -> Table:
 def show_paper(results: Experiments) -> None:
     """Print Tables 6, 7 and 8 of the Hi-ROS paper with ours beside, and what it claims."""
     out = console()
-    _title(out, f"Simulated logs of {number(results.seconds, 0)} s; the paper's numbers in [ ]", "")
-    _note(out, "they come from other data: real people, Azure Kinects, inertial suits")
+    _title(out, f"Simulated logs of {number(results.seconds, 0)} s, beside the paper's numbers", "")
+    _note(out, "the paper's come from other data: real people, Azure Kinects, inertial suits")
     for title, several in (("Table 6: one person", False), ("Table 7: several people", True)):
         rows = angle_rows([s for s in results.sequences if (s.people > 1) == several])
         _title(out, f"{title}. Flexion angles by links, RMSE (SD), degrees")
         out.print(_table(ANGLE_HEADER, rows))
     _title(out, "The same sequences by joint positions")
     out.print(_table(POSITION_HEADER, position_rows(results.sequences)))
-    _title(out, "Table 8: time per merged frame, ms, mean (SD); 5 and 10 people by a line")
+    _title(out, "Table 8: time per merged frame, ms, mean (SD) [paper]; 5 and 10 people by a line")
     out.print(_table(TIME_HEADER, time_rows(results.sequences)))
     _title(out, "What the paper claims")
     for claim in results.claims:

@@ -69,7 +69,10 @@ def _clear(instants: Sequence[Instant]) -> tuple[float, float, int]:
     true = found = matched = switches = 0
     similarity = 0.0
     for now in instants:
-        held = np.array([[before.get(t) == i for i in now.ids] for t in now.true_ids], bool)
+        true, found = true + len(now.true_ids), found + len(now.ids)
+        if not now.true_ids or not now.ids:
+            continue
+        held = np.array([[before.get(t) == i for i in now.ids] for t in now.true_ids])
         score = (now.similarity > _TINY) * (_KEEP * held + now.similarity)
         pairs = _best(score)
         before = {}
@@ -78,7 +81,7 @@ def _clear(instants: Sequence[Instant]) -> tuple[float, float, int]:
             switches += last.get(person, name) != name
             before[person] = last[person] = name
             similarity += float(now.similarity[row, column])
-        true, found, matched = true + len(now.true_ids), found + len(now.ids), matched + len(pairs)
+        matched += len(pairs)
     if not true:
         return np.nan, np.nan, switches
     wrong = (true - matched) + (found - matched) + switches

@@ -124,15 +124,12 @@ def run_experiments(
     return Experiments(seconds, sequences, tuple(check_claims(sequences)))
 
 
-Task = tuple[int, str, Config, float, int]
-
-
-def _run_all(tasks: Sequence[Task], jobs: int) -> Iterator[ActionRun]:
+def _run_all(tasks: Sequence[tuple[object, ...]], jobs: int) -> Iterator[ActionRun]:
     if jobs == 1:
-        yield from map(_run, tasks)
+        yield from (run_experiment(*task) for task in tasks)  # type: ignore[arg-type]
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(_run, task) for task in tasks]
+        futures = [pool.submit(run_experiment, *task) for task in tasks]  # type: ignore[arg-type]
         try:
             for future in as_completed(futures):
                 yield future.result()
@@ -140,16 +137,17 @@ def _run_all(tasks: Sequence[Task], jobs: int) -> Iterator[ActionRun]:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _run(task: Task) -> ActionRun:
-    """One sequence: simulate, process with and without the optimizer, score."""
+def run_experiment(
+    people: int, action: str, config: Config, seconds: float, seed: int
+) -> ActionRun:
+    """Simulate one sequence, process it with and without the optimizer, score it."""
     from hiros_mcap.simulate import SimulateParams
     from hiros_mcap.simulate.log import write_log
 
-    people, action, config, seconds, seed = task
     with tempfile.TemporaryDirectory() as folder:
         log, out = Path(folder) / "log.mcap", Path(folder) / "out.mcap"
-        params = {"people": people, "action": action, "seconds": seconds}
-        write_log(log, SimulateParams.model_validate({**params, "seed": seed + people}))
+        params = {"people": people, "action": action, "seconds": seconds, "seed": seed + people}
+        write_log(log, SimulateParams.model_validate(params))
         truth = load_truth(log)
         summary = process(log, out, config=config, options=ProcessOptions(keep=()))
         full = evaluate_log(out, truth, ["/hiros/tracked", "/hiros/filtered"])

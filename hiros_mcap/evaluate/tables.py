@@ -15,7 +15,7 @@ from hiros_mcap.evaluate.paper import (
 from hiros_mcap.evaluate.published import ANGLES, TIMES
 from hiros_mcap.text import number
 
-ANGLE_HEADER = ("People", "Action", "T", "TMF", "TMOF", "T-TMF", "T-TMOF")
+ANGLE_HEADER = ("People", "Action", *CONFIGURATIONS, "T-TMF", "T-TMOF")
 POSITION_HEADER = (
     "People",
     "Action",
@@ -29,7 +29,7 @@ TIME_HEADER = ("People", "Tracker", "Merger", "Optimizer", "Filter", "Sum", "Fra
 
 
 def angle_rows(sequences: Sequence[ActionRun]) -> list[tuple[str, ...]]:
-    """Rows of Tables 6 and 7: ours, then the paper's in brackets; a mean after each group."""
+    """Rows of Tables 6 and 7, the paper's below ours; a mean after each group of people."""
     rows = []
     for n in sorted({s.people for s in sequences}):
         group = [s for s in sequences if s.people == n]
@@ -38,13 +38,15 @@ def angle_rows(sequences: Sequence[ActionRun]) -> list[tuple[str, ...]]:
             ours = [
                 (s.measures[c].angle_rmse, s.measures[c].angle_deviation) for c in CONFIGURATIONS
             ]
-            rows.append((str(n), s.action, *_beside(ours, theirs[n, s.action])))
+            rows.append((str(n), s.action, *_with_gains(ours)))
+            rows.append(("", "paper", *_with_gains(theirs[n, s.action])))
         means = [mean_pair(group, c) for c in CONFIGURATIONS]
         published = [
             (_mean(v[k][0] for v in theirs.values()), _mean(v[k][1] for v in theirs.values()))
             for k in range(len(CONFIGURATIONS))
         ]
-        rows.append((str(n), "mean", *_beside(means, published)))
+        rows.append((str(n), "mean", *_with_gains(means)))
+        rows.append(("", "paper", *_with_gains(published)))
     return rows
 
 
@@ -53,15 +55,11 @@ def _mean(values: Iterable[float]) -> float:
     return float(sum(numbers) / len(numbers))
 
 
-def _beside(
-    ours: Sequence[tuple[float, float]], theirs: Sequence[tuple[float, float]]
-) -> list[str]:
-    cells = [f"{pair(*o)} [{pair(*t)}]" for o, t in zip(ours, theirs, strict=True)]
-    for k in (1, 2):
-        own = [100 * (ours[k][i] / ours[0][i] - 1) for i in (0, 1)]
-        published = [100 * (theirs[k][i] / theirs[0][i] - 1) for i in (0, 1)]
-        cells.append(f"{own[0]:.0f}% ({own[1]:.0f}%) [{published[0]:.0f}% ({published[1]:.0f}%)]")
-    return cells
+def _with_gains(pairs: Sequence[tuple[float, float]]) -> list[str]:
+    """T, TMF, TMOF, and by how much RMSE (SD) of the last two differ from the first."""
+    changes = [[100 * (late[i] / pairs[0][i] - 1) for i in (0, 1)] for late in pairs[1:]]
+    gains = [f"{rmse:.1f}% ({deviation:.1f}%)" for rmse, deviation in changes]
+    return [*(pair(*p) for p in pairs), *gains]
 
 
 def position_rows(sequences: Sequence[ActionRun]) -> list[tuple[str, ...]]:

@@ -226,7 +226,7 @@ def paper_page(results: Experiments) -> Page:
     """Page of the Hi-ROS paper's experiments on simulated logs."""
     page = Page("The experiments of Hi-ROS on simulated logs")
     page.text(
-        f"Logs of {results.seconds:g} s. The paper's numbers, in brackets, come from other data: "
+        f"Logs of {results.seconds:g} s. The paper's numbers come from other data: "
         "real people, Azure Kinects, inertial suits."
     )
     for title, several in (("Table 6: one person", False), ("Table 7: several people", True)):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from stick_figures import MODEL, at, person, seen
+from stick_figures import MODEL, POSE, at, person, seen
 
 from hiros_mcap.angles import flexions
 from hiros_mcap.evaluate import Truth, evaluate
@@ -185,3 +185,48 @@ def test_somebody_farther_than_a_metre_is_somebody_else() -> None:
     scores = evaluate(away, Truth.of(still()), MODEL)
     assert (scores.missing, scores.false) == (60, 60)
     assert np.isnan(scores.mean)
+
+
+def test_pck_parts_and_joints() -> None:
+    """One wrist is 59 mm off, all else is right: 1 of 8 joints beyond 50 mm."""
+    result = still()
+    for frame in result:
+        frame.positions[0, 6] += [0, 0, 0.059]
+    scores = evaluate(result, Truth.of(still()), MODEL)
+    assert scores.pck_at(50) == pytest.approx(7 / 8)
+    assert scores.pck_at(60) == pytest.approx(1)
+    assert scores.pck_at(50, "upper limbs") == pytest.approx(0.5)
+    assert scores.joints["WRIST_LEFT"].mean == pytest.approx(59)
+    assert scores.parts["upper limbs"].mean == pytest.approx(29.5)
+    assert scores.parts["torso"].mean == pytest.approx(0, abs=1e-9)
+    assert scores.rmse == pytest.approx(59 / math.sqrt(8))
+
+
+def test_limb_error_against_the_true_length() -> None:
+    """The wrist is moved along its limb by 20 mm: one of seven links is 20 mm too long."""
+    result = still()
+    limb = POSE[6] - POSE[2]
+    for frame in result:
+        frame.positions[0, 6] += 0.02 * limb / np.linalg.norm(limb)
+    assert evaluate(result, Truth.of(still()), MODEL).limb_error == pytest.approx(20 / 7)
+
+
+def test_h54_a_constant_bias_of_five_degrees() -> None:
+    truth = Truth.of(arms(np.full(20, 1.0)))
+    elbow = evaluate(arms(np.full(20, 1.0 + math.radians(5))), truth, ARM).angles["left elbow"]
+    assert (elbow.rmse, elbow.deviation, elbow.bias) == pytest.approx((5, 0, 5), abs=1e-9)
+
+
+def test_the_first_frames_of_an_id_that_comes_later() -> None:
+    """Person 7 appears at frame 20 and is 100 mm off for three frames."""
+    result = [f.select([0]) if k < 20 else f for k, f in enumerate(frames())]
+    for k in (20, 21, 22):
+        result[k].positions[1] += [0, 0.1, 0]
+    assert evaluate(result, TRUTH, MODEL).first_frames == pytest.approx(60)
+
+
+def test_jitter_does_not_count_across_a_pause() -> None:
+    rest = [f for k, f in enumerate(still()) if k < 20 or k >= 40]
+    for frame in rest[20:]:
+        frame.positions[0] += [0.5, 0, 0]
+    assert evaluate(rest, Truth.of(still()), MODEL).jitter == pytest.approx(0, abs=1e-9)

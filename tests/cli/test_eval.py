@@ -1,0 +1,87 @@
+"""``hiros eval`` from outside."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.pipeline import process
+
+
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("eval") / "out.mcap"
+    process(Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap", out)
+    return out
+
+
+def test_scores_of_a_result(processed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["eval", str(processed), "--joints"]) == 0
+    text = capsys.readouterr().out
+    for word in ("/hiros/tracked", "/hiros/filtered", "HOTA", "left elbow", "WRIST_RIGHT"):
+        assert word in text
+
+
+def test_scores_as_json(processed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["eval", str(processed), "--json", "--channel", "/hiros/f*"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    scores = data["channels"]["/hiros/filtered"]
+    assert list(data["channels"]) == ["/hiros/filtered"]
+    assert 5 < scores["mean"] < 40
+    assert scores["tracking"]["mota"] == 1
+    assert len(scores["joints"]) == 32
+
+
+def test_a_recording_is_processed_first(
+    walking: Path, processed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["eval", str(walking), "--json"]) == 0
+    raw = json.loads(capsys.readouterr().out)["channels"]
+    assert run(["eval", str(processed), "--json"]) == 0
+    assert raw == json.loads(capsys.readouterr().out)["channels"]
+
+
+def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["eval", str(walking), "--leave-one-out", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert len(data["cameras"]) == len(data["disagreement"]) == 3
+    assert run(["eval", str(walking), "--leave-one-out"]) == 0
+    assert "Mirrored" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [[], ["--leave-one-out"]], ids=["truth", "no truth"])
+def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str]) -> None:
+    page = tmp_path / "report.html"
+    assert run(["eval", str(processed), "--html", str(page), *options]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") >= 1
+    assert not re.findall(r"""(?:src|href)=["'](?!#|data:)""", text)
+    for name in ("left elbow", "WRIST_LEFT") if not options else ("of nobody",):
+        assert name in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        ([], "needs a LOG"),
+        (["{log}", "--truth", "nowhere.trc"], "neither a file nor a channel"),
+        (["{log}", "--truth", "/nothing"], "/nothing"),
+        (["{log}", "--up", "x"], "neither z nor y"),
+        (["{log}", "--channel", "/hiros/none"], "/hiros/none"),
+        (["{log}", "--html", "/nowhere/at/all.html"], "no such folder"),
+        (["--table", "tables"], "no table 'tables'"),
+        (["{log}", "--shift", "1000"], "no frame lies within the time"),
+    ],
+)
+def test_faults_are_one_line(
+    processed: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], fault: str
+) -> None:
+    given = [a.format(log=processed) for a in arguments]
+    assert run(["eval", *given]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert fault in captured.err

@@ -1,0 +1,52 @@
+"""A log without truth, against itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stick_figures import MODEL, at, person, seen
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.leave_one_out import leave_one_out
+from hiros_mcap.evaluate.logs import consistency
+from hiros_mcap.pipeline import ProcessOptions
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.log import write_log
+
+
+def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path: Path) -> None:
+    """Without faults every camera agrees; one whose published pose is wrong stands out."""
+    log = tmp_path / "log.mcap"
+    faultless = {"noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "phantoms": 0.0}
+    params = {"people": 1, "cameras": 4, "seconds": 3, "action": "walk", "clock_jitter": 0.0}
+    write_log(log, SimulateParams.model_validate({**faultless, **params, "calibration_error": 0}))
+    clean = leave_one_out(log)
+    assert [c.topic for c in clean.cameras] == [f"/camera_{k}/skeletons" for k in range(4)]
+    assert all(c.median < 10 and c.offset < 5 for c in clean.cameras)
+    assert all(c.unmatched == c.mirrored == 0 for c in clean.cameras)
+    assert len(clean.disagreement) == 6
+    assert max(clean.disagreement.values()) < 10
+    write_log(log, SimulateParams.model_validate({**faultless, **params, "calibration_error": 10}))
+    assert leave_one_out(log).cameras[0].offset > 2 * clean.cameras[0].offset
+
+
+def test_two_cameras_are_needed(walking: Path) -> None:
+    with pytest.raises(ConfigError, match="two channels"):
+        leave_one_out(walking, options=ProcessOptions(topics=("/camera_0/*",)))
+
+
+def test_the_result_alone() -> None:
+    """Limbs that do not change, an id that lives for 29 frames, one joint that shakes by 2 cm."""
+    frames = [seen([person()], at(k), ids=[4]) for k in range(30)]
+    for k, frame in enumerate(frames):
+        frame.positions[0, 1, 2] += 0.01 * (-1) ** k
+    own = consistency(frames, MODEL)
+    assert [(p.id, p.frames) for p in own.people] == [(4, 30)]
+    assert own.people[0].seconds == pytest.approx(29 / 30, abs=1e-3)
+    assert own.jitters["NECK"] == pytest.approx(40)
+    assert own.jitter == pytest.approx(40 / 8)
+    assert own.limbs["HIP_LEFT"] == pytest.approx(0, abs=1e-12)
+    assert own.limbs["NECK"] == pytest.approx(0.01 / 0.5)
+    assert np.isclose(own.limb_variation, np.mean(list(own.limbs.values())))

@@ -1,0 +1,127 @@
+"""The truth: between its instants, from files, and with other markers than the result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stick_figures import MODEL, START, at, person, seen
+
+from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.evaluate import Truth, evaluate, load_truth
+from hiros_mcap.skeletons import Frame, SkeletonModel
+
+CSV = """time,person,marker,x,y,z
+0.0,1,Pelvis,0,0,1
+0.0,1,Neck,0,0,1.5
+0.5,1,Pelvis,0.1,0,1
+0.5,2,Neck,3,0,1.5
+"""
+TRC = (
+    "PathFileType\t4\t(X/Y/Z)\ta.trc\n"
+    "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\n"
+    "100\t100\t2\t2\tmm\n"
+    "Frame#\tTime\tPELVIS\t\t\tLWrist\t\t\n"
+    "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n"
+    "1\t0.00\t100\t200\t300\t1\t2\t3\n"
+    "2\t0.01\t110\t200\t300\t\t\t\n"
+)
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_linear_between_instants_and_nothing_over_a_pause() -> None:
+    second = 1_000_000_000
+    poses = {0.0: 0.0, 0.1: 1.0, 2.0: 2.0}
+    truth = Truth.of(
+        seen([person(x)], START + round(t * second), ids=[0]) for t, x in poses.items()
+    )
+    assert truth.at(START + second // 20)[0][0, 0, 0] == pytest.approx(0.5)
+    assert np.isnan(truth.at(START + second)[0]).all()
+    assert truth.at(START + 2 * second)[0][0, 0, 0] == pytest.approx(2.0)
+
+
+def test_csv_of_two_people(tmp_path: Path) -> None:
+    truth = load_truth(write(tmp_path, "a.csv", CSV))
+    assert truth.people == (1, 2)
+    assert truth.model is not None
+    assert truth.model.marker_names == ("Pelvis", "Neck")
+    assert truth.stamps.tolist() == [0, 500_000_000]
+    assert truth.positions[1, 0, 0].tolist() == [0.1, 0, 1]
+    assert np.isnan(truth.positions[0, 1]).all()
+
+
+def test_trc_in_millimetres_with_a_gap(tmp_path: Path) -> None:
+    truth = load_truth(write(tmp_path, "a.trc", TRC))
+    assert truth.positions[0, 0, 0] == pytest.approx([0.1, 0.2, 0.3])
+    assert truth.positions[0, 0, 1] == pytest.approx([0.001, 0.002, 0.003])
+    assert np.isnan(truth.positions[1, 0, 1]).all()
+    assert truth.stamps.tolist() == [0, 10_000_000]
+
+
+def test_times_of_files_count_from_the_logs_start(tmp_path: Path) -> None:
+    truth = load_truth(write(tmp_path, "a.csv", CSV))
+    assert truth.moved(2.0, start=START).stamps[0] == START + 2_000_000_000
+    late = Truth.of([seen([person()], START, ids=[0])])
+    assert late.moved(start=START).stamps[0] == START
+
+
+def test_y_up_becomes_z_up(tmp_path: Path) -> None:
+    truth = load_truth(write(tmp_path, "a.csv", CSV)).moved(up="y")
+    assert truth.positions[0, 0, 0].tolist() == [0, -1, 0]
+    assert truth.positions[1, 1, 1].tolist() == [3, -1.5, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fault"),
+    [
+        ("a.csv", "time,x,y,z\n0,1,2,3\n", "line 1: no column marker"),
+        ("a.csv", CSV.replace("1.5", "high", 1), "line 3: 'high' is not a number"),
+        ("a.csv", CSV + "0.5,2,Neck,3,0,1.5\n", "line 6: Neck twice"),
+        ("a.csv", "time,marker,x,y,z\n1,A,0,0,0\n", "two instants"),
+        ("a.trc", "hello\n" * 7, "not a TRC file"),
+        ("a.trc", TRC.replace("mm", "inch"), "unit 'inch'"),
+        ("a.trc", TRC.replace("0.01", ""), "line 7: has no time"),
+        ("a.trc", TRC.replace("110", "1x0"), "line 7: '1x0' is not a number"),
+    ],
+)
+def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
+    path = write(tmp_path, name, text)
+    with pytest.raises(ConfigError, match=fault) as caught:
+        load_truth(path)
+    assert str(path) in str(caught.value)
+
+
+def test_binary_rubbish_is_an_error(tmp_path: Path) -> None:
+    for name in ("a.csv", "a.trc", "a.mcap"):
+        (tmp_path / name).write_bytes(bytes(range(256)) * 4)
+        with pytest.raises(HirosError):
+            load_truth(tmp_path / name)
+
+
+def frames(model: SkeletonModel = MODEL) -> list[Frame]:
+    return [seen([person(0.01 * k)], at(k), ids=[3]) for k in range(30)]
+
+
+def test_other_marker_sets_are_compared_on_what_they_share() -> None:
+    """A truth that knows the left wrist and a nose, in names of its own."""
+    model = SkeletonModel.of(["Nose", "left_wrist"], [])
+    stamps = np.array([at(k) for k in range(30)])
+    positions = np.zeros((30, 1, 2, 3))
+    positions[:, 0, 1] = [person(0.01 * k)[6] + [0, 0.03, 0] for k in range(30)]
+    truth = Truth(stamps, positions, np.full((30, 1, 0, 4), np.nan), (0,), model)
+    scores = evaluate(frames(), truth, MODEL)
+    assert list(scores.joints) == ["WRIST_LEFT"]
+    assert scores.mean == pytest.approx(30)
+
+
+def test_nothing_in_common_is_an_error() -> None:
+    model = SkeletonModel.of(["Nose"], [])
+    truth = Truth(np.array([at(0)]), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 0, 4)), (0,), model)
+    with pytest.raises(ConfigError, match="share no marker: Nose against PELVIS"):
+        evaluate(frames(), truth, MODEL)
