@@ -8,7 +8,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SAMPLE := sample_data/two_people_crossing.mcap
-CODE   := hiros_mcap cli schemas viewer tests sample_data benchmarks
+CODE   := hiros_mcap cli schemas viewer tests benchmarks
 
 .PHONY: demo test lint types tests format dist clean
 

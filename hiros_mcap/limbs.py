@@ -121,16 +121,30 @@ class LimbTable:
         """
         try:
             text = Path(path).read_text(encoding="utf-8")
-            content = tomllib.loads(text)
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except UnicodeDecodeError as error:
             raise ConfigError(f"{path}: not a TOML file: {error}") from error
-        if not isinstance(content.get("person"), dict) or len(content) != 1:
-            raise ConfigError(f"{path}: expects tables [person.ID.LINK] and nothing else")
-        people = content["person"]
+        return cls.from_toml(text, str(path))
+
+    @classmethod
+    def from_toml(cls, text: str, origin: str) -> LimbTable:
+        """Read what :meth:`to_toml` returns; ``origin`` names it in errors.
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`load` does.
+        """
+        try:
+            content = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"{origin}: not a TOML file: {error}") from error
+        people = content.get("person")
+        if not isinstance(people, dict) or len(content) != 1:
+            raise ConfigError(f"{origin}: expects tables [person.ID.LINK] and nothing else")
         return cls(
-            {_person(path, key): _limbs(path, key, people[key]) for key in people}, str(path)
+            {_person(origin, key): _limbs(origin, key, people[key]) for key in people}, origin
         )
 
 

@@ -34,6 +34,7 @@ from hiros_mcap.systems import SYSTEMS, Run, Stages
 from hiros_mcap.transforms import transform_to_fixed
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
+LIMBS_ATTACHMENT = "hiros/limbs.toml"
 CHAINS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 """Chains of Hi-ROS that make sense: merging and filtering need the tracker's ids (Fig. 2)."""
 
@@ -258,7 +259,7 @@ def _add_provenance(
         },
     )
     writer.add_attachment("hiros/config.toml", config, "application/toml")
-    writer.add_attachment("hiros/limbs.toml", run.limbs.to_toml().encode(), "application/toml")
+    writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
     report = json.dumps(observer.summary(None).reproducible(), indent=1, sort_keys=True)
     writer.add_attachment("hiros/report.json", report.encode(), "application/json")
 

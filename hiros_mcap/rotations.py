@@ -44,9 +44,14 @@ def rotate(xyzw: Floats, vectors: Floats) -> Floats:
 
 
 def angle(a_xyzw: Floats, b_xyzw: Floats) -> Floats:
-    """Angle between two orientations, rad, 0..pi; q and -q are the same (Hi-ROS eq. 10)."""
-    dot = np.abs(np.sum(np.asarray(a_xyzw) * np.asarray(b_xyzw), axis=-1))
-    return np.asarray(2.0 * np.arccos(np.minimum(dot, 1.0)))
+    """Angle between two orientations, rad, 0..pi; q and -q are the same (Hi-ROS eq. 10).
+
+    By the tangent of the relative rotation: an arc cosine loses half of the digits near 0, and
+    more when a quaternion's length is not exactly one.
+    """
+    relative = multiply(conjugate(a_xyzw), b_xyzw)
+    sine = np.linalg.norm(relative[..., :3], axis=-1)
+    return np.asarray(2.0 * np.arctan2(sine, np.abs(relative[..., 3])))
 
 
 def to_matrix(xyzw: Floats) -> Floats:

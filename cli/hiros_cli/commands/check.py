@@ -1,0 +1,172 @@
+"""``hiros check``: does it still give what it gave, and is it still good enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hiros_cli.options import Json, Quiet
+from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.regression.suite import CaseResult
+
+EQUAL, DIFFERENT, CANNOT = 0, 1, 2
+
+
+def check(
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT|SUITE",
+            help="What `hiros process` wrote, or a suite (.toml) of recordings.",
+        ),
+    ],
+    golden: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With OUT: the golden log to compare with."),
+    ] = None,
+    tolerances: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="With OUT: TOML; default: GOLDEN.tolerances.toml beside it."
+        ),
+    ] = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB", help="With OUT and --bless: channels to keep. Default: the last stage."
+        ),
+    ] = None,
+    bless: Annotated[
+        bool, typer.Option("--bless", help="Make what came out the golden file; says what changed.")
+    ] = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="With SUITE: this log only; may be repeated."),
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=0, help="With SUITE: logs at once; 0 = one per core.")
+    ] = 0,
+    keep: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="With SUITE: leave the outputs here."),
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With SUITE: also write JUnit XML.")
+    ] = None,
+    markdown: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With SUITE: also write a summary for a pull request."),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Compare a result with its golden log, or run a suite of logs.
+
+    Exit code 0: equal within the tolerances; 1: different; 2: cannot be compared.
+    """
+    from hiros_cli.kernels import prepare
+
+    target.stat()
+    is_suite = target.suffix == ".toml"
+    _check_options(
+        is_suite,
+        for_log={"--golden": golden, "--tolerances": tolerances, "--channel": channel},
+        for_suite={"--only": only, "--keep": keep, "--junit": junit, "--markdown": markdown},
+    )
+    prepare(quiet=quiet or json)
+    if is_suite:
+        results = _run_suite(target, only or (), bless=bless, jobs=jobs, keep=keep, quiet=quiet)
+        _write_reports(results, target, junit, markdown)
+    elif golden is None:
+        raise ConfigError(f"{target}: --golden says what to compare with")
+    else:
+        results = [_compare(target, golden, tolerances, channel or (), bless=bless)]
+    _show(results, json=json, quiet=quiet)
+    if any(result.status == "error" for result in results):
+        return CANNOT
+    return DIFFERENT if any(result.status == "different" for result in results) else EQUAL
+
+
+def _check_options(
+    is_suite: bool, *, for_log: dict[str, object], for_suite: dict[str, object]
+) -> None:
+    """Refuse options that would have no effect."""
+    wrong = for_log if is_suite else for_suite
+    what = "a suite" if is_suite else "an output; a suite's name ends in .toml"
+    for name, value in wrong.items():
+        if value:
+            raise ConfigError(f"{name} has no effect on {what} (see hiros check --help)")
+    for name in ("--junit", "--markdown"):
+        path = for_suite[name]
+        if isinstance(path, Path) and not path.parent.is_dir():
+            raise ConfigError(f"{path.parent}: no such folder to write into")
+
+
+def _run_suite(
+    path: Path,
+    only: Sequence[str],
+    *,
+    bless: bool,
+    jobs: int,
+    keep: Path | None,
+    quiet: bool,
+) -> list[CaseResult]:
+    from hiros_cli.progress import bar
+    from hiros_mcap.regression.suite import load_suite, run_suite
+
+    suite = load_suite(path)
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+    with bar(path.name, quiet=quiet) as progress:
+        return run_suite(suite, bless=bless, only=only, jobs=jobs, keep=keep, progress=progress)
+
+
+def _write_reports(
+    results: list[CaseResult], target: Path, junit: Path | None, markdown: Path | None
+) -> None:
+    from hiros_mcap.regression import report
+
+    if junit is not None:
+        junit.write_text(report.junit(results, target.stem), encoding="utf-8")
+    if markdown is not None:
+        markdown.write_text(report.markdown(results, target.stem), encoding="utf-8")
+
+
+def _compare(
+    output: Path, golden: Path, tolerances: Path | None, channels: Sequence[str], *, bless: bool
+) -> CaseResult:
+    from hiros_mcap.regression.suite import check_output
+    from hiros_mcap.regression.tolerances import load_tolerances
+
+    limits = None if tolerances is None else load_tolerances(tolerances)
+    return check_output(output, golden, limits, channels, bless=bless)
+
+
+def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
+    from hiros_mcap.regression import report
+
+    if json:
+        from json import dumps
+
+        print(dumps(report.as_dict(results), indent=2))
+        return
+    from rich.text import Text
+
+    from hiros_cli.printable import printable
+    from hiros_cli.report import console
+
+    out = console()
+    styles = {"equal": "green", "different": "red", "error": "yellow"}
+    for result in results:
+        if quiet and result.status == "equal":
+            continue
+        head = Text(f"{result.status:9} ", style=styles[result.status])
+        out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
+        lines: list[Any] = [*result.faults, *report.first_lines(result), *result.notes]
+        for line in lines:
+            out.print(Text(f"  {printable(line, 500)}"), soft_wrap=True)

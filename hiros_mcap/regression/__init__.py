@@ -1,0 +1,14 @@
+"""Golden logs: does hiros still give what it gave, and is it still good enough."""
+
+from __future__ import annotations
+
+from hiros_mcap.regression.compare import ChannelComparison, Comparison, compare_logs
+from hiros_mcap.regression.tolerances import Tolerances, load_tolerances
+
+__all__ = [
+    "ChannelComparison",
+    "Comparison",
+    "Tolerances",
+    "compare_logs",
+    "load_tolerances",
+]

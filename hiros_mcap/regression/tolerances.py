@@ -1,0 +1,72 @@
+"""How far two results may differ before a check fails."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, NonNegativeFloat, ValidationError
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.params import Params
+from hiros_mcap.validation import explain
+
+SUFFIX = ".tolerances.toml"
+
+
+class Tolerances(Params):
+    """Differences that do not count. The defaults forgive another machine, not another algorithm.
+
+    For a change that is meant to alter the numbers, compare metrics instead: give the suite a
+    golden file of metrics (``.json``) or thresholds.
+    """
+
+    positions: NonNegativeFloat = Field(
+        1e-6, description="m, of every joint in every frame (rounding differs between machines)."
+    )
+    orientations: NonNegativeFloat = Field(
+        1e-4,
+        description="deg, of every link in every frame (1e-6 m at the end of a limb of 0.5 m).",
+    )
+    times: NonNegativeFloat = Field(1e-6, description="s, of a frame.")
+    lengths: NonNegativeFloat = Field(1e-6, description="m, of a calibrated limb.")
+    frames: NonNegativeFloat = Field(0.0, le=1, description="Share of frames that may be missing.")
+    people: NonNegativeFloat = Field(
+        0.0, le=1, description="Share of a channel's skeletons that may be missing, new or renamed."
+    )
+    metrics: NonNegativeFloat = Field(
+        0.05, description="Share by which a metric may get worse; counts may not."
+    )
+
+
+def load_tolerances(path: Path) -> Tolerances:
+    """Read tolerances from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read, or holds something else.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from error
+    return validated(table, str(path))
+
+
+def validated(table: dict[str, Any], origin: str) -> Tolerances:
+    """Return the tolerances of a table; ``origin`` names it in errors."""
+    try:
+        return Tolerances.model_validate(table)
+    except ValidationError as error:
+        where, message = explain(error)
+        raise ConfigError(f"{origin}: {'.'.join(where)}: {message}") from None
+
+
+def beside(golden: Path) -> Tolerances:
+    """Tolerances from ``GOLDEN.tolerances.toml`` (its suffix replaced), else the defaults."""
+    path = golden.with_suffix(SUFFIX)
+    return load_tolerances(path) if path.is_file() else Tolerances()

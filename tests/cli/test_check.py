@@ -1,0 +1,90 @@
+"""``hiros check`` from outside: exit codes, reports, faults in one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.pipeline import process
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("check") / "out.mcap"
+    process(SAMPLES / "one_person_walking.mcap", out)
+    return out
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    shutil.copy(SAMPLES / "one_person_walking.mcap", tmp_path)
+    path = tmp_path / "suite.toml"
+    path.write_text('[[log]]\ninput = "one_person_walking.mcap"\nrequire = ["people = 1"]\n')
+    return path
+
+
+def test_bless_check_and_differ(
+    output: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    golden, tolerances = tmp_path / "golden.mcap", tmp_path / "t.toml"
+    assert run(["check", str(output), "--golden", str(golden), "--bless"]) == 0
+    assert "accepted: a new golden file" in capsys.readouterr().out
+    assert run(["check", str(output), "--golden", str(golden)]) == 0
+    assert capsys.readouterr().out.split() == ["equal", "out.mcap"]
+    other = SAMPLES / "golden" / "two_people_crossing.mcap"
+    assert run(["check", str(output), "--golden", str(other), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["different"] == 1
+    tolerances.write_text("positions = 0\n")
+    strict = ["--golden", str(golden), "--tolerances", str(tolerances)]
+    assert run(["check", str(output), *strict]) == 1
+    assert "positions: up to 0.0001" in capsys.readouterr().out
+
+
+def test_a_suite_with_reports(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    junit, markdown, kept = tmp_path / "j.xml", tmp_path / "m.md", tmp_path / "kept"
+    reports = ["--junit", str(junit), "--markdown", str(markdown), "--keep", str(kept)]
+    assert run(["check", str(suite), *reports]) == 0
+    assert ElementTree.parse(junit).getroot()[0].get("failures") == "0"
+    assert markdown.read_text(encoding="utf-8").startswith("### hiros check: suite: 1 of 1")
+    assert (kept / "one_person_walking.mcap").stat().st_size > 0
+    assert capsys.readouterr().out.split() == ["equal", "one_person_walking"]
+    suite.write_text(suite.read_text().replace("people = 1", "people = 3"))
+    assert run(["check", str(suite), "--quiet"]) == 1
+    assert "people = 3: is 1" in capsys.readouterr().out
+    (tmp_path / "one_person_walking.mcap").write_bytes(b"nothing")
+    assert run(["check", str(suite)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["{output}"], "--golden says what to compare with"),
+        (["{output}", "--golden", "/nowhere.mcap"], "no such golden file"),
+        (["{output}", "--golden", "/etc/passwd"], "ends in .mcap"),
+        (["{output}", "--junit", "a.xml"], "--junit has no effect on an output"),
+        (["{suite}", "--golden", "a.mcap"], "--golden has no effect on a suite"),
+        (["{suite}", "--only", "run"], "no case 'run'"),
+        (["{suite}", "--junit", "/nowhere/at/all.xml"], "no such folder"),
+        (["/nowhere/suite.toml"], "/nowhere/suite.toml"),
+    ],
+)
+def test_faults_are_one_line(
+    output: Path,
+    suite: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    fault: str,
+) -> None:
+    assert run(["check", *(a.format(output=output, suite=suite) for a in arguments)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert fault in captured.err

@@ -1,0 +1,302 @@
+"""Suites on the real chain: what breaks a stage is caught and named, what does not is not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import hiros_mcap.pipeline
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.regression import report
+from hiros_mcap.regression.compare import compare_logs
+from hiros_mcap.regression.golden import write_golden
+from hiros_mcap.regression.metrics import Threshold, load_metrics, save_metrics, worse
+from hiros_mcap.regression.suite import CaseResult, load_suite, run_suite
+from hiros_mcap.regression.tolerances import Tolerances, beside
+from hiros_mcap.skeletons import Frame
+from hiros_mcap.systems import SYSTEMS, Run
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+SUITE = """
+[[log]]
+name = "walk"
+input = "walk.mcap"
+golden = "golden/walk.mcap"
+channels = ["/hiros/*"]
+require = ["mpjpe <= 25 mm", "id_switches = 0"]
+"""
+
+
+def test_the_sample_logs_give_what_they_gave() -> None:
+    results = run_suite(load_suite(SAMPLES / "suite.toml"), jobs=1)
+    assert {r.name: r.faults for r in results} == {r.name: () for r in results}
+    assert len(results) == 3
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    """A suite of one log, with the golden outputs of all its stages."""
+    shutil.copy(SAMPLES / "one_person_walking.mcap", tmp_path / "walk.mcap")
+    (tmp_path / "golden").mkdir()
+    golden = SAMPLES / "golden" / "one_person_walking.mcap"
+    shutil.copy(golden, tmp_path / "golden" / "walk.mcap")
+    path = tmp_path / "suite.toml"
+    path.write_text(SUITE)
+    return path
+
+
+Wrap = Callable[[Iterable[Frame]], Iterator[Frame]]
+
+
+def change_stage(monkeypatch: pytest.MonkeyPatch, name: str, wrap: Wrap) -> None:
+    """Let the frames of one stage pass through ``wrap``."""
+    build = SYSTEMS["hiros"]
+
+    def changed(run: Run) -> Mapping[str, Callable[[Iterable[Frame]], Iterator[Frame]]]:
+        table = dict(build(run))
+        stage = table[name]
+        table[name] = lambda frames: wrap(stage(frames))
+        return table
+
+    monkeypatch.setitem(hiros_mcap.pipeline.SYSTEMS, "hiros", changed)
+
+
+def lifted(metres: float) -> Wrap:
+    def wrap(frames: Iterable[Frame]) -> Iterator[Frame]:
+        for frame in frames:
+            markers = frame.markers.copy()
+            markers[..., 2] += metres
+            yield frame.replace(markers=markers)
+
+    return wrap
+
+
+@pytest.mark.parametrize(
+    ("stage", "equal"), [("tracked", []), ("merged", ["tracked"]), ("filtered", ["optimized"])]
+)
+def test_a_broken_stage_is_caught_and_named(
+    suite: Path, monkeypatch: pytest.MonkeyPatch, stage: str, equal: list[str]
+) -> None:
+    change_stage(monkeypatch, stage, lifted(0.001))
+    (result,) = run_suite(load_suite(suite), jobs=1)
+    assert result.status == "different"
+    assert result.first[0][0] == f"/hiros/{stage}"
+    assert "is off by 1 mm" in result.first[0][1].what
+    if equal:
+        assert result.faults[0].startswith(f"first stage that differs: /hiros/{stage}; equal: ")
+        assert f"/hiros/{equal[-1]}" in result.faults[0]
+
+
+def renumbered(frames: Iterable[Frame]) -> Iterator[Frame]:
+    for frame in frames:
+        yield frame.replace(ids=frame.ids + np.int32(40))
+
+
+@pytest.mark.parametrize(
+    ("stage", "wrap"), [("filtered", lifted(1e-9)), ("tracked", renumbered)], ids=["1 nm", "ids"]
+)
+def test_a_harmless_change_is_not_reported(
+    suite: Path, monkeypatch: pytest.MonkeyPatch, stage: str, wrap: Wrap
+) -> None:
+    change_stage(monkeypatch, stage, wrap)
+    (result,) = run_suite(load_suite(suite), jobs=1)
+    assert (result.status, result.faults) == ("equal", ())
+
+
+def test_bless_accepts_and_says_what(suite: Path) -> None:
+    golden = suite.parent / "golden" / "walk.mcap"
+    before = golden.read_bytes()
+    text = suite.read_text() + 'set = ["filter.cutoff=8"]\n'
+    assert run_suite(load_suite(suite), bless=True, jobs=1)[0].notes == (
+        "as before; the golden file stays",
+    )
+    assert golden.read_bytes() == before
+    suite.write_text(text)
+    assert run_suite(load_suite(suite), jobs=1)[0].status == "different"
+    (blessed,) = run_suite(load_suite(suite), bless=True, jobs=1)
+    assert any("accepted: /hiros/filtered: positions: up to" in note for note in blessed.notes)
+    assert run_suite(load_suite(suite), jobs=1)[0].status == "equal"
+    assert golden.read_bytes() != before
+
+
+def test_golden_metrics_forgive_numbers_but_not_quality(suite: Path) -> None:
+    text = suite.read_text().replace("golden/walk.mcap", "golden/walk.json")
+    suite.write_text(text)
+    assert run_suite(load_suite(suite), jobs=1)[0].faults[0].startswith("there is no golden file")
+    run_suite(load_suite(suite), bless=True, jobs=1)
+    suite.write_text(text + 'set = ["filter.cutoff=4.6"]\n')
+    assert run_suite(load_suite(suite), jobs=1)[0].status == "equal"
+    suite.write_text(text + 'set = ["filter.cutoff=12"]\n')
+    faults = run_suite(load_suite(suite), jobs=1)[0].faults
+    assert any(fault.startswith("jitter: was 8.54") for fault in faults)
+
+
+def test_thresholds_that_are_not_met(suite: Path) -> None:
+    suite.write_text(SUITE.replace("<= 25 mm", "<= 1 mm"))
+    (result,) = run_suite(load_suite(suite), jobs=1)
+    assert result.status == "different"
+    assert result.faults[0].startswith("mpjpe <= 1 mm: is 2")
+
+
+def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
+    (suite.parent / "bad.mcap").write_bytes(b"no log at all")
+    suite.write_text(SUITE + '[[log]]\ninput = "bad.mcap"\nrequire = ["people = 1"]\n')
+    good, bad = run_suite(load_suite(suite), jobs=1)
+    assert (good.status, bad.status) == ("equal", "error")
+    assert "bad.mcap" in bad.faults[0]
+
+
+def test_in_parallel_as_one_after_the_other() -> None:
+    suite = load_suite(SAMPLES / "suite.toml")
+    names = ["two people crossing", "one person walking"]
+    results = run_suite(suite, only=names, jobs=2)
+    assert [r.name for r in results] == ["one person walking", "two people crossing"]
+    assert [r.status for r in results] == ["equal", "equal"]
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "expects"),
+        ("[[log]", "not TOML"),
+        ('[[log]]\ninput = "none.mcap"\nrequire = ["people = 1"]', "no file none.mcap"),
+        ('[[log]]\ninput = "walk.mcap"', "expects nothing"),
+        ('[[log]]\ninput = "walk.mcap"\ngolden = "a.txt"', "neither .mcap nor .json"),
+        ('[[log]]\ninput = "walk.mcap"\nrequire = ["height < 2 m"]', "no metric 'height'"),
+        ('[[log]]\ninput = "walk.mcap"\nrequire = ["mpjpe < 2 cm"]', "mpjpe is in mm"),
+        ('[[log]]\ninput = "walk.mcap"\nrequire = ["mpjpe is ok"]', "not of the form"),
+        ('[[log]]\ninput = "walk.mcap"\ngolden = "a.json"\nfoo = 1', "foo"),
+        (
+            '[[log]]\ninput = "walk.mcap"\ngolden = "a.json"\ntolerances = {positions = -1}',
+            "positions",
+        ),
+        (SUITE + SUITE, "two cases are called 'walk'"),
+    ],
+)
+def test_faulty_suites(suite: Path, text: str, fault: str) -> None:
+    suite.write_text(text)
+    with pytest.raises(ConfigError, match=fault) as caught:
+        load_suite(suite)
+    assert str(suite) in str(caught.value)
+
+
+def test_a_name_that_is_not_in_the_suite(suite: Path) -> None:
+    with pytest.raises(ConfigError, match="no case 'run'"):
+        run_suite(load_suite(suite), only=["run"])
+
+
+def test_a_golden_log_is_compact_and_equal_to_its_source(walking: Path, tmp_path: Path) -> None:
+    out, golden = tmp_path / "out.mcap", tmp_path / "golden.mcap"
+    process(walking, out, options=ProcessOptions(keep=()))
+    write_golden(out, golden, ["/hiros/*"])
+    comparison = compare_logs(out, golden)
+    assert len(comparison.channels) == 4
+    assert comparison.faults(Tolerances()) == {}
+    assert 0 < max(c.position_max for c in comparison.channels) < 2e-7
+    assert golden.stat().st_size < out.stat().st_size / 3
+    first = golden.read_bytes()
+    write_golden(out, golden, ["/hiros/*"])
+    assert golden.read_bytes() == first
+
+
+def test_calibration_that_changed_is_told(walking: Path, tmp_path: Path) -> None:
+    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    process(walking, paths[0], options=ProcessOptions(keep=()))
+    limbs = tmp_path / "limbs.toml"
+    process(walking, paths[1], options=ProcessOptions(keep=(), limbs_out=limbs))
+    text = limbs.read_text()
+    start = text.index("length = ") + 9
+    limbs.write_text(text[:start] + "0.5" + text[text.index("\n", start) :])
+    process(walking, paths[1], options=ProcessOptions(keep=(), limbs_in=limbs))
+    found = compare_logs(paths[1], paths[0]).faults(Tolerances())
+    assert "lengths:" in found["calibration"][0]
+
+
+def test_logs_without_outputs_cannot_be_compared(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    process(walking, out, options=ProcessOptions(keep=()))
+    with pytest.raises(LogError, match="nothing to compare"):
+        compare_logs(walking, out)
+
+
+def test_tolerances_beside_the_golden_file(tmp_path: Path) -> None:
+    assert beside(tmp_path / "a.mcap") == Tolerances()
+    (tmp_path / "a.tolerances.toml").write_text("positions = 0.001\n")
+    assert beside(tmp_path / "a.mcap").positions == 0.001
+    (tmp_path / "a.tolerances.toml").write_text("position = 0.001\n")
+    with pytest.raises(ConfigError, match="position"):
+        beside(tmp_path / "a.mcap")
+
+
+def test_metrics_that_got_worse_or_better() -> None:
+    golden = {"mpjpe": 20.0, "pck_50": 90.0, "missing": 3.0, "people": 2.0, "jitter": 8.0}
+    new = {"mpjpe": 22.0, "pck_50": 99.0, "missing": 2.0, "people": 3.0}
+    faults, gains = worse(new, golden, 0.05)
+    assert faults == [
+        "mpjpe: was 20 mm, is 22 mm",
+        "people: was 2, is 3",
+        "jitter: was 8 mm, is not known any more",
+    ]
+    assert gains == ["pck_50: was 90 %, is 99 %", "missing: was 3, is 2"]
+    assert worse({"mpjpe": 20.9}, {"mpjpe": 20.0}, 0.05) == ([], [])
+
+
+def test_metrics_files(tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    save_metrics(path, "/hiros/filtered", {"mpjpe": 1 / 3, "people": 2})
+    assert load_metrics(path) == ("/hiros/filtered", {"mpjpe": 0.333333, "people": 2})
+    for text in ("{", "[]", "{}", '{"hiros_golden_metrics": 1, "metrics": {"a": "b"}}'):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=r"m\.json"):
+            load_metrics(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "values", "fault"),
+    [
+        ("mpjpe <= 25 mm", {"mpjpe": 25.0}, ""),
+        ("mpjpe < 25", {"mpjpe": 25.0}, "mpjpe < 25: is 25 mm"),
+        ("people=2", {"people": 2.0}, ""),
+        ("hota >= 0.9", {"hota": 0.8}, "hota >= 0.9: is 0.8"),
+        ("mota > 0", {}, "mota > 0: mota is not known (no truth, or nothing to measure)"),
+    ],
+)
+def test_thresholds(text: str, values: dict[str, float], fault: str) -> None:
+    assert Threshold.parse(text).fault(values) == fault
+
+
+RESULTS = [
+    CaseResult("good | one", "equal", metrics={"mpjpe": 20.0}, seconds=1.0),
+    CaseResult("bad", "different", ("positions: <b>\x00 5 mm", "more"), metrics={}),
+    CaseResult("worst", "error", ("bad.mcap: not a log",)),
+]
+
+
+def test_junit_is_xml_that_counts() -> None:
+    suite = ElementTree.fromstring(report.junit(RESULTS, "suite"))[0]
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "1")
+    failure = suite[1].find("failure")
+    assert failure is not None
+    assert failure.get("message") == "positions: <b>? 5 mm"
+    assert suite[2].find("error") is not None
+
+
+def test_markdown_keeps_to_its_table() -> None:
+    lines = report.markdown(RESULTS, "suite").splitlines()
+    assert lines[0] == "### hiros check: suite: 1 of 3 logs as expected"
+    table = lines[2:7]
+    assert all(line.replace("\\|", "").count("|") == 8 for line in table)
+    assert "&lt;b>" in lines[5]
+    assert "(and 1 more)" in lines[5]
+
+
+def test_json_is_json() -> None:
+    data = json.loads(json.dumps(report.as_dict(RESULTS)))
+    assert (data["equal"], data["different"], data["errors"]) == (1, 1, 1)
