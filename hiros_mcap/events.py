@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,3 +43,13 @@ class Events:
     def total(self, kind: str) -> int:
         """Sum of a counter over all sources."""
         return sum(n for (k, _), n in self.counts.items() if k == kind)
+
+    def to_json(self) -> str:
+        """Events by time, as the attachment of an output holds them."""
+        events = sorted(self.log, key=lambda event: event.stamp)
+        return json.dumps([asdict(event) for event in events], indent=0)
+
+
+def events_from_json(text: str) -> list[Event]:
+    """Read what :meth:`Events.to_json` returns; ValueError or TypeError if it is something else."""
+    return [Event(**row) for row in json.loads(text)]

@@ -35,6 +35,7 @@ from hiros_mcap.transforms import transform_to_fixed
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 LIMBS_ATTACHMENT = "hiros/limbs.toml"
+EVENTS_ATTACHMENT = "hiros/events.json"
 CHAINS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 """Chains of Hi-ROS that make sense: merging and filtering need the tracker's ids (Fig. 2)."""
 
@@ -260,6 +261,7 @@ def _add_provenance(
     )
     writer.add_attachment("hiros/config.toml", config, "application/toml")
     writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
+    writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")
     report = json.dumps(observer.summary(None).reproducible(), indent=1, sort_keys=True)
     writer.add_attachment("hiros/report.json", report.encode(), "application/json")
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from hiros_mcap.errors import ConfigError
+
 Preset = Annotated[
     str,
     typer.Option(metavar="NAME", help="Start from a preset: default, realtime, paper or upstream."),
@@ -26,3 +28,21 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 Force = Annotated[
     bool, typer.Option("--force", "-f", help="Replace a file that hiros did not write.")
 ]
+
+
+def seconds_range(option: str, text: str) -> tuple[float, float]:
+    """Read ``START:END`` in seconds.
+
+    Raises
+    ------
+    ConfigError
+        It is not of this form, or ends before it starts.
+    """
+    start, _, end = text.partition(":")
+    try:
+        window = float(start), float(end)
+    except ValueError:
+        raise ConfigError(f"{option}: {text!r} is not of the form START:END, in s") from None
+    if not window[0] < window[1]:
+        raise ConfigError(f"{option}: {text!r} ends before it starts")
+    return window

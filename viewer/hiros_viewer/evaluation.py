@@ -111,6 +111,7 @@ def _figure(width: float, height: float) -> Figure:
 def _tidy(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.3)
+    axes.set_axisbelow(True)
 
 
 def _pck(scores: Mapping[str, Scores]) -> Figure:

@@ -7,8 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, Quiet
-from hiros_mcap.errors import ConfigError
+from hiros_cli.options import (
+    Assignments,
+    ConfigFile,
+    Force,
+    Json,
+    Preset,
+    Quiet,
+    seconds_range,
+)
 
 if TYPE_CHECKING:
     from hiros_mcap.summary import Summary
@@ -131,11 +138,8 @@ def _shortcuts(
 
 
 def _window(text: str) -> str:
-    start, _, end = text.partition(":")
-    try:
-        return f"[{float(start)!r}, {float(end)!r}]"
-    except ValueError:
-        raise ConfigError(f"--calibrate: {text!r} is not of the form START:END, in s") from None
+    start, end = seconds_range("--calibrate", text)
+    return f"[{start!r}, {end!r}]"
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:

@@ -1,0 +1,75 @@
+"""Two logs at once: how far apart the same stage's people are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from hiros_mcap.channels import OUTPUT_PREFIX
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.kernels.tracking import assign
+from hiros_mcap.log import open_log
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
+from hiros_viewer.replay import ViewOptions
+from hiros_viewer.scene import Scene
+
+SIMULTANEOUS_NS = 17_000_000
+"""Frames of two logs at most half a period of 30 Hz apart are compared."""
+SAME_BODY = 1.0
+"""m, mean over joints."""
+
+
+def draw_distances(first: Path, second: Path, scenes: list[Scene], options: ViewOptions) -> None:
+    """Draw the mean and the largest joint distance over time into the first scene.
+
+    Raises
+    ------
+    ConfigError
+        The logs have no stage in common, or other skeletons.
+    """
+    common = [stage for stage in scenes[0].stages if stage in scenes[1].stages]
+    stage = options.stage or next((s for s in reversed(common) if s != "truth"), "")
+    if stage not in common:
+        raise ConfigError(f"{first} and {second} have no stage in common to compare")
+    if scenes[0].model.marker_names != scenes[1].model.marker_names:
+        raise ConfigError(f"{first} and {second} have other markers")
+    for a, b in paired(_frames(first, stage), _frames(second, stage)):
+        distance = joint_distances(a, b)
+        if distance.size:
+            scenes[0].distance(a.stamp, "mean", 1000 * float(distance.mean()))
+            scenes[0].distance(a.stamp, "largest", 1000 * float(distance.max()))
+    scenes[0].flush()
+
+
+def _frames(path: Path, stage: str) -> Iterator[Frame]:
+    with open_log(path, topics=[f"{OUTPUT_PREFIX}/{stage}"], output_prefix="/none") as log:
+        yield from log.frames()
+
+
+def paired(first: Iterator[Frame], second: Iterator[Frame]) -> Iterator[tuple[Frame, Frame]]:
+    """Yield frames of the same time; both are in the order of their time."""
+    a, b = next(first, None), next(second, None)
+    while a is not None and b is not None:
+        apart = b.stamp - a.stamp
+        if abs(apart) <= SIMULTANEOUS_NS:
+            yield a, b
+            a, b = next(first, None), next(second, None)
+        elif apart < 0:
+            b = next(second, None)
+        else:
+            a = next(first, None)
+
+
+def joint_distances(a: Frame, b: Frame) -> Floats:
+    """Distances, m, of all joints of the people that both frames hold, matched by place."""
+    mine, theirs = a.positions[a.ids != UNTRACKED], b.positions[b.ids != UNTRACKED]
+    each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
+    known = ~np.isnan(each)
+    mean = np.where(known, each, 0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
+    mean[~known.any(axis=-1) | (mean > SAME_BODY)] = np.inf
+    rows = assign(np.ascontiguousarray(mean)).tolist()
+    found = [each[row, column] for column, row in enumerate(rows) if row >= 0]
+    flat = np.concatenate(found) if found else np.zeros(0)
+    return np.asarray(flat[~np.isnan(flat)])

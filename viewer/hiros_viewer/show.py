@@ -1,0 +1,236 @@
+"""Where a recording goes: a file, a viewer's window, a browser, a viewer that already runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hiros_mcap.errors import ConfigError, HirosError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+APPLICATION = "hiros"
+LOOPBACK = "127.0.0.1"
+INSTALL = "pip install 'hiros-mcap[viewer]'"
+MEMORY_LIMIT = "50%"
+
+Draw = Callable[["rr.RecordingStream"], object]
+
+
+def need_rerun() -> None:
+    """Raise ConfigError with the command that installs the viewer, if it is missing."""
+    if find_spec("rerun") is None:
+        raise ConfigError(f"this needs the Rerun viewer: {INSTALL}")
+
+
+def new_recording(name: str, identity: str = "") -> rr.RecordingStream:
+    """Return a recording that goes nowhere yet; ``identity`` makes its id reproducible."""
+    need_rerun()
+    # Wall-clock times in a recording would differ from run to run.
+    os.environ.setdefault("RERUN_LOG_TIME", "0")
+    import rerun as rr
+
+    text = identity or name
+    recording_id = hashlib.sha256(text.encode()).hexdigest()[:12]
+    recording = rr.RecordingStream(APPLICATION, recording_id=recording_id)
+    recording.send_recording_name(name)
+    return recording
+
+
+def save(target: Path, name: str, draw: Draw) -> None:
+    """Write a recording with its layout to a file; whole or not at all.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    recording = new_recording(name)
+    handle, temporary = tempfile.mkstemp(".rrd", f".{target.name}.", target.parent)
+    os.close(handle)
+    path = Path(temporary)
+    try:
+        recording.save(path)
+        draw(recording)
+        recording.disconnect()
+        mask = os.umask(0)
+        os.umask(mask)
+        path.chmod(0o666 & ~mask)
+        path.replace(target)
+    except BaseException:
+        recording.disconnect()
+        path.unlink(missing_ok=True)
+        raise
+
+
+def connect(url: str, name: str, draw: Draw) -> None:
+    """Send a recording to a viewer that already runs.
+
+    Raises
+    ------
+    ConfigError
+        Nothing listens there.
+    """
+    _need_listener(url)
+    recording = new_recording(name)
+    recording.connect_grpc(url)
+    draw(recording)
+    recording.flush()
+    recording.disconnect()
+
+
+def _need_listener(url: str) -> None:
+    """Fail at once where rerun would try again and again."""
+    from urllib.parse import urlsplit
+
+    parts = urlsplit(url)
+    if parts.scheme not in ("rerun+http", "rerun+https", "rerun") or parts.path != "/proxy":
+        raise ConfigError(f"--connect: {url!r} is not of the form rerun+http://HOST:PORT/proxy")
+    try:
+        with socket.create_connection((parts.hostname or LOOPBACK, parts.port or 9876), timeout=5):
+            return
+    except OSError as error:
+        raise ConfigError(f"--connect: no viewer at {url}: {error.strerror or error}") from None
+
+
+def window(name: str, draw: Draw) -> int:
+    """Open a viewer's window, wait until it is closed, return its exit code."""
+    return _with_file(name, draw, lambda path, env: subprocess.call(viewer_command(path), env=env))  # noqa: S603
+
+
+def web(name: str, draw: Draw, announce: Callable[[str], None], port: int = 0) -> int:
+    """Serve the web viewer on the loopback address until it is interrupted.
+
+    ``announce`` is told the address to open; port 0 chooses a free one.
+    """
+
+    def serve(path: Path, env: dict[str, str]) -> int:
+        page, data = port or free_port(), free_port()
+        command = [
+            *(str(viewer_binary()), "--serve-web", "--bind", LOOPBACK),
+            *("--web-viewer-port", str(page), "--port", str(data), str(path)),
+        ]
+        # Its own words about the server would stand beside ours, with an address of its own.
+        with subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL) as server:  # noqa: S603
+            stream = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{data}%2Fproxy"
+            announce(f"http://{LOOPBACK}:{page}/?url={stream}")
+            try:
+                return server.wait()
+            except BaseException:
+                server.terminate()
+                server.wait()
+                raise
+
+    return _with_file(name, draw, serve)
+
+
+def _with_file(name: str, draw: Draw, use: Callable[[Path, dict[str, str]], int]) -> int:
+    need_rerun()
+    with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
+        path = Path(folder) / "log.rrd"
+        save(path, name, draw)
+        return use(path, environment(Path(folder)))
+
+
+def viewer_binary() -> Path:
+    """Return the viewer itself; the ``rerun`` script would only start it as a child."""
+    spec = find_spec("rerun_cli")
+    if spec is None or spec.origin is None:
+        raise ConfigError(f"this needs the Rerun viewer: {INSTALL}")
+    return Path(spec.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def viewer_command(*arguments: Path | str) -> list[str]:
+    """Command line of a viewer's window, whose server listens on the loopback address alone."""
+    return [
+        str(viewer_binary()),
+        *("--bind", LOOPBACK, "--port", str(free_port())),
+        *("--memory-limit", MEMORY_LIMIT),
+        *map(str, arguments),
+    ]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Environment of a viewer that neither sends statistics nor says that it might.
+
+    A user who has made a choice (``rerun analytics ...``) keeps it. Otherwise the viewer is given
+    a folder for its configuration in which statistics are off.
+    """
+    env = dict(os.environ)
+    home = Path(env.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    if sys.platform.startswith("linux") and not (home / "rerun" / "analytics.json").exists():
+        private = folder / "config"
+        (private / "rerun").mkdir(parents=True, exist_ok=True)
+        path = private / "rerun" / "analytics.json"
+        choice = {
+            "analytics_enabled": False,
+            "analytics_id": uuid.uuid4().hex,
+            "metadata": {},
+            "config_file_path": str(path),
+            "data_dir_path": str(private / "rerun"),
+        }
+        path.write_text(json.dumps(choice), encoding="utf-8")
+        env["XDG_CONFIG_HOME"] = str(private)
+    return env
+
+
+def free_port() -> int:
+    """Return a port that nothing listens on right now."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def running_viewer(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Start a viewer to stream to; yield its address and its process, which is left running.
+
+    Raises
+    ------
+    HirosError
+        It does not start (there may be no screen).
+    """
+    need_rerun()
+    command = viewer_command("--expect-data-soon", *arguments)
+    port = int(command[command.index("--port") + 1])
+    with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
+        process = subprocess.Popen(  # noqa: S603
+            command,
+            env=environment(Path(folder)),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        _wait_for(port, process)
+        yield f"rerun+http://{LOOPBACK}:{port}/proxy", process
+
+
+def _wait_for(port: int, process: subprocess.Popen[bytes], seconds: float = 20.0) -> None:
+    import time
+
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if process.poll() is not None:
+            raise HirosError(
+                f"the Rerun viewer ended with code {process.returncode}: is there a screen? "
+                "--web serves it to a browser, `hiros view --save` writes a file"
+            )
+        try:
+            with socket.create_connection((LOOPBACK, port), timeout=1):
+                return
+        except OSError:
+            time.sleep(0.05)
+    process.kill()
+    raise HirosError(f"the Rerun viewer did not start within {seconds:.0f} s")
