@@ -120,18 +120,19 @@ def select_skeletons(
 
 def add_skeleton_channel(writer: McapWriter, topic: str) -> int:
     """Declare a channel of SkeletonGroup messages as rosbag2 would, return its id."""
-    name = hiros_schemas.SKELETON_GROUP
-    known = (s.id for s in writer.schemas.values() if s.name == name and s.data == _schema_text())
-    schema = next(known, None) or writer.add_schema(name, _schema_text())
+    return add_ros_channel(writer, topic, hiros_schemas.SKELETON_GROUP)
+
+
+def add_ros_channel(writer: McapWriter, topic: str, name: str) -> int:
+    """Declare a channel of one of hiros_schemas' types as rosbag2 would, return its id."""
+    text = hiros_schemas.text(name).encode()
+    known = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)
+    schema = next(known, None) or writer.add_schema(name, text)
     metadata = {
         "offered_qos_profiles": _QOS,
         "topic_type_hash": hiros_schemas.type_hash(name),
     }
     return writer.add_channel(topic, schema, metadata=metadata)
-
-
-def _schema_text() -> bytes:
-    return hiros_schemas.text(hiros_schemas.SKELETON_GROUP).encode()
 
 
 def _is_below(topic: str, prefix: str) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap._version import __version__
 from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skeleton_channel
@@ -32,6 +32,9 @@ from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import SYSTEMS, Run, Stages
 from hiros_mcap.transforms import transform_to_fixed
+
+if TYPE_CHECKING:
+    from hiros_mcap.export.markers import MarkerExport
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 LIMBS_ATTACHMENT = "hiros/limbs.toml"
@@ -54,6 +57,32 @@ class Silent:
         """Do nothing."""
 
 
+class Watcher(Protocol):
+    """Is shown every frame of a run while it goes on, such as a live view."""
+
+    def begin(self, log: Log, chain: Sequence[str]) -> None:
+        """Say what is being read, and which stages it goes through."""
+
+    def frame(self, channel: str, frame: Frame) -> None:
+        """Show a frame of "detections", in the fixed frame, or of a stage. Not to be changed."""
+
+    def end(self, events: Events) -> None:
+        """Say that the last frame was shown, and what happened on the way."""
+
+
+class Nobody:
+    """A watcher that does not look."""
+
+    def begin(self, log: Log, chain: Sequence[str]) -> None:
+        """Do nothing."""
+
+    def frame(self, channel: str, frame: Frame) -> None:
+        """Do nothing."""
+
+    def end(self, events: Events) -> None:
+        """Do nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessOptions:
     """What is read, run and written, besides the parameters of the stages."""
@@ -72,6 +101,8 @@ class ProcessOptions:
     """Where to save the limb lengths."""
     strict: bool = False
     """Refuse a log of which a message has to be skipped."""
+    markers: bool = False
+    """Also write the last stage as MarkerArray and JointState, and what happened as Log."""
     compression: str = "zstd"
     """Of the output: zstd, lz4 or "" for none."""
 
@@ -83,6 +114,7 @@ def process(
     config: Config | None = None,
     options: ProcessOptions | None = None,
     progress: Progress | None = None,
+    watcher: Watcher | None = None,
 ) -> Summary:
     """Turn the detections of a log into clean skeletons.
 
@@ -91,7 +123,7 @@ def process(
     source : MCAP log with SkeletonGroup channels and the cameras' transforms.
     target : output log; None runs without writing one.
     config : parameters of the stages. options : what is read, run and written.
-    progress : is told how far the run is.
+    progress : is told how far the run is. watcher : is shown every frame on the way.
 
     Raises
     ------
@@ -116,10 +148,13 @@ def process(
         if "optimized" in chain and config.optimize.calibration == "two-pass" and not limbs.people:
             limbs.people.update(_calibrate_first(log, run, chain).people)
         observer = Observer(log, run, chain, watch)
+        watcher = watcher or Nobody()
+        watcher.begin(log, chain)
         if target is None:
-            _consume(_frames(log, run, chain, observer, _ignore), log, progress)
+            _consume(_frames(log, run, chain, observer, watcher.frame), log, progress)
         else:
-            _write(log, run, chain, observer, Path(target), options, progress)
+            _write(log, run, chain, observer, Path(target), options, progress, watcher)
+        watcher.end(run.events)
         _refuse_skipped(log, options.strict)
         if options.limbs_out:
             limbs.save(options.limbs_out)
@@ -154,10 +189,7 @@ def _stages(run: Run, chain: Sequence[str]) -> Stages:
 
 
 Sink = Callable[[str, Frame], None]
-
-
-def _ignore(channel: str, frame: Frame) -> None:
-    """Write nowhere."""
+DETECTIONS = "detections"
 
 
 def _frames(
@@ -167,6 +199,7 @@ def _frames(
     watch = observer.watch
     frames: Iterable[Frame] = observer.watch_input(watch.timed("read", log.frames()))
     frames = watch.timed("transform", transform_to_fixed(frames, log.transforms, run.fixed_frame))
+    frames = watch.timed("write", _tap(frames, partial(sink, DETECTIONS)))
     for name, stage in _stages(run, chain).items():
         frames = observer.watch_output(name, watch.timed(name, stage(frames)))
         frames = watch.timed("write", _tap(frames, partial(sink, name)))
@@ -205,6 +238,7 @@ def _write(
     target: Path,
     options: ProcessOptions,
     progress: Progress | None,
+    watcher: Watcher,
 ) -> None:
     """Run and write; nothing appears at ``target`` unless everything went well."""
     encoder = Encoder(log.model)
@@ -212,9 +246,15 @@ def _write(
         copier = ChunkCopier(log.reader, writer, _kept(log, options))
         channels = {name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain}
 
+        export = _marker_export(writer, log, run) if options.markers else None
+
         def sink(channel: str, frame: Frame) -> None:
-            copier.until(frame.log_time)
-            writer.write(channels[channel], frame.log_time, encoder.encode(frame))
+            watcher.frame(channel, frame)
+            if channel != DETECTIONS:
+                copier.until(frame.log_time)
+                writer.write(channels[channel], frame.log_time, encoder.encode(frame))
+            if export is not None and channel == chain[-1]:
+                export.write(frame)
 
         _consume(_frames(log, run, chain, observer, sink), log, progress)
         with observer.watch.timing("write"):
@@ -222,6 +262,12 @@ def _write(
             _refuse_skipped(log, options.strict)
             _add_provenance(writer, log, run, chain, observer)
             writer.commit()
+
+
+def _marker_export(writer: McapWriter, log: Log, run: Run) -> MarkerExport:
+    from hiros_mcap.export.markers import MarkerExport
+
+    return MarkerExport(writer, log.model, run.events)
 
 
 def _kept(log: Log, options: ProcessOptions) -> list[int]:

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.channels import OUTPUT_PREFIX
+from hiros_mcap.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
+from hiros_mcap.container import McapReader
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
 from hiros_mcap.evaluate.motion import jitter, limb_variations
 from hiros_mcap.evaluate.scores import Scores, mean_of, score_matches
-from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.evaluate.truth import Truth, load_truth
 from hiros_mcap.log import open_log
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
@@ -63,11 +64,29 @@ def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> 
 
 def has_outputs(path: str | os.PathLike[str]) -> bool:
     """Whether a log holds a channel that hiros wrote."""
-    from hiros_mcap.channels import channels_of
-    from hiros_mcap.container import McapReader
-
     with McapReader(Path(path)) as reader:
         return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
+
+
+def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth | None:
+    """Return the truth that the user names (a file, or a topic of the log), else the log's own.
+
+    None if nothing was named and the log has no /truth channel.
+
+    Raises
+    ------
+    LogError, ConfigError
+        What was named does not exist or cannot be read.
+    """
+    if named is not None and Path(named).is_file():
+        return load_truth(named)
+    if named is not None:
+        if not named.startswith("/"):
+            raise ConfigError(f"the truth {named!r} is neither a file nor a channel (/...)")
+        return load_truth(path, named)
+    with McapReader(path) as reader:
+        own = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in channels_of(reader))
+    return load_truth(path) if own else None
 
 
 def read_channel(

@@ -11,11 +11,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from hiros_mcap.channels import TRUTH_PREFIX, channels_of
-from hiros_mcap.container import McapReader
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate import Scores, Truth, load_truth
-from hiros_mcap.evaluate.logs import Consistency, consistency, evaluate_log, read_channel
+from hiros_mcap.evaluate import Scores, Truth
+from hiros_mcap.evaluate.logs import (
+    Consistency,
+    consistency,
+    evaluate_log,
+    find_truth,
+    read_channel,
+)
 
 VERSION = 1
 
@@ -126,16 +130,10 @@ def metrics_of(
     """
     frames, model, _ = read_channel(path, topic)
     values = _own(consistency(frames, model))
-    truth = _own_truth(path) if truth is None else truth
+    truth = find_truth(path) if truth is None else truth
     if truth is not None:
         values.update(_against(evaluate_log(path, truth, [topic])[topic].scores))
     return {name: values[name] for name in METRICS if not math.isnan(values.get(name, math.nan))}
-
-
-def _own_truth(path: str | os.PathLike[str]) -> Truth | None:
-    with McapReader(path) as reader:
-        topics = [info.topic for info in channels_of(reader)]
-    return load_truth(path) if any(t.startswith(f"{TRUTH_PREFIX}/") for t in topics) else None
 
 
 def _own(own: Consistency) -> dict[str, float]:

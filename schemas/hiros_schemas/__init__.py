@@ -23,6 +23,9 @@ from hiros_schemas.definitions import (
 from hiros_schemas.standard import STANDARD
 
 __all__ = [
+    "JOINT_STATE",
+    "LOG",
+    "MARKER_ARRAY",
     "NAMES",
     "ROS_PACKAGE",
     "SKELETON_GROUP",
@@ -56,20 +59,32 @@ NAMES = tuple(
 
 SKELETON_GROUP = "hiros_skeleton_msgs/msg/SkeletonGroup"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+LOG = "rcl_interfaces/msg/Log"
 
 DELIMITER = "=" * 80
 
 # Numbers of the field types in a type description (REP 2016, type_description_interfaces).
 _NESTED, _SEQUENCE = 1, 144
-_TYPE_IDS = {"int32": 6, "uint32": 7, "float64": 11, "string": 17}
+_TYPE_IDS = {
+    "uint8": 3,
+    "int32": 6,
+    "uint32": 7,
+    "float32": 10,
+    "float64": 11,
+    "bool": 15,
+    "string": 17,
+}
 
 
 @cache
 def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
-    Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage or of what these
-    are made of. Comments are left out: the text goes into every log.
+    Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage, MarkerArray,
+    JointState or Log, or of what these are made of. Comments are left out: the text goes into
+    every log.
 
     Raises :class:`KeyError` for another name.
     """

@@ -1,4 +1,4 @@
-"""The messages of ROS 2's own packages that skeletons and transforms are made of, by type name."""
+"""The messages of ROS 2's own packages that hiros reads or writes (as of Humble), by type name."""
 
 STANDARD = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
@@ -16,4 +16,27 @@ STANDARD = {
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
     ),
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
+    "sensor_msgs/JointState": (
+        "std_msgs/Header header\nstring[] name\n"
+        "float64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+    ),
+    "rcl_interfaces/Log": (
+        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
+        "string file\nstring function\nuint32 line\n"
+    ),
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
+    "visualization_msgs/Marker": (
+        "std_msgs/Header header\nstring ns\nint32 id\nint32 type\nint32 action\n"
+        "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\n"
+        "builtin_interfaces/Duration lifetime\nbool frame_locked\ngeometry_msgs/Point[] points\n"
+        "std_msgs/ColorRGBA[] colors\nstring texture_resource\n"
+        "sensor_msgs/CompressedImage texture\nvisualization_msgs/UVCoordinate[] uv_coordinates\n"
+        "string text\nstring mesh_resource\nvisualization_msgs/MeshFile mesh_file\n"
+        "bool mesh_use_embedded_materials\n"
+    ),
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers\n",
 }

@@ -1,29 +1,16 @@
-"""Colours: one per person, always the same; cameras and their detections stay dim."""
+"""Colours of what is no person: cameras and their detections stay dim."""
 
 from __future__ import annotations
 
-RGB = tuple[int, int, int]
+from hiros_mcap.colours import RGB
 
-# Ten colours that stay apart on a dark ground and for colour-blind people.
-PEOPLE: tuple[RGB, ...] = (
-    (255, 140, 0),
-    (0, 174, 255),
-    (50, 220, 90),
-    (255, 80, 160),
-    (250, 220, 50),
-    (160, 110, 255),
-    (0, 220, 210),
-    (255, 90, 70),
-    (190, 230, 60),
-    (210, 160, 255),
-)
 CAMERAS: tuple[RGB, ...] = (
-    (96, 108, 120),
-    (118, 104, 90),
-    (92, 116, 96),
-    (114, 96, 116),
-    (114, 112, 88),
-    (88, 114, 114),
+    (78, 88, 98),
+    (96, 85, 74),
+    (75, 94, 78),
+    (93, 78, 94),
+    (93, 91, 72),
+    (72, 93, 93),
 )
 CURVES: tuple[RGB, ...] = (
     (160, 185, 210),
@@ -36,11 +23,6 @@ CURVES: tuple[RGB, ...] = (
 """Of cameras, for lines in a plot: those of their detections, brighter."""
 CLASSES = 100
 """People have the classes 0..99, by id; greater ids begin anew."""
-
-
-def person_colour(person: int) -> RGB:
-    """Colour of an id."""
-    return PEOPLE[person % len(PEOPLE)]
 
 
 def pale(colour: RGB) -> RGB:

@@ -15,7 +15,7 @@ from hiros_mcap.channels import OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
 from hiros_mcap.log import Camera, Log, open_log
-from hiros_mcap.pipeline import EVENTS_ATTACHMENT
+from hiros_mcap.pipeline import DETECTIONS, EVENTS_ATTACHMENT
 from hiros_mcap.rotations import Rigid
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.transforms import transform_to_fixed
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 HORIZON_NS = 3_000_000_000
 """Frames are put in the order of their own time; outputs are up to this much later in a log."""
-DETECTIONS = "detections"
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,21 +22,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiros_mcap.angles import ANGLES, flexions
+from hiros_mcap.colours import RGB, person_colour
 from hiros_mcap.evaluate.motion import lengths_of
 from hiros_mcap.events import Event
 from hiros_mcap.rotations import Rigid
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.symmetry import split_side
 from hiros_viewer.columns import TIMELINE, BoneRows, PointRows, ScalarRows, TextRows
-from hiros_viewer.palette import (
-    CAMERAS,
-    CLASSES,
-    RGB,
-    camera_colour,
-    curve_colour,
-    pale,
-    person_colour,
-)
+from hiros_viewer.palette import CAMERAS, CLASSES, camera_colour, curve_colour, pale
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -415,7 +408,9 @@ class Scene:
         import rerun as rr
 
         if path in self._classes:
-            look = rr.LineStrips3D.from_fields(class_ids=[self._classes.pop(path)], radii=_BONE_M)
+            look = rr.LineStrips3D.from_fields(
+                class_ids=[self._classes.pop(path)], radii=_BONE_M, show_labels=False
+            )
             self.recording.log(path, look, static=True)
         counts = [len(bones) for bones in rows.bones]
         strips = np.concatenate(rows.bones).astype(np.float32)

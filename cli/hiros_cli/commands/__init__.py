@@ -6,7 +6,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from hiros_cli.commands import check, config, evaluate, info, process, simulate, view, warmup
+from hiros_cli.commands import check, config, evaluate, info, plot, process, simulate, view, warmup
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 
@@ -49,6 +49,7 @@ def hiros(
 
 app.command(no_args_is_help=False)(process.process)
 app.command()(view.view)
+app.command()(plot.plot)
 app.command("eval")(evaluate.evaluate)
 app.command()(check.check)
 app.command()(info.info)

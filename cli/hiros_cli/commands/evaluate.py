@@ -106,7 +106,9 @@ def evaluate(
         return
     if log is None:
         raise AssertionError("checked above")
-    true = None if leave_one_out else _find_truth(log, truth)
+    from hiros_mcap.evaluate.logs import find_truth
+
+    true = None if leave_one_out else find_truth(log, truth)
     if true is None:
         _show_self(log, effective, html=html, json=json, joints=joints)
         return
@@ -126,24 +128,6 @@ def _check_report(path: Path) -> None:
 
     if find_spec("matplotlib") is None:
         raise ConfigError("--html needs matplotlib: pip install 'hiros-mcap[plots]'")
-
-
-def _find_truth(log: Path, named: str | None) -> Truth | None:
-    """Return the truth that the user names, else the log's own, else None."""
-    from hiros_mcap.channels import TRUTH_PREFIX, channels_of
-    from hiros_mcap.container import McapReader
-    from hiros_mcap.evaluate import load_truth
-
-    if named is None:
-        with McapReader(log) as reader:
-            topics = [info.topic for info in channels_of(reader)]
-        own = any(topic.startswith(f"{TRUTH_PREFIX}/") for topic in topics)
-        return load_truth(log) if own else None
-    if Path(named).is_file():
-        return load_truth(Path(named))
-    if not named.startswith("/"):
-        raise ConfigError(f"--truth: {named} is neither a file nor a channel (these begin with /)")
-    return load_truth(log, named)
 
 
 def _start(log: Path) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +20,7 @@ from hiros_cli.options import (
 )
 
 if TYPE_CHECKING:
+    from hiros_mcap.pipeline import Watcher
     from hiros_mcap.summary import Summary
 
 SUFFIX = ".hiros.mcap"
@@ -79,6 +82,15 @@ def process(
         str | None,
         typer.Option(metavar="NAME", help="Optimizer: lm (default) or ceres (slow, to compare)."),
     ] = None,
+    markers: Annotated[
+        bool,
+        typer.Option(
+            "--markers", help="Also write MarkerArray, JointState and Log for RViz and Foxglove."
+        ),
+    ] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show it in the Rerun viewer while it is processed.")
+    ] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Fail when a message has to be skipped.")
     ] = False,
@@ -112,12 +124,29 @@ def process(
         extrinsics=extrinsics,
         limbs_in=limbs,
         limbs_out=save_limbs,
+        markers=markers,
         strict=strict,
     )
     effective = load_config(config, [*shortcuts, *(assignments or ())], preset)
-    with bar(source.name, quiet=quiet) as progress:
-        summary = run(source, target, config=effective, options=options, progress=progress)
+    with ExitStack() as stack:
+        watcher = stack.enter_context(_live(source)) if view else None
+        progress = stack.enter_context(bar(source.name, quiet=quiet))
+        summary = run(
+            source, target, config=effective, options=options, progress=progress, watcher=watcher
+        )
     _show(summary, json=json, quiet=quiet)
+
+
+def _live(source: Path) -> AbstractContextManager[Watcher]:
+    from hiros_viewer.show import need_rerun
+
+    need_rerun()
+    from hiros_viewer.live import live_view
+
+    def closed() -> None:
+        print("hiros: the viewer was closed; processing goes on", file=sys.stderr, flush=True)
+
+    return live_view(source.name, closed)
 
 
 def _shortcuts(

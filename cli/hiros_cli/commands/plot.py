@@ -1,0 +1,72 @@
+"""``hiros plot``: curves of a result as a picture or a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hiros_cli.options import Quiet
+from hiros_mcap.errors import ConfigError
+
+
+def plot(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="What `hiros process` wrote.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help=".png: one plot; .html: all. Default: LOG.html."
+        ),
+    ] = None,
+    what: Annotated[
+        str, typer.Option(metavar="KIND", help="For PNG: angles, limbs or error (needs a truth).")
+    ] = "angles",
+    person: Annotated[
+        int | None,
+        typer.Option(metavar="ID", help="For PNG. Default: whoever is there for longest."),
+    ] = None,
+    channel: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Default: the last stage's.")
+    ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TOPIC", help="Draw this truth beside it. Default: LOG's /truth channel."
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Plot joint angles, limb lengths and errors over time, as PNG or one HTML file."""
+    from importlib.util import find_spec
+
+    from hiros_cli.kernels import prepare
+
+    log.stat()
+    target = log.with_suffix(".html") if output is None else output
+    if target.suffix not in (".png", ".html"):
+        raise ConfigError(f"{target}: a plot ends in .png or .html")
+    if not target.parent.is_dir():
+        raise ConfigError(f"{target.parent}: no such folder to write into")
+    if find_spec("matplotlib") is None:
+        raise ConfigError("plots need matplotlib: pip install 'hiros-mcap[plots]'")
+    prepare(quiet=quiet)
+    from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
+    from hiros_viewer import curves
+
+    if what not in curves.KINDS:
+        raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
+    topic = output_channels(log, [channel] if channel else [])[-1]
+    frames, model, _ = read_channel(log, topic)
+    found = find_truth(log, truth)
+    start = frames[0].stamp if frames else 0
+    true = None if found is None else found.moved(start=start)
+    collected = curves.collect(f"{log.name}: {topic}", frames, model, true)
+    if target.suffix == ".html":
+        page = curves.page_of(collected)
+        page.text(curves.summary_row(frames, model))
+        page.write(target)
+    else:
+        curves.save_png(curves.figure_of(collected, what, person), target)
+    if not quiet:
+        print(f"wrote {target}")

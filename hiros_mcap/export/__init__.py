@@ -1,0 +1,1 @@
+"""The result in messages that other tools draw by themselves."""

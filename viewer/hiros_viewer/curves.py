@@ -1,0 +1,217 @@
+"""``hiros plot``: joint angles, limb lengths and errors over time, for papers and reports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiros_mcap.angles import ANGLES, flexions
+from hiros_mcap.colours import PEOPLE
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.logs import consistency
+from hiros_mcap.evaluate.match import Matches, match
+from hiros_mcap.evaluate.motion import lengths_of
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.text import number
+from hiros_viewer.page import Page
+from hiros_viewer.scene import limb_links
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+KINDS = ("angles", "limbs", "error")
+_TRUTH, _RESULT = "#1f5fa8", "#e07b1a"
+_PAUSE_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """One person over time."""
+
+    seconds: Floats
+    """(T,) since the channel's first frame."""
+    poses: Floats
+    """(T, M, 3) m."""
+    true_poses: Floats | None = None
+    """(T, M, 3) m; None without a truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """What there is to plot of a channel."""
+
+    title: str
+    model: SkeletonModel
+    people: Mapping[int, Body]
+
+    def body(self, person: int | None) -> tuple[int, Body]:
+        """Return a person, or the one who is there for longest.
+
+        Raises
+        ------
+        ConfigError
+            There is nobody, or not this one.
+        """
+        if not self.people:
+            raise ConfigError(f"{self.title}: holds nobody to plot")
+        if person is None:
+            person = max(self.people, key=lambda who: len(self.people[who].seconds))
+        if person not in self.people:
+            known = ", ".join(map(str, self.people))
+            raise ConfigError(f"{self.title}: no person {person} (there are: {known})")
+        return person, self.people[person]
+
+
+def collect(
+    title: str, frames: Sequence[Frame], model: SkeletonModel, truth: Truth | None
+) -> Curves:
+    """Collect everybody with an id; the truth, if there is one, at the frames' times."""
+    start = frames[0].stamp if frames else 0
+    true = {} if truth is None else _true_poses(match(frames, truth.seen_by(model)))
+    rows: dict[int, list[tuple[int, Floats]]] = {}
+    for frame in frames:
+        for row, person in enumerate(frame.ids.tolist()):
+            if person != UNTRACKED:
+                rows.setdefault(person, []).append((frame.stamp, frame.positions[row]))
+    absent = np.full((model.n_markers, 3), np.nan)
+    people = {}
+    for person, track in sorted(rows.items()):
+        stamps = np.array([stamp for stamp, _ in track])
+        known = [true.get((person, stamp), absent) for stamp, _ in track]
+        people[person] = Body(
+            (stamps - start) / 1e9,
+            np.stack([pose for _, pose in track]),
+            np.stack(known) if true else None,
+        )
+    return Curves(title, model, people)
+
+
+def _true_poses(matches: Matches) -> dict[tuple[int, int], Floats]:
+    keys = zip(matches.ids, matches.stamps, strict=True)
+    return dict(zip(keys, matches.true_poses, strict=True))
+
+
+def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
+    """Return one of :data:`KINDS` for one person.
+
+    Raises
+    ------
+    ConfigError
+        There is nobody, or nothing of this kind to plot.
+    """
+    _, body = curves.body(person)
+    if kind == "angles":
+        return _angles(curves.model, body)
+    if kind == "limbs":
+        return _limbs(curves.model, body)
+    if body.true_poses is None:
+        raise ConfigError(f"{curves.title}: there is no truth to plot an error against")
+    return _error(body, body.true_poses)
+
+
+def page_of(curves: Curves) -> Page:
+    """Everything of everybody on one page."""
+    page = Page(curves.title)
+    for person, body in curves.people.items():
+        span = f"{number(body.seconds[0], 1)} to {number(body.seconds[-1], 1)} s"
+        page.heading(f"Person {person}, {span}")
+        note = "" if body.true_poses is None else ": blue truth, orange result"
+        page.figure(_angles(curves.model, body), f"Flexion angles, degrees{note}")
+        if limb_links(curves.model):
+            page.figure(_limbs(curves.model, body), "Limb lengths, mm")
+        if body.true_poses is not None:
+            page.figure(_error(body, body.true_poses), "Mean and largest joint error, mm")
+    return page
+
+
+def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
+    """One line about the channel: people, limb constancy, jitter."""
+    own = consistency(frames, model)
+    return (
+        f"{len(own.people)} people, limb lengths vary by {number(own.limb_variation, 4)} (CV), "
+        f"jitter {number(own.jitter, 1)} mm"
+    )
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _tidy(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.3)
+    axes.margins(x=0.01)
+
+
+def _with_gaps(seconds: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Put a NaN into every pause, so that no line is drawn over it."""
+    pauses = np.nonzero(np.diff(seconds) > _PAUSE_S)[0] + 1
+    return np.insert(seconds, pauses, np.nan), np.insert(values, pauses, np.nan, axis=0)
+
+
+def _angles(model: SkeletonModel, body: Body) -> Figure:
+    """Left and right side by side, truth and result, as in Fig. 5 of the Hi-ROS paper."""
+    bends = np.degrees(flexions(model, body.poses))
+    true = None if body.true_poses is None else np.degrees(flexions(model, body.true_poses))
+    shown = [k for k in range(len(ANGLES)) if not np.isnan(bends[:, k]).all()]
+    if not shown:
+        raise ConfigError("the skeleton has no joint whose angle is known by its markers' names")
+    rows = (len(shown) + 1) // 2
+    figure = _figure(11, 1.6 * rows + 0.5)
+    grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
+    for axes, k in zip(grid.T.ravel(), shown, strict=False):
+        if true is not None:
+            axes.plot(*_with_gaps(body.seconds, true[:, k]), color=_TRUTH, lw=1.2)
+        axes.plot(*_with_gaps(body.seconds, bends[:, k]), color=_RESULT, lw=1.2)
+        axes.set_title(f"{ANGLES[k]} flexion, degrees", loc="left", fontsize=9)
+        _tidy(axes)
+    for axes in grid[-1]:
+        axes.set_xlabel("s")
+    return figure
+
+
+def _limbs(model: SkeletonModel, body: Body) -> Figure:
+    limbs = limb_links(model)
+    if not limbs:
+        raise ConfigError("the skeleton has no arms and legs that are known by their names")
+    lengths = 1000 * lengths_of(body.poses, model)[:, list(limbs.values())]
+    figure = _figure(11, 3.2)
+    axes = figure.subplots()
+    for k, name in enumerate(limbs):
+        colour = tuple(0.8 * part / 255 for part in PEOPLE[k % len(PEOPLE)])
+        axes.plot(*_with_gaps(body.seconds, lengths[:, k]), label=name, lw=1.2, color=colour)
+    axes.set(xlabel="s", ylabel="mm")
+    axes.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9)
+    _tidy(axes)
+    return figure
+
+
+def _error(body: Body, true_poses: Floats) -> Figure:
+    errors = 1000 * np.linalg.norm(body.poses - true_poses, axis=-1)
+    known = ~np.isnan(errors).all(axis=1)
+    mean, largest = np.full(len(errors), np.nan), np.full(len(errors), np.nan)
+    mean[known], largest[known] = (
+        np.nanmean(errors[known], axis=1),
+        np.nanmax(errors[known], axis=1),
+    )
+    figure = _figure(11, 2.6)
+    axes = figure.subplots()
+    axes.plot(*_with_gaps(body.seconds, largest), color="#b8c4d0", lw=1.0, label="largest")
+    axes.plot(*_with_gaps(body.seconds, mean), color=_RESULT, lw=1.2, label="mean")
+    axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
+    axes.legend(frameon=False, fontsize=9)
+    _tidy(axes)
+    return figure
+
+
+def save_png(figure: Figure, path: Path, dpi: int = 150) -> None:
+    """Write a figure as PNG; the same figure gives the same bytes."""
+    figure.savefig(path, format="png", dpi=dpi, metadata={"Software": None})

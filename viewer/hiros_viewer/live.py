@@ -1,0 +1,118 @@
+"""``hiros process --view``: what is being processed, while it is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from hiros_mcap.events import Events
+from hiros_mcap.log import Log
+from hiros_mcap.pipeline import DETECTIONS
+from hiros_mcap.skeletons import Frame
+from hiros_viewer.blueprint import Content, blueprint
+from hiros_viewer.replay import content_of, describe
+from hiros_viewer.scene import Scene
+from hiros_viewer.show import new_recording, running_viewer
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+BATCH = 120
+"""Frames per sending: a fifth of a second of five cameras and four stages."""
+
+
+class LiveView:
+    """A :class:`hiros_mcap.pipeline.Watcher` that draws into a viewer until that is closed."""
+
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        is_open: Callable[[], bool],
+        closed: Callable[[], None],
+        layout: str = "overview",
+    ) -> None:
+        self._recording = recording
+        self._is_open, self._closed = is_open, closed
+        self._layout = layout
+        self._scene: Scene | None = None
+        self._names: dict[str, str] = {}
+        self._count = 0
+        self._laid_out = False
+
+    def begin(self, log: Log, chain: Sequence[str]) -> None:
+        """Draw the cameras."""
+        source = describe(log)
+        self._names = dict(source.names)
+        self._scene = Scene(self._recording, source.model, final=chain[-1], batch=BATCH)
+        self._scene.begin(source.cameras)
+        content = content_of([self._scene], [""])
+        stages = Content(
+            list(chain), [], content.cameras, content.centre, content.reach, content.camera_centre
+        )
+        self._recording.send_blueprint(blueprint(stages, self._layout))
+
+    def frame(self, channel: str, frame: Frame) -> None:
+        """Draw a frame, as long as somebody looks."""
+        scene = self._scene
+        if scene is None:
+            return
+        if channel == DETECTIONS:
+            scene.detections(frame.replace(source=self._names[frame.source]))
+        else:
+            scene.stage(channel, frame)
+        self._count += 1
+        if self._count % BATCH == 0:
+            self._look(scene)
+
+    def _look(self, scene: Scene) -> None:
+        """Stop when the viewer was closed; lay the views out anew once people are known."""
+        if not self._is_open():
+            self._scene = None
+            self._closed()
+        elif not self._laid_out and scene.bounds:
+            self._laid_out = True
+            self._recording.send_blueprint(blueprint(content_of([scene], [""]), self._layout))
+
+    def end(self, events: Events) -> None:
+        """Draw the events and what is left."""
+        if self._scene is not None and self._is_open():
+            for event in sorted(events.log, key=lambda event: event.stamp):
+                self._scene.event(event)
+            self._scene.finish()
+            content = content_of([self._scene], [""])
+            self._recording.send_blueprint(blueprint(content, self._layout))
+            self._recording.flush()
+        self._scene = None
+
+
+@contextmanager
+def live_view(
+    name: str, closed: Callable[[], None], layout: str = "overview", *arguments: str
+) -> Iterator[LiveView]:
+    """Open a viewer and yield what draws into it; the viewer stays open.
+
+    ``closed`` is called if the user closes it while the run goes on. ``arguments`` are passed on
+    to the viewer.
+
+    Raises
+    ------
+    HirosError
+        The viewer does not start.
+    """
+    # When the window is closed, rerun would print a line per message that it cannot send.
+    os.environ.setdefault("RUST_LOG", "off")
+    with running_viewer(*arguments) as (url, process):
+        recording = new_recording(name)
+        recording.connect_grpc(url)
+        try:
+            yield LiveView(recording, lambda: _runs(process), closed, layout)
+        finally:
+            if _runs(process):
+                recording.disconnect()
+
+
+def _runs(process: subprocess.Popen[bytes]) -> bool:
+    return process.poll() is None
