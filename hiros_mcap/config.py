@@ -62,6 +62,7 @@ _PAPER: Table = {
         "confirm_seconds": 0.0,
         "contradiction": math.inf,
         "lookahead": 0.0,
+        "reorder": 0.1,
     },
     # Equation 12 as printed, on the views as they are; turned-round views are dropped.
     "merge": {
@@ -91,7 +92,7 @@ _PAPER: Table = {
 PRESETS: Mapping[str, Table] = {
     "default": {},
     "realtime": {
-        "track": {"lookahead": 0.0},
+        "track": {"lookahead": 0.0, "reorder": 0.1},
         "optimize": {"lookahead": 0.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0},
     },

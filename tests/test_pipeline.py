@@ -128,6 +128,7 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     with McapReader(tmp_path / "out.mcap") as reader:
         assert [name for name, _ in reader.contents.metadata] == ["hiros.provenance"]
         found = {a.name: reader.attachment(a) for a in reader.contents.attachments}
-    assert sorted(found) == ["hiros/config.toml", "hiros/limbs.toml", "hiros/report.json"]
+    names = ("config.toml", "events.json", "limbs.toml", "report.json")
+        assert sorted(found) == [f"hiros/{name}" for name in names]
     assert b"[track]" in bytes(found["hiros/config.toml"])
     assert str(tmp_path).encode() not in bytes(found["hiros/report.json"])

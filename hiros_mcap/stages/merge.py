@@ -176,14 +176,19 @@ def merge(
 
     Yields
     ------
-    One frame per buffer, at the mean time of its messages (H21), people sorted by id.
+    One frame per buffer, at the mean time of its messages (H21), people sorted by id. Times
+    increase: a frame that is older than what was merged before is counted and left out.
     """
     params = params or MergeParams()
-    merger = _Merger(model, params, events or Events(), fixed_frame)
+    events = events or Events()
+    merger = _Merger(model, params, events, fixed_frame)
     buffer: dict[str, Frame] = {}
     known: set[str] = set()
     for frame in frames:
         known.add(frame.source)
+        if frame.stamp < merger.newest:
+            events.count("too late to be merged", frame.source)
+            continue
         if buffer and _closes(buffer, frame, params.max_delta_time):
             yield merger.fuse(buffer, frame.log_time)
             buffer = {}
@@ -219,6 +224,7 @@ class _Merger:
         self.symmetry = symmetry_of(model)
         self.bank = _Bank(model)
         self.last: dict[int, tuple[Frame, int]] = {}
+        self.newest = 0
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
             self._HORIZON, params.max_position_delta, params.max_orientation_delta,
@@ -231,7 +237,7 @@ class _Merger:
     def fuse(self, buffer: dict[str, Frame], log_time: int) -> Frame:
         """Merge what the buffer holds into one frame at its mean time (H20-H25)."""
         frames = [_tracked_only(buffer[source]) for source in sorted(buffer)]
-        stamp = sum(f.stamp for f in frames) // len(frames)
+        stamp = self.newest = sum(f.stamp for f in frames) // len(frames)
         ids = np.concatenate([f.ids for f in frames])
         seen = set(ids.tolist())
         people = sorted(seen | self._bridged(seen, stamp))

@@ -85,10 +85,11 @@ class TrackParams(Params):
         0.5, gt=0, description="s: as max_gap, for a body that is not a person yet."
     )
     reorder: float = Field(
-        0.1,
+        1.0,
         ge=0,
         description="s: frames wait this long for older ones of slower cameras; later ones are "
-        "still tracked, at their own time.",
+        "still tracked, at their own time. Recorders stall for up to a second; a live system "
+        "takes 0.1.",
     )
     lookahead: float = Field(
         1.0,

@@ -469,3 +469,13 @@ def test_of_equal_groups_the_more_confident_wins() -> None:
     apart = np.array([[0.0, 1.0], [1.0, 0.0]])
     assert merging.largest_group(apart, np.array([0.3, 0.6]), False, 0.2) == 1
     assert merging.largest_group(apart, np.array([0.6, 0.3]), False, 0.2) == 0
+
+
+def test_a_frame_older_than_the_last_merged_one_is_counted_and_left_out() -> None:
+    events = Events()
+    frames = [seen([person(0.01 * k)], at(k), ids=[0]) for k in range(20)]
+    late = seen([person(0.03)], at(3, 1), "b", ids=[0])
+    merged = list(merge([*frames[:10], late, *frames[10:]], MODEL, events=events))
+    stamps = [frame.stamp for frame in merged]
+    assert stamps == sorted(set(stamps))
+    assert events.counts["too late to be merged", "b"] == 1
