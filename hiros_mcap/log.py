@@ -149,6 +149,11 @@ class Log:
         Raises LogError where the file is damaged. A message that cannot be decoded is counted in
         ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
         """
+        for _, frame in self.frames_by_topic():
+            yield frame
+
+    def frames_by_topic(self) -> Iterator[tuple[str, Frame]]:
+        """Yield what :meth:`frames` does, each frame with its topic."""
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
         streams = {
@@ -157,13 +162,16 @@ class Log:
         }
         with _named(self.path):
             for message in self.reader.messages(streams.keys()):
-                yield from streams[message.channel_id].frames_of(message, strict=self.strict)
+                stream = streams[message.channel_id]
+                for frame in stream.frames_of(message, strict=self.strict):
+                    yield stream.topic, frame
 
 
 class _Stream:
     """One channel being read: its decoder, its account and what it said last."""
 
     def __init__(self, camera: Camera, model: SkeletonModel, account: Account) -> None:
+        self.topic = camera.channel.topic
         self._names = dict(camera.sources)
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
         self._decoder = Decoder(model, topic=camera.channel.topic, layout=camera.layout)

@@ -129,6 +129,6 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
         assert [name for name, _ in reader.contents.metadata] == ["hiros.provenance"]
         found = {a.name: reader.attachment(a) for a in reader.contents.attachments}
     names = ("config.toml", "events.json", "limbs.toml", "report.json")
-        assert sorted(found) == [f"hiros/{name}" for name in names]
+    assert sorted(found) == [f"hiros/{name}" for name in names]
     assert b"[track]" in bytes(found["hiros/config.toml"])
     assert str(tmp_path).encode() not in bytes(found["hiros/report.json"])

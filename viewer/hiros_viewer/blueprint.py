@@ -77,7 +77,9 @@ def stages(content: Content) -> rrb.Container:
     import rerun.blueprint as rrb
 
     rooms = [
-        _room(content, stage.capitalize(), shown=[stage], cameras=[]) for stage in content.stages
+        _room(content, stage.capitalize(), shown=[stage], cameras=[])
+        for stage in content.stages
+        if stage != "truth"
     ]
     if not rooms:
         rooms = [_room(content, "Detections", shown=[])]

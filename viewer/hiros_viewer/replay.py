@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -164,15 +164,17 @@ def in_time_order(log: Log) -> Iterator[tuple[str, Frame]]:
     A log is in the order of its messages, and what a stage that looks ahead says of an instant
     comes later; frames wait until nothing earlier can come.
     """
-    kinds = {
-        name: kind_of(camera.channel.topic)
-        for camera in log.cameras
-        for name in camera.sources.values()
-    }
+    topics: list[str] = []
+
+    def frames() -> Iterator[Frame]:
+        for topic, frame in log.frames_by_topic():
+            topics.append(topic)
+            yield frame
+
     waiting: list[tuple[int, int, str, Frame]] = []
-    frames: Iterable[Frame] = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
-    for k, frame in enumerate(frames):
-        heapq.heappush(waiting, (frame.stamp, k, kinds[frame.source], frame))
+    fixed = transform_to_fixed(frames(), log.transforms, log.fixed_frame)
+    for k, frame in enumerate(fixed):
+        heapq.heappush(waiting, (frame.stamp, k, kind_of(topics.pop()), frame))
         while waiting and waiting[0][0] < frame.log_time - HORIZON_NS:
             yield heapq.heappop(waiting)[2:]
     while waiting:

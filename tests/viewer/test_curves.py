@@ -1,0 +1,107 @@
+"""Plots: what is in them, and that the same result gives the same bytes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.logs import find_truth, read_channel
+from hiros_mcap.pipeline import process
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+
+pytest.importorskip("matplotlib")
+
+from hiros_viewer import curves  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("plot") / "crossing.hiros.mcap"
+    process(SAMPLES / "two_people_crossing.mcap", out)
+    return out
+
+
+def collected(path: Path, *, with_truth: bool = True) -> curves.Curves:
+    frames, model, _ = read_channel(path, "/hiros/filtered")
+    return curves.collect("x", frames, model, find_truth(path) if with_truth else None)
+
+
+def test_angles_are_drawn_beside_the_truth(processed: Path) -> None:
+    figure = curves.figure_of(collected(processed), "angles", 1)
+    assert len(figure.axes) == 8
+    for axes in figure.axes:
+        true, result = (line.get_ydata() for line in axes.lines)
+        assert len(true) == len(result)
+        assert np.nanmean(np.abs(np.asarray(true) - np.asarray(result))) < 12
+
+
+def test_limbs_are_flat_and_errors_small(processed: Path) -> None:
+    limbs = curves.figure_of(collected(processed), "limbs").axes[0].lines
+    assert len(limbs) == 8
+    assert max(np.ptp(np.asarray(line.get_ydata())) for line in limbs) < 3
+    largest, mean = curves.figure_of(collected(processed), "error").axes[0].lines
+    assert 5 < np.nanmean(np.asarray(mean.get_ydata())) < 40
+    assert np.nanmin(np.asarray(largest.get_ydata()) - np.asarray(mean.get_ydata())) >= 0
+
+
+def test_no_line_is_drawn_over_a_pause() -> None:
+    seconds, values = curves._with_gaps(np.array([0.0, 0.1, 2.0]), np.array([1.0, 2.0, 3.0]))
+    assert np.isnan(seconds).tolist() == [False, False, True, False]
+    assert np.isnan(values).tolist() == [False, False, True, False]
+
+
+def test_who_and_what_is_missing_is_said(processed: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no person 9 \(there are: 0, 1\)"):
+        curves.figure_of(collected(processed), "angles", 9)
+    with pytest.raises(ConfigError, match="no truth"):
+        curves.figure_of(collected(processed, with_truth=False), "error")
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.html"])
+def test_the_same_log_gives_the_same_bytes(processed: Path, tmp_path: Path, name: str) -> None:
+    paths = [tmp_path / f"{k}{name}" for k in range(2)]
+    for path in paths:
+        assert run(["plot", str(processed), "-o", str(path), "-q"]) == 0
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: Path) -> None:
+    page = tmp_path / "a.html"
+    assert run(["plot", str(processed), "-o", str(page), "-q"]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") == 6
+    assert "Person 0" in text
+    assert "Person 1" in text
+    assert not re.findall(r"""(?:src|href)=["'](?!#)""", text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["-o", "a.pdf"], "ends in .png or .html"),
+        (["-o", "/nowhere/at/all.png"], "no such folder"),
+        (["-o", "a.png", "--what", "dance"], "none of angles, limbs, error"),
+        (["-o", "a.png", "--person", "9"], "no person 9"),
+        (["-o", "a.png", "--channel", "/hiros/none"], "/hiros/none"),
+    ],
+)
+def test_faults_are_one_line(
+    processed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    fault: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["plot", str(processed), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert fault in captured.err
+    assert list(tmp_path.iterdir()) == []

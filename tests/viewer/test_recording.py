@@ -1,0 +1,231 @@
+"""What is in a recording: read back and compared with the log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from viewers import need_rerun
+
+from hiros_cli.app import run
+from hiros_mcap.angles import flexions
+from hiros_mcap.errors import ConfigError, HirosError
+from hiros_mcap.evaluate.logs import read_channel
+from hiros_mcap.log import open_log
+from hiros_mcap.pipeline import process
+from hiros_mcap.skeletons import Floats
+from hiros_mcap.transforms import transform_to_fixed
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+CROSSING = SAMPLES / "two_people_crossing.mcap"
+
+Rows = dict[int, Floats]
+
+
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("view") / "crossing.hiros.mcap"
+    process(CROSSING, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def recording(processed: Path) -> Path:
+    need_rerun()
+    target = processed.with_suffix(".rrd")
+    assert run(["view", str(processed), "--save", str(target), "--quiet"]) == 0
+    return target
+
+
+def rows(recording: Path, entity: str, component: str) -> Rows:
+    """Stamp, ns -> values of a component of an entity."""
+    import rerun.chunk
+
+    found: Rows = {}
+    for chunk in rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks():
+        batch: Any = chunk.to_record_batch()
+        if component not in batch.schema.names or "stamp" not in batch.schema.names:
+            continue
+        stamps = batch.column("stamp").cast("int64").to_numpy(zero_copy_only=False)
+        for stamp, value in zip(stamps, batch.column(component), strict=True):
+            found[int(stamp)] = np.array(value.as_py(), float)
+    return found
+
+
+def entities(recording: Path) -> set[str]:
+    import rerun.chunk
+
+    chunks = rerun.chunk.RrdReader(str(recording)).stream().to_chunks()
+    return {chunk.entity_path for chunk in chunks}
+
+
+@pytest.mark.parametrize("stage", ["tracked", "merged", "optimized", "filtered"])
+def test_joints_of_every_stage_are_those_of_the_log(
+    recording: Path, processed: Path, stage: str
+) -> None:
+    frames, _, _ = read_channel(processed, f"/hiros/{stage}")
+    for person in (0, 1):
+        drawn = rows(recording, f"/{stage}/{person}", "Points3D:positions")
+        compared = 0
+        for frame in frames:
+            if person in frame.ids:
+                true = frame.positions[frame.ids.tolist().index(person)]
+                assert np.allclose(drawn[frame.stamp], true, atol=1e-5, equal_nan=True)
+                compared += 1
+        assert compared > 140
+
+
+def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Path) -> None:
+    with open_log(processed) as log:
+        frames = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+    drawn = {
+        f"camera_{k}": rows(recording, f"/detections/camera_{k}", "Points3D:positions")
+        for k in range(3)
+    }
+    for frame in frames:
+        points = drawn[frame.source][frame.stamp].reshape(-1, 3)
+        assert np.allclose(points, frame.positions.reshape(-1, 3), atol=1e-5, equal_nan=True)
+    assert len(frames) == sum(len(table) for table in drawn.values()) - 3  # hidden at the end
+
+
+def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
+    frames, model, _ = read_channel(processed, "/hiros/filtered")
+    angles = rows(recording, "/angles/0", "Scalars:scalars")
+    for frame in frames:
+        bends = np.degrees(flexions(model, frame.positions[frame.ids.tolist().index(0)]))
+        assert np.allclose(angles[frame.stamp], bends, atol=1e-6, equal_nan=True)
+    limbs = np.stack(list(rows(recording, "/limbs/0", "Scalars:scalars").values()))
+    assert limbs.shape == (len(frames), 8)
+    assert limbs.std(axis=0).max() < 0.001
+    people = np.stack(list(rows(recording, "/people/camera_0", "Scalars:scalars").values()))
+    assert set(people.ravel()) <= {0.0, 1.0, 2.0}
+
+
+def test_the_tree(recording: Path) -> None:
+    found = entities(recording)
+    for path in (
+        "/world/cameras/camera_2/view", "/merged/1/bones", "/filtered/0/trail", "/filtered/0/name",
+        "/truth/0", "/state/0", "/log", "/residual/camera_1", "/speed/1",
+    ):  # fmt: skip
+        assert path in found
+
+
+def test_a_time_range(processed: Path, tmp_path: Path) -> None:
+    need_rerun()
+    target = tmp_path / "part.rrd"
+    arguments = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q"]
+    assert run(arguments) == 0
+    with open_log(processed) as log:
+        start = log.span[0]
+    stamps = np.array(sorted(rows(target, "/filtered/0", "Points3D:positions")))
+    assert stamps[0] >= start + 1_000_000_000
+    assert stamps[-2] <= start + 2_000_000_000
+
+
+def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Path) -> None:
+    need_rerun()
+    from hiros_mcap.config import load_config
+
+    other, target = tmp_path / "other.mcap", tmp_path / "both.rrd"
+    process(CROSSING, other, config=load_config(None, ["filter.cutoff=8"]))
+    assert run(["view", str(processed), str(other), "--save", str(target), "-q"]) == 0
+    assert {"/a/filtered/0", "/b/filtered/0"} <= entities(target)
+    mean = np.concatenate(list(rows(target, "/distance/mean", "Scalars:scalars").values()))
+    assert len(mean) == 150
+    ours, theirs = (read_channel(p, "/hiros/filtered")[0] for p in (processed, other))
+    expected = [
+        1000 * np.nanmean(np.linalg.norm(a.positions - b.positions, axis=-1))
+        for a, b in zip(ours, theirs, strict=True)
+    ]
+    assert np.allclose(mean, expected)
+
+
+def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
+    need_rerun()
+    target = tmp_path / "raw.rrd"
+    assert run(["view", str(CROSSING), "--save", str(target), "-q", "--layout", "cameras"]) == 0
+    assert "/detections/camera_1" in entities(target)
+    assert "/filtered/0" not in entities(target)
+
+
+def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
+    need_rerun()
+    from hiros_viewer.replay import describe, in_time_order
+    from hiros_viewer.scene import Scene
+    from hiros_viewer.show import new_recording
+
+    recording = new_recording("test")
+    recording.memory_recording()
+    with open_log(processed, topics=["*"], output_prefix="/none") as log:
+        scene = Scene(recording, describe(log).model, batch=50)
+        longest = 0
+        for kind, frame in in_time_order(log):
+            if kind != "detections":
+                scene.stage(kind, frame)
+            longest = max(longest, *(len(rows.stamps) for rows in scene._points.values()), 0)
+    assert 0 < longest <= 50
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["{log}", "--layout", "sideways"], "no layout 'sideways'"),
+        (["{log}", "--time-range", "5"], "not of the form START:END"),
+        (["{log}", "--time-range", "7:6"], "ends before it starts"),
+        (["{log}", "--time-range", "100:200"], "no skeletons in this time range"),
+        (["{log}", "--stage", "cooked"], "no stage 'cooked'"),
+        (["{log}", "{log}", "{log}"], "two logs at most"),
+        (["{log}", "--web"], "exclude each other"),
+    ],
+)
+def test_faults_are_one_line_and_leave_no_file(
+    processed: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    fault: str,
+) -> None:
+    need_rerun()
+    given = [a.format(log=processed) for a in arguments]
+    assert run(["view", *given, "--save", str(tmp_path / "a.rrd")]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert fault in captured.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_no_recording_is_not_replaced(processed: Path, tmp_path: Path) -> None:
+    need_rerun()
+    precious = tmp_path / "thesis.txt"
+    precious.write_text("words")
+    assert run(["view", str(processed), "--save", str(precious)]) == 2
+    assert precious.read_text() == "words"
+
+
+def test_nothing_listens_where_it_should_connect() -> None:
+    need_rerun()
+    from hiros_viewer.show import connect, free_port
+
+    with pytest.raises(ConfigError, match="no viewer at"):
+        connect(f"rerun+http://127.0.0.1:{free_port()}/proxy", "x", lambda recording: None)
+    with pytest.raises(ConfigError, match="not of the form"):
+        connect("http://127.0.0.1", "x", lambda recording: None)
+
+
+def test_without_rerun_the_command_that_installs_it_is_printed(
+    processed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("hiros_viewer.show.find_spec", lambda name: None)
+    assert run(["view", str(processed)]) == 2
+    assert "pip install 'hiros-mcap[viewer]'" in capsys.readouterr().err
+
+
+def test_a_damaged_list_of_events_is_told(processed: Path) -> None:
+    from hiros_mcap.events import events_from_json
+
+    for text in ("{", "[1]", '[{"stamp": 1}]'):
+        with pytest.raises((ValueError, TypeError)):
+            events_from_json(text)
+    assert issubclass(ConfigError, HirosError)

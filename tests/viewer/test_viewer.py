@@ -1,0 +1,244 @@
+"""The real viewer, without a screen: it opens what hiros writes, and shows it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from viewers import (
+    LOOPBACK,
+    Browser,
+    headless,
+    listeners,
+    need_chromium,
+    need_rerun,
+    picture,
+    pixels_like,
+    settled_picture,
+)
+
+from hiros_cli.app import run
+from hiros_mcap.colours import person_colour
+from hiros_mcap.events import Events
+from hiros_mcap.log import open_log
+from hiros_mcap.pipeline import process
+from hiros_mcap.skeletons import Frame
+from hiros_viewer.blueprint import LAYOUTS
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+CROSSING = SAMPLES / "two_people_crossing.mcap"
+
+
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("viewer") / "crossing.hiros.mcap"
+    process(CROSSING, out)
+    return out
+
+
+def start_of(log: Path) -> float:
+    with open_log(log) as opened:
+        return opened.span[0] / 1e9
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_opens_without_a_complaint(
+    processed: Path, tmp_path: Path, layout: str
+) -> None:
+    target = tmp_path / "log.rrd"
+    with headless() as (url, _):
+        from rerun.experimental import ViewerClient
+
+        assert run(["view", str(processed), "--save", str(target), "--layout", layout, "-q"]) == 0
+        with ViewerClient.connect(url) as client:
+            client.open(str(target))
+            wait_until_loaded(client)
+            client.set_time("stamp", timestamp=start_of(processed) + 2.0, play_state="paused")
+            image = picture(settled_picture(client))
+            views = client.get_state().views
+            assert views
+            assert [report for view in views for report in view.reports] == []
+    for person in (0, 1):
+        assert pixels_like(image, person_colour(person)) > 300
+
+
+def wait_until_loaded(client: object, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        state = client.get_state()  # type: ignore[attr-defined]
+        if not state.loading and state.views:
+            return
+        time.sleep(0.1)
+    raise AssertionError("the recording does not load")
+
+
+def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
+    """Person 1 leaves the log after 2 s: seen at 1 s, no pixel of them at 4 s."""
+    from hiros_viewer import replay, show
+
+    need_rerun()
+    target = tmp_path / "left.rrd"
+    cut = round((start_of(processed) + 2.0) * 1e9)
+
+    def draw(recording: object) -> None:
+        with open_log(processed, topics=["/hiros/filtered"], output_prefix="/none") as log:
+            scene = replay.Scene(recording, log.model)  # type: ignore[arg-type]
+            scene.begin({})
+            for frame in log.frames():
+                keep = [p == 0 or frame.stamp < cut for p in frame.ids.tolist()]
+                scene.stage("filtered", frame.select(np.array(keep)))
+            scene.finish()
+            content = replay.content_of([scene], [""])
+        recording.send_blueprint(replay.blueprint(content))  # type: ignore[attr-defined]
+
+    show.save(target, "left", draw)
+    counts = {}
+    with headless() as (url, _):
+        from rerun.experimental import ViewerClient
+
+        with ViewerClient.connect(url) as client:
+            client.open(str(target))
+            wait_until_loaded(client)
+            (room,) = [v for v in client.get_state().views if v.view_class == "3D"]
+            for second in (1.0, 4.0):
+                client.set_time(
+                    "stamp", timestamp=start_of(processed) + second, play_state="paused"
+                )
+                image = picture(settled_picture(client, room.view_id))
+                counts[second] = [pixels_like(image, person_colour(p)) for p in (0, 1)]
+    assert min(counts[1.0]) > 300
+    assert counts[4.0][0] > 300
+    assert counts[4.0][1] == 0
+
+
+def test_the_viewer_listens_on_the_loopback_address_alone() -> None:
+    with headless() as (_, viewer):
+        addresses = listeners(viewer.pid)
+        assert addresses
+        assert set(addresses) <= LOOPBACK
+
+
+def test_live_view_shows_the_run_and_outlives_it(tmp_path: Path) -> None:
+    from hiros_viewer.live import LiveView
+    from hiros_viewer.show import new_recording
+
+    with headless() as (url, viewer):
+        from rerun.experimental import ViewerClient
+
+        recording = new_recording("live")
+        recording.connect_grpc(url)
+        view = LiveView(recording, lambda: viewer.poll() is None, lambda: None)
+        process(CROSSING, tmp_path / "out.mcap", watcher=view)
+        recording.disconnect()
+        with ViewerClient.connect(url) as client:
+            wait_until_loaded(client)
+            client.set_time("stamp", timestamp=start_of(CROSSING) + 2.0, play_state="paused")
+            image = picture(settled_picture(client))
+            reports = [report for view_ in client.get_state().views for report in view_.reports]
+        assert reports == []
+    assert pixels_like(image, person_colour(0)) > 300
+
+
+def test_the_viewers_death_does_not_stop_the_processing(tmp_path: Path) -> None:
+    from hiros_viewer.live import LiveView
+    from hiros_viewer.show import new_recording
+
+    told = []
+    with headless() as (url, viewer):
+        recording = new_recording("live")
+        recording.connect_grpc(url)
+        view = LiveView(recording, lambda: viewer.poll() is None, lambda: told.append("closed"))
+
+        class Killer(LiveView):
+            count = 0
+
+            def frame(self, channel: str, frame: Frame) -> None:
+                Killer.count += 1
+                if Killer.count == 300:
+                    viewer.kill()
+                    viewer.wait()
+                view.frame(channel, frame)
+
+            def begin(self, log: object, chain: object) -> None:
+                view.begin(log, chain)  # type: ignore[arg-type]
+
+            def end(self, events: Events) -> None:
+                view.end(events)
+
+        killer = Killer(recording, lambda: True, lambda: None)
+        process(CROSSING, tmp_path / "out.mcap", watcher=killer)
+    process(CROSSING, tmp_path / "alone.mcap")
+    assert told == ["closed"]
+    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
+
+
+@contextmanager
+def served(log: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run ``hiros view --web``; yield it and the address that it names."""
+    command = [sys.executable, "-m", "hiros_cli", "view", str(log), "--web", "-q"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        line = server.stdout.readline()
+        try:
+            assert line.startswith("open http://127.0.0.1:"), line
+            yield server, line.split()[1]
+        finally:
+            server.terminate()
+
+
+def children_of(pid: int) -> list[int]:
+    return [
+        int(path.name)
+        for path in Path("/proc").iterdir()
+        if path.name.isdigit()
+        and (path / "stat").exists()
+        and int((path / "stat").read_text().rsplit(")", 1)[1].split()[1]) == pid
+    ]
+
+
+def test_the_web_viewer_listens_on_the_loopback_address_alone(processed: Path) -> None:
+    need_rerun()
+    with served(processed) as (server, _):
+        end = time.monotonic() + 20
+        addresses: list[str] = []
+        while time.monotonic() < end and len(addresses) < 2:
+            addresses = [a for pid in children_of(server.pid) for a in listeners(pid)]
+            time.sleep(0.2)
+    assert len(addresses) >= 2
+    assert set(addresses) <= LOOPBACK
+
+
+def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None:
+    need_rerun()
+    chromium = need_chromium()
+    shown = [0, 0]
+    with (
+        served(processed) as (_, address),
+        Browser(chromium, tmp_path / "profile", f"{address}&renderer=webgl") as browser,
+    ):
+        end = time.monotonic() + 120
+        while time.monotonic() < end and min(shown) <= 100:
+            time.sleep(2)
+            image = picture(browser.screenshot())
+            shown = [pixels_like(image, person_colour(person)) for person in (0, 1)]
+    assert min(shown) > 100
+
+
+def test_the_window_ends_with_one_line_where_there_is_no_screen(
+    processed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    need_rerun()
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    if sys.platform != "linux":
+        pytest.skip("elsewhere there is always a screen")
+    assert run(["view", str(processed), "-q"]) == 2
+    assert "is there a screen?" in capsys.readouterr().err
+    assert threading.active_count() < 20

@@ -1,0 +1,171 @@
+"""The real viewer for tests: headless, or its absence as a reason to skip."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import json
+import os
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hiros_mcap.errors import HirosError
+
+REQUIRED = os.environ.get("HIROS_REQUIRE_VIEWER") == "1"
+"""Set where a skipped viewer test is a failure, as in .ci/run."""
+
+Picture = npt.NDArray[np.uint8]
+
+
+def skip(reason: str) -> None:
+    """Skip, unless the viewer must be there."""
+    if REQUIRED:
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+def need_rerun() -> None:
+    try:
+        import rerun  # noqa: F401
+    except ImportError:
+        skip("the Rerun viewer is not installed: pip install 'hiros-mcap[viewer]'")
+
+
+def need_chromium() -> str:
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next((path for name in names if (path := shutil.which(name))), None)
+    if found is None or os.environ.get("HIROS_WEB_TEST") != "1":
+        if os.environ.get("HIROS_WEB_TEST") == "1":
+            pytest.fail("there is no Chromium")
+        pytest.skip("slow: run with HIROS_WEB_TEST=1 and Chromium")
+    return str(found)
+
+
+@contextmanager
+def headless() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Start the viewer that ``hiros process --view`` starts, without a screen."""
+    need_rerun()
+    from hiros_viewer.show import running_viewer
+
+    try:
+        context = running_viewer("--headless")
+        url, process = context.__enter__()
+    except HirosError as error:
+        skip(f"no headless viewer ({error}); Debian: mesa-vulkan-drivers libvulkan1")
+        raise
+    try:
+        yield url, process
+    finally:
+        context.__exit__(None, None, None)
+        process.kill()
+        process.wait()
+
+
+def picture(png: bytes) -> Picture:
+    """(H, W, 3) pixels of a PNG."""
+    matplotlib_image = pytest.importorskip("matplotlib.image")
+    pixels = matplotlib_image.imread(io.BytesIO(png), format="png")
+    return np.asarray(np.rint(pixels[..., :3] * 255), np.uint8)
+
+
+def pixels_like(image: Picture, colour: tuple[int, int, int], apart: int = 60) -> int:
+    """How many pixels have the hue of a colour: shading makes joints darker, not greyer."""
+    colours = image.reshape(-1, 3).astype(float)
+    brightness = np.maximum(colours.max(axis=1), 1)
+    scaled = colours / brightness[:, None] * max(colour)
+    close = np.abs(scaled - np.array(colour)).max(axis=1) < apart
+    return int((close & (brightness > 90)).sum())
+
+
+def settled_picture(client: object, view_id: object = None) -> bytes:
+    """Return the screenshot once it does not change any more."""
+    before = b""
+    for _ in range(60):
+        now = client.take_screenshot(view_id)  # type: ignore[attr-defined]
+        if now == before:
+            return bytes(now)
+        before = now
+        time.sleep(0.2)
+    raise AssertionError("the picture does not settle")
+
+
+def listeners(pid: int) -> list[str]:
+    """Addresses that a process listens on, by the kernel's tables (Linux)."""
+    if not Path("/proc/net/tcp").exists():
+        pytest.skip("needs /proc")
+    inodes = set()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            target = os.readlink(link)  # noqa: PTH115
+        except OSError:
+            continue
+        if target.startswith("socket:["):
+            inodes.add(target[8:-1])
+    found = []
+    for name in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]:
+            cells = line.split()
+            if cells[3] == "0A" and cells[9] in inodes:
+                found.append(cells[1].split(":")[0])
+    return found
+
+
+LOOPBACK = {"0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F"}
+"""127.0.0.1 and ::1 as the kernel writes them."""
+
+
+class Browser:
+    """Headless Chromium, told what to do over its DevTools socket."""
+
+    FLAGS = (
+        *("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+        *("--ignore-gpu-blocklist", "--disable-quic", "--no-first-run", "--disable-sync"),
+        *("--disable-background-networking", "--disable-component-update"),
+        *("--window-size=1200,700", "--remote-debugging-port=0"),
+    )
+
+    def __init__(self, chromium: str, profile: Path, address: str) -> None:
+        command = [chromium, *self.FLAGS, f"--user-data-dir={profile}", address]
+        quiet = subprocess.DEVNULL
+        self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet)
+        self._port_file = profile / "DevToolsActivePort"
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def screenshot(self) -> bytes:
+        """Return what the page looks like right now, as PNG."""
+        from websockets.sync.client import connect
+
+        with connect(self._page(), max_size=None) as socket_:
+            socket_.send(json.dumps({"id": 1, "method": "Page.captureScreenshot"}))
+            while True:
+                answer = json.loads(socket_.recv(timeout=60))
+                if answer.get("id") == 1:
+                    return base64.b64decode(answer["result"]["data"])
+
+    def _page(self, seconds: float = 30.0) -> str:
+        """Address of the page's DevTools socket, as soon as there is one."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            with contextlib.suppress(OSError, IndexError):
+                port = self._port_file.read_text().split()[0]
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as reply:
+                    pages = [page for page in json.load(reply) if page["type"] == "page"]
+                return str(pages[0]["webSocketDebuggerUrl"])
+            time.sleep(0.2)
+        raise AssertionError("Chromium does not start")
