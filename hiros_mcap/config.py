@@ -1,7 +1,7 @@
 """The parameters of all stages together: presets, a TOML file, single assignments.
 
-Later layers win: defaults < preset < file < ``stage.param=value``. Only names that exist are
-accepted, and an error names the layer, the parameter and what would have been right.
+Later layers win: defaults < system < preset < file < ``stage.param=value``. Only names that exist
+are accepted, and an error names the layer, the parameter and what would have been right.
 """
 
 from __future__ import annotations
@@ -111,8 +111,15 @@ upstream: the same with workable launch values of the published code; its defect
 """
 
 
+SYSTEM_DEFAULTS: Mapping[str, Table] = {}
+"""Systems that are another one with other parameters -> what they change."""
+
+
 def load_config(
-    path: Path | None = None, overrides: Sequence[str] = (), preset: str = "default"
+    path: Path | None = None,
+    overrides: Sequence[str] = (),
+    preset: str = "default",
+    system: str = "hiros",
 ) -> Config:
     """Return the configuration of a run.
 
@@ -121,6 +128,7 @@ def load_config(
     path : TOML file with a table per section, as :func:`to_toml` writes it.
     overrides : assignments ``section.param=value``; the value is TOML, a bare word is a string.
     preset : a key of :data:`PRESETS`.
+    system : a key of :data:`hiros_mcap.systems.SYSTEMS`, whose own defaults come first.
 
     Raises
     ------
@@ -129,7 +137,8 @@ def load_config(
     """
     if preset not in PRESETS:
         raise ConfigError(f"no preset {preset!r}{_instead(preset, PRESETS)}")
-    layers = [(f"preset {preset}", PRESETS[preset])]
+    layers = [(f"system {system}", SYSTEM_DEFAULTS.get(system, {}))]
+    layers += [(f"preset {preset}", PRESETS[preset])]
     if path is not None:
         layers.append((str(path), _read(path)))
     layers += [("--set", _assignment(text)) for text in overrides]

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Protocol
 from hiros_mcap._version import __version__
 from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skeleton_channel
 from hiros_mcap.codec import Encoder
-from hiros_mcap.config import Config, to_toml
+from hiros_mcap.config import Config, load_config, to_toml
 from hiros_mcap.container import ChunkCopier, McapWriter
-from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.errors import LogError
 from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
 from hiros_mcap.log import Log, open_log
@@ -30,17 +30,14 @@ from hiros_mcap.observe import Observer, Stopwatch
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import SYSTEMS, Run, Stages
+from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, system
 from hiros_mcap.transforms import transform_to_fixed
 
 if TYPE_CHECKING:
     from hiros_mcap.export.markers import MarkerExport
 
-LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 LIMBS_ATTACHMENT = "hiros/limbs.toml"
 EVENTS_ATTACHMENT = "hiros/events.json"
-CHAINS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
-"""Chains of Hi-ROS that make sense: merging and filtering need the tracker's ids (Fig. 2)."""
 
 
 class Progress(Protocol):
@@ -87,8 +84,10 @@ class Nobody:
 class ProcessOptions:
     """What is read, run and written, besides the parameters of the stages."""
 
-    stages: str = "TMOF"
-    """One of CHAINS: T tracker, M merger, O optimizer, F filter."""
+    system: str = "hiros"
+    """A key of :data:`hiros_mcap.systems.SYSTEMS`."""
+    stages: str = ""
+    """One of the system's chains of T tracker, M merger, O optimizer, F filter; "" = all."""
     topics: tuple[str, ...] = ()
     """Globs of the detection channels; empty = every SkeletonGroup channel."""
     keep: tuple[str, ...] | None = None
@@ -133,8 +132,9 @@ def process(
     ConfigError
         a parameter or a side file is wrong.
     """
-    config, options = config or Config(), options or ProcessOptions()
-    chain = _chain(options.stages)
+    options = options or ProcessOptions()
+    config = config or load_config(system=options.system)
+    chain = chain_of(options.system, options.stages)
     watch = Stopwatch()
     limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
     log = open_log(
@@ -144,8 +144,16 @@ def process(
         fixed_frame=config.input.fixed_frame or None,
     )
     with log:
-        run = Run(log.model, config, Events(), limbs, camera_positions(log), log.fixed_frame)
-        if "optimized" in chain and config.optimize.calibration == "two-pass" and not limbs.people:
+        run = Run(
+            log.model,
+            config,
+            Events(),
+            limbs,
+            camera_positions(log),
+            log.fixed_frame,
+            options.system,
+        )
+        if _takes_two_passes(run, chain):
             limbs.people.update(_calibrate_first(log, run, chain).people)
         observer = Observer(log, run, chain, watch)
         watcher = watcher or Nobody()
@@ -174,17 +182,8 @@ def camera_positions(log: Log) -> dict[str, Floats]:
     return positions
 
 
-def _chain(stages: str) -> tuple[str, ...]:
-    if stages.upper() not in CHAINS:
-        raise ConfigError(
-            f"no chain of stages {stages!r}: merging, optimizing and filtering need the tracker's "
-            f"ids, in this order (there are: {', '.join(CHAINS)})"
-        )
-    return tuple(LETTERS[letter] for letter in stages.upper())
-
-
 def _stages(run: Run, chain: Sequence[str]) -> Stages:
-    table = SYSTEMS["hiros"](run)
+    table = system(run.system).stages(run)
     return {name: table[name] for name in chain}
 
 
@@ -212,9 +211,15 @@ def _tap(frames: Iterable[Frame], sink: Callable[[Frame], None]) -> Iterator[Fra
         yield frame
 
 
+def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
+    """Whether limbs are measured on the whole log first; other systems measure on the way."""
+    wanted = run.config.optimize.calibration == "two-pass"
+    return wanted and run.system == "hiros" and "optimized" in chain and not run.limbs.people
+
+
 def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
     """First of two passes: everything before the optimizer, to measure the limbs."""
-    blind = Run(run.model, run.config, Events(), LimbTable(), run.cameras, run.fixed_frame)
+    blind = replace(run, events=Events(), limbs=LimbTable())
     frames: Iterable[Frame] = transform_to_fixed(log.frames(), log.transforms, run.fixed_frame)
     for stage in _stages(blind, chain[: chain.index("optimized")]).values():
         frames = stage(frames)
@@ -298,7 +303,7 @@ def _add_provenance(
         "hiros.provenance",
         {
             "version": __version__,
-            "system": "hiros",
+            "system": run.system,
             "stages": ",".join(chain),
             "fixed_frame": run.fixed_frame,
             "config_sha256": hashlib.sha256(config).hexdigest(),

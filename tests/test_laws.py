@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from hiros_mcap.evaluate import Scores, evaluate
 from hiros_mcap.events import Events
-from hiros_mcap.pipeline import CHAINS, LETTERS
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.merge import merge
 from hiros_mcap.stages.track import track
-from hiros_mcap.systems import Run, hiros
+from hiros_mcap.systems import LETTERS, SYSTEMS, Run, hiros
 
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
 
@@ -49,7 +48,7 @@ def all_same(some: Sequence[Frame], others: Sequence[Frame]) -> bool:
     return len(some) == len(others) and all(map(same, some, others))
 
 
-@pytest.mark.parametrize("chain", CHAINS)
+@pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)
 def test_stages_do_not_change_what_they_are_given(chain: str) -> None:
     given = through(chain[:-1], crossing().frames, crossing())
     before = copies(given)

@@ -17,6 +17,10 @@ ConfigFile = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE", help="TOML file as `hiros config` prints it."),
 ]
+SystemName = Annotated[
+    str,
+    typer.Option("--system", metavar="NAME", help="hiros, or another one (`hiros systems`)."),
+]
 Assignments = Annotated[
     list[str] | None,
     typer.Option(

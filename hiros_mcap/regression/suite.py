@@ -66,7 +66,8 @@ class Case(Params):
     preset: str = "default"
     config: str = Field("", description="TOML file with parameters.")
     set: tuple[str, ...] = Field((), description="Parameters: stage.param=value.")
-    stages: str = "TMOF"
+    system: str = "hiros"
+    stages: str = Field("", description="Chain of the system's stages. Default: all.")
     tolerances: dict[str, float] = Field(
         {}, description="Instead of those in GOLDEN.tolerances.toml."
     )
@@ -214,7 +215,10 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
         with tempfile.TemporaryDirectory() as temporary:
             out = (keep or Path(temporary)) / f"{_file_name(case.title)}.mcap"
             config = load_config(
-                folder / case.config if case.config else None, case.set, case.preset
+                folder / case.config if case.config else None,
+                case.set,
+                case.preset,
+                case.system,
             )
             _process(folder / case.input, out, case, config)
             result = _check(folder, case, out, bless=bless)

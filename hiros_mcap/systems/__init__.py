@@ -2,11 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.systems.hiros import hiros
-from hiros_mcap.systems.run import Run, Stages
+from hiros_mcap.systems.run import Run, Stages, System
 
-SYSTEMS: dict[str, Callable[[Run], Stages]] = {"hiros": hiros}
+LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
+"""Letter of a chain -> output channel."""
 
-__all__ = ["SYSTEMS", "Run", "Stages", "hiros"]
+SYSTEMS: dict[str, System] = {
+    "hiros": System(
+        "Hi-ROS 2023: track, merge, optimize, filter, with what real logs need beyond the paper",
+        hiros,
+        # Merging and filtering need the tracker's ids (Fig. 2).
+        ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF"),
+    ),
+}
+
+
+def system(name: str) -> System:
+    """Return a system by its name.
+
+    Raises
+    ------
+    ConfigError
+        There is none of this name.
+    """
+    if name not in SYSTEMS:
+        raise ConfigError(f"no system {name!r} (there are: {', '.join(SYSTEMS)})")
+    return SYSTEMS[name]
+
+
+def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
+    """Return the output channels of a system's chain; "" is the whole system.
+
+    Raises
+    ------
+    ConfigError
+        There is no such system, or it has no such chain.
+    """
+    chains = system(name).chains
+    chosen = stages.upper() or chains[-1]
+    if chosen not in chains:
+        raise ConfigError(
+            f"system {name} has no chain of stages {stages!r}: merging, optimizing and filtering "
+            f"need the tracker's ids, in this order (there are: {', '.join(chains)})"
+        )
+    return tuple(LETTERS[letter] for letter in chosen)
+
+
+__all__ = ["LETTERS", "SYSTEMS", "Run", "Stages", "System", "chain_of", "hiros", "system"]

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from functools import partial
 
-from hiros_mcap.stages.merge import merge
-from hiros_mcap.stages.optimize import optimize
-from hiros_mcap.stages.smooth import smooth
-from hiros_mcap.stages.track import track
 from hiros_mcap.systems.run import Run, Stages
 
 
 def hiros(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 2)."""
+    from hiros_mcap.stages.merge import merge
+    from hiros_mcap.stages.optimize import optimize
+    from hiros_mcap.stages.smooth import smooth
+    from hiros_mcap.stages.track import track
+
     model, config, events = run.model, run.config, run.events
     return {
         "tracked": partial(

@@ -1,8 +1,8 @@
-"""What a system needs to know of a run to set up its stages."""
+"""What a system is, and what it needs to know of a run to set up its stages."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from hiros_mcap.config import Config
@@ -26,3 +26,18 @@ class Run:
     cameras: Mapping[str, Floats] = field(default_factory=dict)
     """Source -> (3,) position of the camera in the fixed frame, m."""
     fixed_frame: str = ""
+    system: str = "hiros"
+    """Name of the system that is run."""
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """A way to get from detections to clean skeletons: a table of stages."""
+
+    text: str
+    """One line for a list of systems."""
+    stages: Callable[[Run], Stages]
+    """Sets up the stages of a run. Their modules are imported here and not before: the kernels of
+    a system that nobody runs are neither compiled nor loaded."""
+    chains: tuple[str, ...]
+    """Legal selections of the stages by their letters (T M O F); the last one is all of them."""

@@ -201,7 +201,7 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--preset", "papre"], "did you mean paper?"),
         (["--stages", "MOF"], "TMOF"),
         (["--calibrate", "10-20"], "START:END"),
-        (["--calibrate", "20:10"], "start must precede end"),
+        (["--calibrate", "20:10"], "ends before it starts"),
         (["--solver", "newton"], "'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-import hiros_mcap.pipeline
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.pipeline import ProcessOptions, process
 from hiros_mcap.regression import report
@@ -57,15 +57,15 @@ Wrap = Callable[[Iterable[Frame]], Iterator[Frame]]
 
 def change_stage(monkeypatch: pytest.MonkeyPatch, name: str, wrap: Wrap) -> None:
     """Let the frames of one stage pass through ``wrap``."""
-    build = SYSTEMS["hiros"]
+    hiros = SYSTEMS["hiros"]
 
     def changed(run: Run) -> Mapping[str, Callable[[Iterable[Frame]], Iterator[Frame]]]:
-        table = dict(build(run))
+        table = dict(hiros.stages(run))
         stage = table[name]
         table[name] = lambda frames: wrap(stage(frames))
         return table
 
-    monkeypatch.setitem(hiros_mcap.pipeline.SYSTEMS, "hiros", changed)
+    monkeypatch.setitem(SYSTEMS, "hiros", replace(hiros, stages=changed))
 
 
 def lifted(metres: float) -> Wrap:

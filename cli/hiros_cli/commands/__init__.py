@@ -6,7 +6,18 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from hiros_cli.commands import check, config, evaluate, info, plot, process, simulate, view, warmup
+from hiros_cli.commands import (
+    check,
+    config,
+    evaluate,
+    info,
+    plot,
+    process,
+    simulate,
+    systems,
+    view,
+    warmup,
+)
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 
@@ -54,6 +65,7 @@ app.command("eval")(evaluate.evaluate)
 app.command()(check.check)
 app.command()(info.info)
 app.command()(simulate.simulate)
+app.command()(systems.systems)
 app.command()(config.config)
 app.command()(warmup.warmup)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from hiros_cli.options import Assignments, ConfigFile, Preset
+from hiros_cli.options import Assignments, ConfigFile, Preset, SystemName
 
 
 def config(
-    preset: Preset = "default", config: ConfigFile = None, assignments: Assignments = None
+    system: SystemName = "hiros",
+    preset: Preset = "default",
+    config: ConfigFile = None,
+    assignments: Assignments = None,
 ) -> None:
     """Print every parameter with its meaning and value, as TOML that --config reads back."""
     from hiros_cli.kernels import prepare
@@ -14,4 +17,4 @@ def config(
     prepare(quiet=False)
     from hiros_mcap.config import load_config, to_toml
 
-    print(to_toml(load_config(config, assignments or (), preset)), end="")
+    print(to_toml(load_config(config, assignments or (), preset, system)), end="")

@@ -16,6 +16,7 @@ from hiros_cli.options import (
     Json,
     Preset,
     Quiet,
+    SystemName,
     seconds_range,
 )
 
@@ -32,13 +33,15 @@ def process(
         Path | None,
         typer.Option("--output", "-o", metavar="OUT", help=f"Default: IN's name with {SUFFIX}."),
     ] = None,
+    system: SystemName = "hiros",
     stages: Annotated[
         str,
         typer.Option(
             metavar="CHAIN",
-            help="Which of track, merge, optimize, filter: T, TM, TO, TF, TMF, TMO or TMOF.",
+            help="Which of track, merge, optimize, filter: T, TM, TO, TF, TMF, TMO or TMOF. "
+            "Default: all that the system has.",
         ),
-    ] = "TMOF",
+    ] = "",
     topic: Annotated[
         list[str] | None,
         typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
@@ -118,6 +121,7 @@ def process(
     from hiros_mcap.pipeline import process as run
 
     options = ProcessOptions(
+        system=system,
         stages=stages,
         topics=tuple(topic or ()),
         keep=None if keep is None else tuple(filter(None, keep)),
@@ -127,7 +131,7 @@ def process(
         markers=markers,
         strict=strict,
     )
-    effective = load_config(config, [*shortcuts, *(assignments or ())], preset)
+    effective = load_config(config, [*shortcuts, *(assignments or ())], preset, system)
     with ExitStack() as stack:
         watcher = stack.enter_context(_live(source)) if view else None
         progress = stack.enter_context(bar(source.name, quiet=quiet))
