@@ -20,9 +20,13 @@ from pydantic import Field, ValidationError
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params
+from hiros_mcap.stages.associate import AssociateParams
+from hiros_mcap.stages.kalman import KalmanParams
 from hiros_mcap.stages.merge import MergeParams
+from hiros_mcap.stages.moving_average import MovingAverageParams
 from hiros_mcap.stages.optimize import OptimizeParams
 from hiros_mcap.stages.smooth import FilterParams
+from hiros_mcap.stages.straighten import StraightenParams
 from hiros_mcap.stages.track import TrackParams
 from hiros_mcap.validation import explain
 
@@ -51,6 +55,18 @@ class Config(Params):
         OptimizeParams(), description="Constant limb lengths (Hi-ROS 3.3)."
     )
     filter: FilterParams = Field(FilterParams(), description="Smooth motion (Hi-ROS 3.4).")
+    associate: AssociateParams = Field(
+        AssociateParams(), description="Who is who, of malaguti and the baselines (III-A)."
+    )
+    kalman: KalmanParams = Field(
+        KalmanParams(), description="Fusing of malaguti and openptrack (III-B to III-D)."
+    )
+    straighten: StraightenParams = Field(
+        StraightenParams(), description="Constant limb lengths of malaguti (III-E)."
+    )
+    moving_average: MovingAverageParams = Field(
+        MovingAverageParams(), description="The baseline maf."
+    )
 
 
 _PAPER: Table = {
@@ -111,7 +127,35 @@ upstream: the same with workable launch values of the published code; its defect
 """
 
 
-SYSTEM_DEFAULTS: Mapping[str, Table] = {}
+SYSTEM_DEFAULTS: Mapping[str, Table] = {
+    # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
+    "openptrack": {
+        "kalman": {
+            "measurement_noise": 0.19,
+            "process_noise": 10.0,
+            "use_confidence": False,
+            "min_confidence": 0.0,
+            "history": 0,
+            "range_noise": 0.0026,
+            "max_gap": 8.0,
+        },
+        "associate": {"max_gap": 8.0},
+    },
+    "average": {
+        "merge": {
+            "flips": "drop",
+            "max_facing_delta": 0.0,
+            "max_position_delta": 0.0,
+            "max_orientation_delta": 0.0,
+            "confidence_power": 0.0,
+            "robust_scale": 0.0,
+            "bias_time": 0.0,
+            "bridge": 0.0,
+            "past_votes": False,
+            "compensate_motion": False,
+        },
+    },
+}
 """Systems that are another one with other parameters -> what they change."""
 
 

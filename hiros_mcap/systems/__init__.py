@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.systems.hiros import hiros
+from hiros_mcap.systems.malaguti import average, maf, malaguti, openptrack, raw
 from hiros_mcap.systems.run import Run, Stages, System
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
@@ -16,6 +17,17 @@ SYSTEMS: dict[str, System] = {
         # Merging and filtering need the tracker's ids (Fig. 2).
         ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF"),
     ),
+    "malaguti": System(
+        "Malaguti 2019: centroids, a Kalman filter per person fed by every message, limb lengths",
+        malaguti,
+        ("T", "TM", "TMO"),
+    ),
+    "openptrack": System(
+        "OpenPTrack's filter per joint, as Malaguti 2019 compares it", openptrack, ("T", "TM")
+    ),
+    "maf": System("moving average over each person's last detections", maf, ("T", "TM")),
+    "average": System("plain mean of what the cameras see at one time", average, ("T", "TM")),
+    "raw": System("detections as they are, with ids by centroids", raw, ("T",)),
 }
 
 

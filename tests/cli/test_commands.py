@@ -115,3 +115,25 @@ def test_config_prints_what_config_reads(
 def test_warmup_says_when_it_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["warmup"]) == 0
     assert capsys.readouterr().out.startswith("kernels ready after ")
+
+
+def test_systems_are_listed_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["systems"]) == 0
+    text = capsys.readouterr().out
+    assert "malaguti" in text
+    assert "stages: T, TM, TMO" in text
+
+
+def test_calibrate_noise_prints_what_config_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hiros_mcap.simulate.log import write_log
+
+    log, config = tmp_path / "still.mcap", tmp_path / "noise.toml"
+    params = {"people": 1, "cameras": 2, "seconds": 4, "action": "free_static", "flips": 0.0}
+    write_log(log, SimulateParams.model_validate(params))
+    assert run(["calibrate", "noise", str(log), "--window", "1:3"]) == 0
+    config.write_text(capsys.readouterr().out)
+    assert 0.005 < load_config(config).kalman.measurement_noise < 0.2
+    assert run(["calibrate", "noise", str(log), "--window", "50:60"]) == 2
+    assert "no camera sees anybody twice" in capsys.readouterr().err

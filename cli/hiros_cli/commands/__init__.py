@@ -7,6 +7,7 @@ from typing import Annotated, Any, cast
 import typer
 
 from hiros_cli.commands import (
+    calibrate,
     check,
     config,
     evaluate,
@@ -66,6 +67,7 @@ app.command()(check.check)
 app.command()(info.info)
 app.command()(simulate.simulate)
 app.command()(systems.systems)
+app.add_typer(calibrate.app, name="calibrate")
 app.command()(config.config)
 app.command()(warmup.warmup)
 

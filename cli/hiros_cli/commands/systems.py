@@ -5,6 +5,9 @@ from __future__ import annotations
 
 def systems() -> None:
     """List the systems that --system chooses from, with their chains of stages."""
+    from hiros_cli.kernels import prepare
+
+    prepare(quiet=False)
     from hiros_mcap.systems import SYSTEMS
 
     width = max(map(len, SYSTEMS))

@@ -1,0 +1,73 @@
+"""``hiros calibrate``: parameters measured on a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hiros_cli.options import Json, seconds_range
+from hiros_mcap.errors import ConfigError
+
+MOVED_M = 0.1
+"""Detectors scatter less than this about somebody who stands still."""
+
+app = typer.Typer(help="Measure parameters on a log.", no_args_is_help=True)
+
+
+@app.callback()
+def calibrate() -> None:
+    """Measure parameters on a log."""
+
+
+@app.command()
+def noise(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A recording of people who stand still.")
+    ],
+    window: Annotated[
+        str | None,
+        typer.Option(metavar="START:END", help="Only this part, s from the log's start."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Measure the detectors' noise for --system malaguti, as lines for --config."""
+    from hiros_cli.kernels import prepare
+
+    log.stat()
+    span = None if window is None else seconds_range("--window", window)
+    prepare(quiet=json)
+    from hiros_mcap.log import open_log
+    from hiros_mcap.stages.associate import associate
+    from hiros_mcap.stages.noise import measure_noise
+    from hiros_mcap.text import number
+    from hiros_mcap.transforms import transform_to_fixed
+
+    with open_log(log) as opened:
+        start = opened.span[0]
+        fixed = transform_to_fixed(opened.frames(), opened.transforms, opened.fixed_frame)
+        frames = (
+            frame
+            for frame in associate(fixed, opened.model)
+            if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
+        )
+        found = measure_noise(frames, opened.model)
+    if not found.cameras:
+        raise ConfigError(
+            f"{log}: nobody is seen twice by a camera, so there is no noise to measure"
+        )
+    if json:
+        from json import dumps
+
+        from hiros_mcap.summary import plain
+
+        print(dumps(plain(found), indent=2))
+        return
+    print(f"# {found.detections} detections; SD per axis of a joint about its mean, mm")
+    for kind, table in (("camera", found.cameras), ("joint", found.joints)):
+        for name, deviation in table.items():
+            print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
+    if found.deviation > MOVED_M:
+        print("# more than 10 cm: somebody moved; choose a part without motion by --window")
+    print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")

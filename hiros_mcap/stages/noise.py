@@ -1,0 +1,70 @@
+"""Measurement noise from people who stand still (Malaguti 2019, III-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What a log of people who stand still says about the detectors."""
+
+    deviation: float
+    """m: SD per axis of a joint, mean over joints, cameras and people; NaN without data."""
+    joints: dict[str, float]
+    """The same by joint, m."""
+    cameras: dict[str, float]
+    """The same by camera, m."""
+    detections: int
+
+
+def measure_noise(frames: Iterable[Frame], model: SkeletonModel) -> Noise:
+    """Measure how much each joint scatters about its mean, camera by camera.
+
+    The paper averages the standard deviations of all detections together; by camera the error of
+    the extrinsics, which is the same in every frame, does not count as noise. The variance that
+    the filter wants is the square of the mean (its text takes the mean itself).
+
+    Parameters
+    ----------
+    frames : with ids, in the fixed frame; nobody moves. model : of the frames.
+    """
+    poses: dict[tuple[str, int], list[Floats]] = {}
+    for frame in frames:
+        for row, person in enumerate(frame.ids.tolist()):
+            if person != UNTRACKED:
+                poses.setdefault((frame.source, person), []).append(frame.positions[row])
+    table = {key: _scatter(np.stack(each)) for key, each in poses.items() if len(each) > 1}
+    every = np.stack(list(table.values())) if table else np.full((1, model.n_markers), np.nan)
+    cameras: dict[str, list[Floats]] = {}
+    for (camera, _), row_ in table.items():
+        cameras.setdefault(camera, []).append(row_)
+    return Noise(
+        deviation=_mean(every),
+        joints={
+            name: _mean(every[:, k])
+            for k, name in enumerate(model.marker_names)
+            if not np.isnan(every[:, k]).all()
+        },
+        cameras={camera: _mean(np.stack(rows)) for camera, rows in sorted(cameras.items())},
+        detections=sum(len(each) for each in poses.values()),
+    )
+
+
+def _scatter(poses: Floats) -> Floats:
+    """(M,) SD per axis of each joint, m; NaN for joints seen less than twice."""
+    seen = (~np.isnan(poses[:, :, 0])).sum(axis=0) > 1
+    result = np.full(poses.shape[1], np.nan)
+    variances = np.nanvar(poses[:, seen], axis=0, ddof=1)
+    result[seen] = np.sqrt(variances.mean(axis=-1))
+    return result
+
+
+def _mean(values: Floats) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else float("nan")
