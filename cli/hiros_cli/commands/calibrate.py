@@ -54,9 +54,7 @@ def noise(
         )
         found = measure_noise(frames, opened.model)
     if not found.cameras:
-        raise ConfigError(
-            f"{log}: nobody is seen twice by a camera, so there is no noise to measure"
-        )
+        raise ConfigError(f"{log}: no camera sees anybody twice, so there is no noise to measure")
     if json:
         from json import dumps
 
