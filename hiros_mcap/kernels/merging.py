@@ -15,35 +15,12 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.tracking import angle_of, exponential, multiply, norm3
+from hiros_mcap.kernels.averaging import compensate, mean_columns, mean_confidence, mean_turn
+from hiros_mcap.kernels.tracking import angle_of, norm3
 from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 KEPT, FLIPPED, RELABELLED = 0, 1, 2
-
-
-@kernel
-def _compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
-    """Carry a view to the merged time by its own velocities, in place.
-
-    Cameras are not synchronised: at 3 m/s, views 16 ms apart disagree by 5 cm without this.
-    """
-    for m in range(markers.shape[1]):
-        if not math.isnan(markers[view, m, 7]):
-            for c in range(3):
-                markers[view, m, c] += dt * markers[view, m, 7 + c]
-    for m in range(links.shape[1]):
-        if not math.isnan(links[view, m, 7]):
-            for c in range(3):
-                links[view, m, c] += dt * links[view, m, 7 + c]
-        if not math.isnan(links[view, m, 10]) and not math.isnan(links[view, m, 3]):
-            step = exponential(
-                dt * links[view, m, 10], dt * links[view, m, 11], dt * links[view, m, 12]
-            )
-            q = (links[view, m, 3], links[view, m, 4], links[view, m, 5], links[view, m, 6])
-            q = multiply(step, q)
-            for c in range(4):
-                links[view, m, 3 + c] = q[c]
 
 
 @kernel
@@ -206,66 +183,6 @@ def _robust_mean(
 
 
 @kernel
-def _mean(
-    views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats, p: int
-) -> None:
-    """Weighted mean of three columns over the views that have them; NaN where none has."""
-    norm = x = y = z = 0.0
-    for k in range(len(members)):
-        v = members[k]
-        if weights[k] > 0.0 and not math.isnan(views[v, m, first]):
-            norm += weights[k]
-            x += weights[k] * views[v, m, first]
-            y += weights[k] * views[v, m, first + 1]
-            z += weights[k] * views[v, m, first + 2]
-    if norm > 0.0:
-        x, y, z = x / norm, y / norm, z / norm
-    else:
-        x = y = z = np.nan
-    out[p, m, first], out[p, m, first + 1], out[p, m, first + 2] = x, y, z
-
-
-@kernel
-def _mean_turn(
-    views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats, p: int
-) -> None:
-    """Weighted mean of the orientations, signs aligned with member ``reference``."""
-    v = members[reference]
-    qx, qy, qz, qw = views[v, m, 3], views[v, m, 4], views[v, m, 5], views[v, m, 6]
-    for _ in range(2):  # the second round aligns with the mean itself
-        x = y = z = w = 0.0
-        for k in range(len(members)):
-            v = members[k]
-            if weights[k] <= 0.0 or math.isnan(views[v, m, 3]):
-                continue
-            dot = (
-                views[v, m, 3] * qx
-                + views[v, m, 4] * qy
-                + views[v, m, 5] * qz
-                + views[v, m, 6] * qw
-            )
-            weight = weights[k] if dot >= 0.0 else -weights[k]
-            x += weight * views[v, m, 3]
-            y += weight * views[v, m, 4]
-            z += weight * views[v, m, 5]
-            w += weight * views[v, m, 6]
-        norm = math.sqrt(x * x + y * y + z * z + w * w)
-        qx, qy, qz, qw = x / norm, y / norm, z / norm, w / norm
-    out[p, m, 3], out[p, m, 4], out[p, m, 5], out[p, m, 6] = qx, qy, qz, qw
-
-
-@kernel
-def _mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Floats) -> float:
-    total = norm = 0.0
-    for k in range(len(members)):
-        c = confidences[members[k], m]
-        if weights[k] > 0.0 and not math.isnan(c):
-            total += weights[k] * c
-            norm += weights[k]
-    return total / norm if norm > 0.0 else np.nan
-
-
-@kernel
 def _vote(
     apart: Floats, weights: Floats, voter: bool, limit: float, usable: Flags, lost: Flags
 ) -> int:
@@ -365,10 +282,10 @@ def _merge_markers(
         for c in range(3):
             out[p, m, c] = mean[c]
         if not math.isnan(views[members[best], m, 6]):
-            _mean_turn(views, members, m, weights, best, out, p)
+            mean_turn(views, members, m, weights, best, out, p)
         for first in (7, 10, 13, 16):
-            _mean(views, members, m, first, weights, out, p)
-        out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
+            mean_columns(views, members, m, first, weights, out, p)
+        out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         heaviest = 0.0
         for k in range(n):
             heaviest = max(heaviest, weights[k])
@@ -468,10 +385,10 @@ def _merge_links(
                             alone[a, b] = apart[a, b]
                 best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
                 _weigh(members, powers, m, usable, weights)
-            _mean_turn(views, members, m, weights, best, out, p)
+            mean_turn(views, members, m, weights, best, out, p)
         for first in (0, 7, 10, 13, 16):
-            _mean(views, members, m, first, weights, out, p)
-        out_confidences[p, m] = _mean_confidence(members, confidences, m, weights)
+            mean_columns(views, members, m, first, weights, out, p)
+        out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         for k in range(n):
             outliers[members[k]] += int(lost[k])
 
@@ -705,7 +622,7 @@ def fuse(
     no_pairs = pairs[:0]
     if numbers[11] > 0.0:
         for k in range(len(delays)):
-            _compensate(k, delays[k], markers, links)
+            compensate(k, delays[k], markers, links)
     for p in range(len(rows)):
         members = np.nonzero(person_of == p)[0]
         if len(members) == 0:

@@ -20,7 +20,6 @@ from hiros_mcap.kernels import merging as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import (
     POSITION,
-    UNTRACKED,
     VELOCITY,
     Floats,
     Frame,
@@ -28,6 +27,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
+from hiros_mcap.stages.instants import Instant, instants, summarize, tracked_only
 from hiros_mcap.symmetry import symmetry_of
 
 
@@ -182,31 +182,8 @@ def merge(
     params = params or MergeParams()
     events = events or Events()
     merger = _Merger(model, params, events, fixed_frame)
-    buffer: dict[str, Frame] = {}
-    known: set[str] = set()
-    for frame in frames:
-        known.add(frame.source)
-        if frame.stamp < merger.newest:
-            events.count("too late to be merged", frame.source)
-            continue
-        if buffer and _closes(buffer, frame, params.max_delta_time):
-            yield merger.fuse(buffer, frame.log_time)
-            buffer = {}
-        buffer[frame.source] = frame
-        if len(buffer) >= (params.cameras or len(known)):
-            yield merger.fuse(buffer, frame.log_time)
-            buffer = {}
-    if buffer:
-        yield merger.fuse(buffer, max(f.log_time for f in buffer.values()))
-
-
-def _closes(buffer: dict[str, Frame], frame: Frame, max_delta_time: float) -> bool:
-    """Whether a message belongs to a later instant: same camera again, or too late (H26, H27)."""
-    if frame.source in buffer:
-        return True
-    stamps = [f.stamp for f in buffer.values()]
-    span = max(*stamps, frame.stamp) - min(*stamps, frame.stamp)
-    return span > max_delta_time * 1e9
+    for instant in instants(frames, params.cameras, params.max_delta_time, events):
+        yield merger.fuse(instant)
 
 
 class _Merger:
@@ -224,7 +201,6 @@ class _Merger:
         self.symmetry = symmetry_of(model)
         self.bank = _Bank(model)
         self.last: dict[int, tuple[Frame, int]] = {}
-        self.newest = 0
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
             self._HORIZON, params.max_position_delta, params.max_orientation_delta,
@@ -234,10 +210,10 @@ class _Merger:
             params.compensate_motion, params.bias_time,
         ], np.float64)  # fmt: skip
 
-    def fuse(self, buffer: dict[str, Frame], log_time: int) -> Frame:
-        """Merge what the buffer holds into one frame at its mean time (H20-H25)."""
-        frames = [_tracked_only(buffer[source]) for source in sorted(buffer)]
-        stamp = self.newest = sum(f.stamp for f in frames) // len(frames)
+    def fuse(self, instant: Instant) -> Frame:
+        """Merge the messages of an instant into one frame at its time (H20-H25)."""
+        frames = [tracked_only(frame) for frame in instant.frames]
+        stamp, log_time = instant.stamp, instant.log_time
         ids = np.concatenate([f.ids for f in frames])
         seen = set(ids.tolist())
         people = sorted(seen | self._bridged(seen, stamp))
@@ -290,20 +266,7 @@ class _Merger:
                 self.events.count("outlier", frame.source, int(outliers[views].sum()))
                 self.events.count("flip", frame.source, flips)
                 start += n
-        self._summarize(out, person_of, stamps, np.concatenate([f.confidences for f in frames]))
-
-    def _summarize(self, out: Frame, person_of: Stamps, stamps: Stamps, trust: Floats) -> None:
-        """Source time and confidence of each merged person: the means over the views."""
-        n = out.n_people
-        if not self.params.compensate_motion:  # otherwise every pose is that of the merged time
-            late = np.bincount(person_of, stamps - out.stamp, n)
-            mean = late / np.maximum(np.bincount(person_of, minlength=n), 1)
-            out.stamps[:] = out.stamp + np.rint(mean).astype(np.int64)
-        given = ~np.isnan(trust)
-        if given.any():
-            total = np.bincount(person_of[given], trust[given], n)
-            count = np.bincount(person_of[given], minlength=n)
-            np.divide(total, count, out=out.confidences, where=count > 0)
+        summarize(out, person_of, stamps, frames, carried=self.params.compensate_motion)
 
     def _carry(self, out: Frame, row: int, last: Frame, last_row: int) -> None:
         """Write a person who was seen a moment ago, carried on at constant velocity."""
@@ -313,12 +276,6 @@ class _Merger:
         out.markers[row, :, POSITION] += dt * np.nan_to_num(last.markers[last_row, :, VELOCITY])
         out.confidences[row] = last.confidences[last_row]
         self.events.count("bridged")
-
-
-def _tracked_only(frame: Frame) -> Frame:
-    """Return the frame without people who have no id."""
-    tracked = frame.ids != UNTRACKED
-    return frame if tracked.all() else frame.select(tracked)
 
 
 def _pelvis_link(model: SkeletonModel, name: str) -> int:
