@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import Field
 
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import clustering as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.instants import instants, summarize, tracked_only
@@ -146,6 +145,9 @@ class _Clusterer:
     def __init__(
         self, model: SkeletonModel, params: ClusterParams, events: Events, fixed_frame: str
     ) -> None:
+        from hiros_mcap.kernels.clustering import cluster_views  # compiled only where it is used
+
+        self.kernel = cluster_views
         self.model = model
         self.params = params
         self.events = events
@@ -182,7 +184,7 @@ class _Clusterer:
         counts = [f.n_people for f in frames]
         stamps = np.repeat([f.stamp for f in frames], counts)
         swaps, outliers = np.zeros((2, len(stamps)), np.int64)
-        kernels.cluster_views(
+        self.kernel(
             (out.stamp - stamps) * 1e-9, person_of,
             np.concatenate([f.markers for f in frames]),
             np.concatenate([f.marker_confidences for f in frames]),

@@ -17,7 +17,6 @@ import numpy as np
 from pydantic import Field
 
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import predicting as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import ACCELERATION, UNTRACKED, VELOCITY, Frame, SkeletonModel
 
@@ -92,6 +91,9 @@ class _Person:
     """State of the joints of one person."""
 
     def __init__(self, model: SkeletonModel, params: PredictParams, stamp: int) -> None:
+        from hiros_mcap.kernels.predicting import predict_and_correct
+
+        self.kernel = predict_and_correct
         size, n = _SIZES[params.model], model.n_markers
         self.params = params
         self.stamp = stamp
@@ -102,7 +104,7 @@ class _Person:
     def step(self, out: Frame, row: int, stamp: int) -> None:
         """Replace the measured positions in a row of ``out`` by the filter's."""
         params = self.params
-        kernels.predict_and_correct(
+        self.kernel(
             out.markers, row, (stamp - self.stamp) * 1e-9 / STEP, params.process_noise,
             params.measurement_noise, params.max_gap / STEP, params.output == "corrected",
             self.state, self.covariance, self.age,
