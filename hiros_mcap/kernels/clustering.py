@@ -144,7 +144,7 @@ def _close_by(points: Floats, n: int, radius: float) -> bool:
 
 
 @kernel
-def _refer(
+def reference_positions(
     members: Stamps, markers: Floats, confidences: Floats, levels: Floats, out: Floats
 ) -> None:
     """Find the reference positions: means over the views of medium, else of low confidence.
@@ -369,7 +369,7 @@ def cluster_views(
             compensate(k, delays[k], markers, links)
     for p in range(len(out)):
         members = np.nonzero(person_of == p)[0]
-        _refer(members, markers, confidences, numbers, reference)
+        reference_positions(members, markers, confidences, numbers, reference)
         if numbers[2] > 0.0:
             changed = 0
             for k in range(len(members)):
@@ -381,7 +381,7 @@ def cluster_views(
                 swaps[v] += count
                 changed += count
             if changed > 0:
-                _refer(members, markers, confidences, numbers, reference)
+                reference_positions(members, markers, confidences, numbers, reference)
         weighed = weights[: len(members)]
         _merge_markers(
             members, markers, confidences, reference, previous, numbers, used, points, near, flags,

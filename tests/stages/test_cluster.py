@@ -1,0 +1,364 @@
+"""Lee's merger against section 2.2 of the paper, and the laws that fusing has to obey."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from builders import moved
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.cluster.hierarchy import fclusterdata
+from scipy.spatial.transform import Rotation
+from sklearn.cluster import DBSCAN
+from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
+
+from hiros_mcap.events import Events
+from hiros_mcap.kernels.clustering import dbscan, reference_positions
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.cluster import LEE_JOINTS, ClusterParams, cluster, lee_joints, pairs_of
+
+WRIST, OTHER_WRIST = 6, 7
+NO_HELP = ClusterParams(reference_helps=False, previous_helps=False)
+TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
+
+
+def with_wrist(*place: float) -> Floats:
+    pose = person()
+    pose[WRIST] = place
+    return pose
+
+
+def views(poses: Sequence[Floats], k: int = 0, *, turns: bool = False) -> list[Frame]:
+    """One frame per camera, at the same time, of person 0."""
+    return [seen([p], at(k), f"c{c}", ids=[0], turns=turns) for c, p in enumerate(poses)]
+
+
+def merged(
+    poses: Sequence[Floats],
+    params: ClusterParams = NO_HELP,
+    confidences: Sequence[float] = (),
+    events: Events | None = None,
+) -> Floats:
+    """Positions (M, 3) merged from one view per camera."""
+    frames = views(poses)
+    for frame, confidence in zip(frames, confidences, strict=False):
+        frame.marker_confidences[:] = confidence
+    every = params.model_copy(update={"cameras": len(poses)})
+    (out,) = cluster(frames, MODEL, every, events)
+    return np.array(out.positions[0])
+
+
+def labels_of(points: Floats, radius: float, min_points: int) -> Floats:
+    labels = np.empty(len(points), np.int64)
+    count = dbscan(points, radius, min_points, labels)
+    assert count == labels.max(initial=-1) + 1
+    return labels
+
+
+@given(st.integers(0, 10_000), st.integers(1, 24), st.integers(1, 5))
+def test_l09_dbscan_equals_scikit_learn(seed: int, n: int, min_points: int) -> None:
+    points = np.random.default_rng(seed).uniform(0, 0.4, (n, 3))
+    expected = DBSCAN(eps=0.1, min_samples=min_points).fit(points).labels_
+    assert (labels_of(points, 0.1, min_points) == expected).all()
+
+
+@given(st.integers(0, 10_000), st.integers(2, 24))
+def test_l09_one_neighbour_is_single_linkage_and_never_noise(seed: int, n: int) -> None:
+    points = np.random.default_rng(seed).uniform(0, 0.4, (n, 3))
+    labels = labels_of(points, 0.1, 1)
+    linked = fclusterdata(points, 0.1, criterion="distance", method="single")
+    assert (labels >= 0).all()
+    assert ((labels[:, None] == labels) == (linked[:, None] == linked)).all()
+
+
+def test_l09_absent_points_belong_to_nothing() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [np.nan] * 3, [0.05, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    assert labels_of(points, 0.1, 1).tolist() == [0, -1, 0, 1]
+    assert labels_of(points, 0.1, 2).tolist() == [0, -1, 0, -1]
+
+
+def test_l06_the_sixteen_joints() -> None:
+    azure = [
+        "PELVIS", "SPINE_NAVAL", "SPINE_CHEST", "NECK", "CLAVICLE_LEFT", "SHOULDER_LEFT",
+        "ELBOW_LEFT", "WRIST_LEFT", "HAND_LEFT", "HANDTIP_LEFT", "THUMB_LEFT", "CLAVICLE_RIGHT",
+        "SHOULDER_RIGHT", "ELBOW_RIGHT", "WRIST_RIGHT", "HAND_RIGHT", "HANDTIP_RIGHT",
+        "THUMB_RIGHT", "HIP_LEFT", "KNEE_LEFT", "ANKLE_LEFT", "FOOT_LEFT", "HIP_RIGHT",
+        "KNEE_RIGHT", "ANKLE_RIGHT", "FOOT_RIGHT", "HEAD", "NOSE", "EYE_LEFT", "EAR_LEFT",
+        "EYE_RIGHT", "EAR_RIGHT",
+    ]  # fmt: skip
+    model = SkeletonModel.of(azure, [])
+    chosen = [name for name, used in zip(azure, lee_joints(model), strict=True) if used]
+    assert len(LEE_JOINTS) == 16
+    assert sorted(chosen) == sorted(n.replace("NAVEL", "NAVAL") for n in LEE_JOINTS)
+    swappable = {azure[left] for left, _ in pairs_of(model)}
+    limbs = {f"{part}_LEFT" for part in ("SHOULDER", "ELBOW", "WRIST", "HIP", "KNEE", "ANKLE")}
+    assert limbs <= swappable
+    assert not swappable & {"EYE_LEFT", "EAR_LEFT", "CLAVICLE_LEFT"}
+
+
+def test_l06_the_kinect_v2_names_some_joints_otherwise() -> None:
+    model = SkeletonModel.of(["SpineBase", "SpineMid", "SpineShoulder", "Neck", "HandLeft"], [])
+    assert lee_joints(model).tolist() == [True, True, False, True, False]
+
+
+def test_l06_other_joints_and_their_links_stay_absent() -> None:
+    model = SkeletonModel.of(["PELVIS", "NECK", "NOSE"], [("a", 0, 1), ("b", 1, 2)])
+    frame = Frame.empty(1, model, stamp=SECOND, source="c")
+    frame.ids[:], frame.markers[:, :, :3], frame.links[:, :, 3:7] = 4, 1.0, [0.0, 0.0, 0.0, 1.0]
+    (out,) = cluster([frame], model, ClusterParams(joints="lee16"))
+    assert np.isnan(out.positions[0, :, 0]).tolist() == [False, False, True]
+    assert np.isnan(out.orientations[0, :, 0]).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("confidences", "expected"),
+    [
+        ((0.66, 0.66, 0.33), 0.05),  # medium: the low one is not asked
+        ((0.33, 0.33, 0.0), 0.05),  # no medium: low, but never none
+        ((0.66, 0.33, 0.33), 0.0),
+        ((np.nan, 0.33, 1.0), 1.0),  # not given, and high, are medium
+        ((0.0, 0.0, 0.0), np.nan),
+    ],
+)
+def test_l07_reference_position_by_level(confidences: tuple[float, ...], expected: float) -> None:
+    frames = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 0.1, 2.0)])
+    markers = np.concatenate([frame.markers for frame in frames])
+    trust = np.repeat(np.array(confidences)[:, None], MODEL.n_markers, axis=1)
+    reference = np.zeros((MODEL.n_markers, 3))
+    reference_positions(np.arange(3), markers, trust, np.array([0.5, 0.17]), reference)
+    assert reference[WRIST, 0] == pytest.approx(expected, nan_ok=True)
+
+
+def test_l07_without_a_reference_nothing_is_swapped() -> None:
+    events = Events()
+    merged([person(), person(), person(), person()[MIRROR]], confidences=[0.0] * 4, events=events)
+    assert events.total("swap") == 0
+
+
+def test_l08_one_of_four_cameras_swapped_is_restored() -> None:
+    poses = [person(0.01 * k) for k in range(4)]
+    right = merged(poses)
+    events = Events()
+    assert merged([*poses[:3], poses[3][MIRROR]], events=events) == pytest.approx(right)
+    assert events.counts == {("swap", "c3"): 3}
+
+
+@pytest.mark.parametrize("rearrange", ["right", "both"])
+def test_l08_one_swapped_pair_is_swapped_back_alone(rearrange: str) -> None:
+    wrong = person()
+    wrong[[WRIST, OTHER_WRIST]] = wrong[[OTHER_WRIST, WRIST]]
+    events = Events()
+    params = NO_HELP.model_copy(update={"rearrange": rearrange})
+    result = merged([person(), person(), wrong], params, events=events)
+    assert result == pytest.approx(person())
+    assert events.total("swap") == 1
+
+
+def test_l08_without_a_swap_nothing_changes() -> None:
+    rng = np.random.default_rng(3)
+    events = Events()
+    poses = [person() + rng.normal(0, 0.02, (8, 3)) for _ in range(4)]
+    assert merged(poses, events=events) == pytest.approx(np.mean(poses, axis=0))
+    assert events.total("swap") == 0
+
+
+def test_l08_a_missing_partner_leaves_a_joint_untouched() -> None:
+    half = person()[MIRROR]
+    half[[2, 4, WRIST]] = np.nan  # the left ones; the right ones are where the left should be
+    events = Events()
+    result = merged([person(), person(), person(), half], events=events)
+    assert events.total("swap") == 0
+    assert result == pytest.approx(person())  # the stray right joints lose the vote
+
+
+def test_l08_off_averages_the_swap_in() -> None:
+    params = ClusterParams(rearrange="off", method="average")
+    result = merged([person(), person(), person(), person()[MIRROR]], params)
+    assert result[WRIST] == pytest.approx(0.75 * person()[WRIST] + 0.25 * person()[OTHER_WRIST])
+
+
+def test_l08_swapped_views_say_nothing_of_orientations() -> None:
+    frames = views([person(), person(), person(), person()[MIRROR]], turns=True)
+    frames[3].links[:, :, 3:7] = [1.0, 0.0, 0.0, 0.0]
+    (out,) = cluster(frames, MODEL, ClusterParams(cameras=4))
+    assert out.orientations[0] == pytest.approx(np.tile([0.0, 0.0, 0.0, 1.0], (7, 1)))
+
+
+def test_l10_reference_position_changes_the_winner() -> None:
+    """Two pairs of candidates; the reference is the mean of the trusted ones and decides."""
+    poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 0.04, 1.0, 1.04, 1.08)]
+    trust = (0.66, 0.66, 0.33, 0.33, 0.33)
+    far = merged(poses, NO_HELP.model_copy(update={"rearrange": "off"}), trust)
+    near = merged(poses, ClusterParams(previous_helps=False, rearrange="off"), trust)
+    assert far[WRIST, 0] == pytest.approx(1.04)
+    assert near[WRIST, 0] == pytest.approx(0.02)  # 3 points against 3, and more trust
+
+
+@pytest.mark.parametrize(("helps", "expected"), [(False, 1.02), (True, 0.0)])
+def test_l11_previous_position_changes_the_winner(helps: bool, expected: float) -> None:
+    """One candidate near the previous position against two trusted ones far away.
+
+    The previous position makes it two against two; a trusted one more each would not.
+    """
+    first = [with_wrist(0.0, 0.0, 1.0) for _ in range(3)]
+    second = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 1.04)]
+    frames = [*views(first, 0), *views(second, 1)]
+    for frame, trust in zip(frames[3:], (0.66, 0.33, 0.33), strict=True):
+        frame.marker_confidences[:] = trust
+    params = NO_HELP.model_copy(update={"cameras": 3, "previous_helps": helps, "rearrange": "off"})
+    _, out = cluster(frames, MODEL, params)
+    assert out.positions[0, WRIST, 0] == pytest.approx(expected)
+
+
+def test_l11_a_position_of_long_ago_is_not_the_previous_one() -> None:
+    frames = [*views([with_wrist(0.0, 0.0, 1.0)] * 3, 0)]
+    late = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 1.04)], 30)
+    params = NO_HELP.model_copy(update={"cameras": 3, "previous_helps": True, "rearrange": "off"})
+    _, out = cluster([*frames, *late], MODEL, params)
+    assert out.positions[0, WRIST, 0] == pytest.approx(1.02)
+
+
+def test_l12_largest_cluster_without_its_helpers() -> None:
+    """Candidates at 0, 6 and 60 cm; the reference at 22 cm is alone and the first two win."""
+    poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 0.06, 0.6)]
+    params = ClusterParams(rearrange="off")
+    assert merged(poses, params)[WRIST, 0] == pytest.approx(0.03)
+
+
+def test_l12_helpers_alone_do_not_win() -> None:
+    """Reference and previous position side by side, candidates scattered: these decide."""
+    first = [with_wrist(0.5, 0.0, 1.0)] * 2
+    second = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.02)]  # their mean is near 0.5
+    _, out = cluster([*views(first, 0), *views(second, 1)], MODEL, ClusterParams(cameras=2))
+    assert out.positions[0, WRIST, 0] == pytest.approx(0.0)  # nearer to the previous position
+
+
+def test_clusters_that_are_equal_in_all_win_together() -> None:
+    poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0)]
+    assert merged(poses, ClusterParams(rearrange="off"))[WRIST, 0] == pytest.approx(0.5)
+
+
+def test_noise_only_is_averaged() -> None:
+    poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 2.0)]
+    params = NO_HELP.model_copy(update={"min_neighbours": 2, "rearrange": "off"})
+    assert merged(poses, params)[WRIST, 0] == pytest.approx(1.0)
+
+
+def test_outliers_are_counted_by_camera() -> None:
+    events = Events()
+    merged([person(), person(), with_wrist(3.0, 0.0, 1.0)], events=events)
+    assert events.counts == {("outlier", "c2"): 1}
+
+
+def test_links_come_from_the_views_that_placed_their_ends() -> None:
+    frames = views([person(), person(), with_wrist(3.0, 0.0, 1.0)], turns=True)
+    frames[2].links[0, :, 3:7] = [1.0, 0.0, 0.0, 0.0]
+    (out,) = cluster(frames, MODEL, ClusterParams(cameras=3))
+    assert out.orientations[0, 5] == pytest.approx([0.0, 0.0, 0.0, 1.0])  # ends at the wrist
+
+
+def test_views_are_carried_to_the_merged_time() -> None:
+    """Two cameras 20 ms apart, a person at 2 m/s: 4 cm between the views, none once carried."""
+    frames = [seen([person(0.04 * c)], at(0) + 20_000_000 * c, f"c{c}", ids=[0]) for c in range(2)]
+    for frame in frames:
+        frame.markers[:, :, 7:10] = [2.0, 0.0, 0.0]
+    (out,) = cluster(frames, MODEL, ClusterParams(cameras=2))
+    assert out.stamp == out.stamps[0] == at(0) + 10_000_000
+    assert out.positions[0] == pytest.approx(person(0.02))
+    assert out.velocities[0, :, 0] == pytest.approx(2.0)
+
+
+def test_l14_every_person_of_the_tracker_is_merged_alone() -> None:
+    """Two people, in the cameras' messages in different orders, and one without an id."""
+    pair = {3: person(0.0, -1.0), 8: person(1.0, 1.0)}
+    frames = [
+        seen([pair[3], pair[8], person(5.0)], at(0), "a", ids=[3, 8, -1]),
+        seen([pair[8], pair[3]], at(0), "b", ids=[8, 3]),
+    ]
+    (out,) = cluster(frames, MODEL, ClusterParams(cameras=2))
+    assert out.ids.tolist() == [3, 8]
+    for row, number in enumerate(out.ids.tolist()):
+        alone = [frame.select(frame.ids == number) for frame in frames]
+        (single,) = cluster(alone, MODEL, ClusterParams(cameras=2))
+        assert np.array_equal(out.markers[row], single.markers[0], equal_nan=True)
+        assert out.positions[row] == pytest.approx(pair[number])
+
+
+def random_views(cameras: int = 4, instants: int = 4) -> list[Frame]:
+    """Noisy views of two people with outliers, gaps and swaps."""
+    rng = np.random.default_rng(9)
+    frames = []
+    for k, c in itertools.product(range(instants), range(cameras)):
+        poses = [person(0.02 * k, y) + rng.normal(0, 0.04, (8, 3)) for y in (-1.0, 1.0)]
+        poses[0] = poses[0][MIRROR] if c == k else poses[0]
+        poses[1][rng.integers(8)] += rng.normal(0, 0.5, 3)
+        poses[1][rng.integers(8)] = np.nan
+        frame = seen(poses, at(k), f"c{c}", ids=[1, 2], turns=True)
+        frame.marker_confidences[:] = rng.choice([0.0, 0.33, 0.66], (2, 8))
+        frames.append(frame)
+    return frames
+
+
+def positions(frames: Sequence[Frame], params: ClusterParams | None = None) -> Floats:
+    params = params or ClusterParams(cameras=4)
+    return np.stack([out.positions for out in cluster(frames, MODEL, params)])
+
+
+def test_the_order_of_cameras_and_people_does_not_matter() -> None:
+    frames = random_views()
+    result = positions(frames)
+    for order in ([3, 1, 0, 2], [2, 3, 1, 0]):
+        named = [frame.replace(source=f"c{order[int(frame.source[1])]}") for frame in frames]
+        named.sort(key=lambda frame: (frame.stamp, frame.source))
+        assert positions(named) == pytest.approx(result, nan_ok=True)
+    assert positions([frame.select([1, 0]) for frame in frames]) == pytest.approx(
+        result, nan_ok=True
+    )
+
+
+@pytest.mark.parametrize("rearrange", ["off", "right", "both"])
+def test_one_camera_merges_to_itself(rearrange: str) -> None:
+    frames = [frame for frame in random_views() if frame.source == "c0"]
+    out = list(cluster(frames, MODEL, ClusterParams(rearrange=rearrange)))
+    for frame, result in zip(frames, out, strict=True):
+        assert np.allclose(frame.positions, result.positions, equal_nan=True)
+        assert np.array_equal(frame.marker_confidences[0], result.marker_confidences[0])
+        assert np.allclose(frame.orientations, result.orientations)
+
+
+def test_the_result_moves_with_the_room() -> None:
+    frames = random_views()
+    expected = TURN.apply(positions(frames).reshape(-1, 3)) + SHIFT
+    turned = positions(moved(frames, TURN, SHIFT)).reshape(-1, 3)
+    assert turned == pytest.approx(expected, nan_ok=True)
+
+
+def test_the_sides_are_alike_if_both_decide() -> None:
+    """Everybody mirrored, the result is mirrored; as printed, the right side alone decides."""
+    frames = random_views()
+    mirrored = []
+    for frame in frames:
+        markers, trust = frame.markers[:, MIRROR].copy(), frame.marker_confidences[:, MIRROR].copy()
+        mirrored.append(frame.replace(markers=markers, marker_confidences=trust))
+    params = ClusterParams(cameras=4, rearrange="both")
+    assert positions(mirrored, params)[:, :, MIRROR] == pytest.approx(
+        positions(frames, params), nan_ok=True
+    )
+
+
+def test_the_input_is_unchanged() -> None:
+    frames = random_views()
+    before = [frame.select(np.arange(2)) for frame in frames]
+    positions(frames)
+    for frame, copy in zip(frames, before, strict=True):
+        assert np.array_equal(frame.markers, copy.markers, equal_nan=True)
+        assert np.array_equal(frame.links, copy.links, equal_nan=True)
+        assert np.array_equal(frame.marker_confidences, copy.marker_confidences)
+
+
+def test_an_instant_without_people_gives_an_empty_frame() -> None:
+    (out,) = cluster([seen([], at(0), ids=[])], MODEL)
+    assert out.n_people == 0

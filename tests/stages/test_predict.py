@@ -1,0 +1,163 @@
+"""Lee's Kalman filter against the equations of section 2.2.3."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stick_figures import MODEL, PERIOD, START, person, seen
+
+from hiros_mcap.events import Events
+from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.stages.predict import PredictParams, predict
+
+MODELS = {
+    "constant_position": np.array([[1.0]]),
+    "constant_velocity": np.array([[1.0, 1.0], [0.0, 1.0]]),
+    "constant_acceleration": np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+}
+"""A for one step of 1/30 s."""
+STEP = 1_000_000_000 / 30
+
+
+def stream(xs: Floats, step: float = STEP) -> list[Frame]:
+    """Person 2 at x = ``xs``, m, one frame per ``step`` ns; NaN = the joints are absent."""
+    return [seen([person(x)], START + round(k * step), "world", ids=[2]) for k, x in enumerate(xs)]
+
+
+def filtered(frames: list[Frame], **params: object) -> Floats:
+    """(K,) x of the pelvis."""
+    out = predict(frames, MODEL, PredictParams.model_validate(params))
+    return np.array([frame.positions[0, 0, 0] for frame in out])
+
+
+def by_the_book(xs: Floats, move: Floats, q: float, r: float) -> tuple[Floats, Floats]:
+    """Predicted and corrected positions by the printed equations, with matrices."""
+    n = len(move)
+    look, x, p = np.eye(1, n), np.eye(1, n)[0] * xs[0], r * np.eye(n)
+    predicted, corrected = [xs[0]], [xs[0]]
+    for z in xs[1:]:
+        x, p = move @ x, move @ p @ move.T + q * np.eye(n)
+        predicted.append(x[0])
+        gain = p @ look.T / (look @ p @ look.T + r)
+        x = x + gain[:, 0] * (z - look @ x)
+        p = (np.eye(n) - gain @ look) @ p
+        corrected.append(x[0])
+    return np.array(predicted), np.array(corrected)
+
+
+def test_l13_trace_of_five_steps() -> None:
+    """Constant velocity, Q = 0.01, R = 1, by hand.
+
+    P = I at first, so P~ = [[2.01 1] [1 1.01]] and K = (2.01, 1) / 3.01, then P~ = [[2.02 1.01]
+    [1.01 0.687774]] and K = (2.02, 1.01) / 3.02, then K = (1.697741, 0.684430) / 2.697741.
+    """
+    xs = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    predicted = filtered(stream(xs), output="predicted")
+    corrected = filtered(stream(xs), output="corrected")
+    assert predicted[:2].tolist() == [0.0, 0.0]
+    assert corrected[1] == pytest.approx(2.01 / 3.01, abs=1e-6)
+    assert predicted[2] == pytest.approx((2.01 + 1.0) / 3.01, abs=1e-6)
+    assert predicted == pytest.approx([0.0, 0.0, 1.0, 2.335537, 3.588937], abs=2e-6)
+    book = by_the_book(xs, MODELS["constant_velocity"], 0.01, 1.0)
+    assert predicted == pytest.approx(book[0], abs=1e-6)
+    assert corrected == pytest.approx(book[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_l13_every_model_follows_the_printed_equations(model: str) -> None:
+    xs = np.random.default_rng(1).normal(size=40)
+    book = by_the_book(xs, MODELS[model], 0.05, 0.7)
+    for output, expected in zip(("predicted", "corrected"), book, strict=True):
+        result = filtered(
+            stream(xs), model=model, output=output, process_noise=0.05, measurement_noise=0.7
+        )
+        assert result == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("model", "gain"), [("constant_position", 0.095), ("constant_velocity", 0.37)]
+)
+def test_x05_gain_of_the_papers_noises(model: str, gain: float) -> None:
+    """The answer to a jump of 1 m after a long rest is the gain."""
+    xs = np.zeros(200)
+    xs[-1] = 1.0
+    assert filtered(stream(xs), model=model, output="corrected")[-1] == pytest.approx(
+        gain, abs=5e-3
+    )
+
+
+def test_x05_a_constant_position_lags_by_a_third_of_a_second() -> None:
+    xs = np.arange(300) / 30  # 1 m/s
+    lag = {m: (xs - filtered(stream(xs), model=m, output="corrected"))[-1] for m in MODELS}
+    assert lag["constant_position"] == pytest.approx(0.32, abs=0.02)
+    assert lag["constant_velocity"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_only_the_ratio_of_the_noises_counts() -> None:
+    xs = np.random.default_rng(2).normal(size=30)
+    one = filtered(stream(xs))
+    assert filtered(stream(xs), process_noise=1.0, measurement_noise=100.0) == pytest.approx(one)
+
+
+@pytest.mark.parametrize("rate", [15, 60])
+def test_other_rates_are_as_smooth_in_seconds(rate: int) -> None:
+    """A step seen at another rate is followed as fast, in seconds, as at 30 Hz."""
+
+    def rise(rate: int) -> float:
+        times = np.arange(12 * rate) / rate
+        smooth = filtered(stream((times >= 10.0) * 1.0, 1e9 / rate), output="corrected")
+        return float(np.interp(0.5, smooth[times >= 9.9], times[times >= 9.9]))
+
+    assert rise(rate) - 10.0 == pytest.approx(rise(30) - 10.0, abs=0.05)
+
+
+def test_velocities_and_accelerations_are_per_second() -> None:
+    times = np.arange(200) / 30
+    frames = stream(0.5 * 2.0 * times**2)
+    out = list(predict(frames, MODEL, PredictParams(model="constant_acceleration")))[-1]
+    assert out.accelerations[0, 0, 0] == pytest.approx(2.0, rel=1e-3)
+    assert out.velocities[0, 0, 0] == pytest.approx(2.0 * times[-1], rel=1e-3)
+
+
+def test_absent_joints_stay_absent_and_go_on() -> None:
+    xs = np.arange(40) / 30
+    xs[30:33] = np.nan
+    result = filtered(stream(xs))
+    assert np.isnan(result[30:33]).all()
+    assert result[33:] == pytest.approx(np.arange(33, 40) / 30, abs=0.02)
+
+
+def test_after_a_long_gap_a_person_starts_anew() -> None:
+    frames = stream(np.arange(60) / 30)
+    late = seen([person(7.0)], frames[-1].stamp + 600_000_000, "world", ids=[2])
+    assert filtered([*frames, late])[-1] == 7.0
+
+
+def test_a_frame_of_the_same_time_passes_unchanged() -> None:
+    frames = stream(np.arange(5.0))
+    events = Events()
+    again = frames[-1].replace(markers=frames[-1].markers + 1.0)
+    out = list(predict([*frames, again], MODEL, events=events))
+    assert np.array_equal(out[-1].markers, again.markers, equal_nan=True)
+    assert events.total("predict: time not increasing") == 1
+
+
+def test_people_do_not_mix_and_strangers_pass() -> None:
+    frames = []
+    for k in range(20):
+        poses = [person(0.05 * k), person(-0.03 * k, 1.0), person(5.0)]
+        frames.append(seen(poses, START + k * PERIOD, "world", ids=[4, 7, -1]))
+    both = list(predict(frames, MODEL))
+    for row, number in enumerate((4, 7)):
+        alone = predict([frame.select(frame.ids == number) for frame in frames], MODEL)
+        for one, two in zip(alone, both, strict=True):
+            assert np.array_equal(one.markers[0], two.markers[row], equal_nan=True)
+    assert np.array_equal(both[-1].markers[2], frames[-1].markers[2], equal_nan=True)
+
+
+def test_the_input_is_unchanged() -> None:
+    frames = stream(np.arange(5.0))
+    before = [frame.markers.copy() for frame in frames]
+    list(predict(frames, MODEL))
+    for frame, markers in zip(frames, before, strict=True):
+        assert np.array_equal(frame.markers, markers, equal_nan=True)
