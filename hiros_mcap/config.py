@@ -21,10 +21,12 @@ from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params
 from hiros_mcap.stages.associate import AssociateParams
+from hiros_mcap.stages.cluster import ClusterParams
 from hiros_mcap.stages.kalman import KalmanParams
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.moving_average import MovingAverageParams
 from hiros_mcap.stages.optimize import OptimizeParams
+from hiros_mcap.stages.predict import PredictParams
 from hiros_mcap.stages.smooth import FilterParams
 from hiros_mcap.stages.straighten import StraightenParams
 from hiros_mcap.stages.track import TrackParams
@@ -66,6 +68,12 @@ class Config(Params):
     )
     moving_average: MovingAverageParams = Field(
         MovingAverageParams(), description="The baseline maf."
+    )
+    cluster: ClusterParams = Field(
+        ClusterParams(), description="One skeleton per person, as Lee et al. merge (2.2)."
+    )
+    predict: PredictParams = Field(
+        PredictParams(), description="Smooth motion, as Lee et al. filter (2.2.3)."
     )
 
 
@@ -155,6 +163,9 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
             "compensate_motion": False,
         },
     },
+    "lee-a1": {"cluster": {"method": "average", "rearrange": "off"}},
+    "lee-a2": {"cluster": {"method": "average"}},
+    "lee-a3": {"cluster": {"previous_helps": False}},
 }
 """Systems that are another one with other parameters -> what they change."""
 

@@ -8,7 +8,7 @@ of the tracker is merged so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from pydantic import Field
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.instants import instants, summarize, tracked_only
+from hiros_mcap.stages.instants import Instant, instants, summarize, tracked_only
 from hiros_mcap.symmetry import split_side, symmetry_of
 
 LEE_JOINTS = (
@@ -116,9 +116,10 @@ def cluster(
     ------
     One frame per instant, at the mean time of its messages, people sorted by id.
     """
-    merger = _Clusterer(model, params, Events() if events is None else events, fixed_frame)
-    for views, log_time in instants(frames, params.cameras, params.max_delta_time):
-        yield merger.fuse(views, log_time)
+    events = Events() if events is None else events
+    merger = _Clusterer(model, params, events, fixed_frame)
+    for instant in instants(frames, params.cameras, params.max_delta_time, events):
+        yield merger.fuse(instant)
 
 
 def lee_joints(model: SkeletonModel) -> Flags:
@@ -163,10 +164,10 @@ class _Clusterer:
             params.reference_helps, params.compensate_motion,
         ], np.float64)  # fmt: skip
 
-    def fuse(self, views: Mapping[str, Frame], log_time: int) -> Frame:
-        """Merge the views of an instant into one frame at their mean time."""
-        frames = [tracked_only(views[source]) for source in sorted(views)]
-        stamp = sum(f.stamp for f in frames) // len(frames)
+    def fuse(self, instant: Instant) -> Frame:
+        """Merge the views of an instant into one frame at its time."""
+        frames = [tracked_only(frame) for frame in instant.frames]
+        stamp, log_time = instant.stamp, instant.log_time
         ids = np.concatenate([f.ids for f in frames])
         people = np.unique(ids)
         fixed = self.fixed_frame or frames[0].frame_id

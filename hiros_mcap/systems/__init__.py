@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.systems.hiros import hiros
+from hiros_mcap.systems.lee import lee
 from hiros_mcap.systems.malaguti import average, maf, malaguti, openptrack, raw
 from hiros_mcap.systems.run import Run, Stages, System
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 """Letter of a chain -> output channel."""
+
+_LEE = ("T", "TM", "TMF")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(
@@ -28,6 +31,12 @@ SYSTEMS: dict[str, System] = {
     "maf": System("moving average over each person's last detections", maf, ("T", "TM")),
     "average": System("plain mean of what the cameras see at one time", average, ("T", "TM")),
     "raw": System("detections as they are, with ids by centroids", raw, ("T",)),
+    "lee": System("Lee 2022: sides re-arranged, joints clustered, Kalman filter", lee, _LEE),
+    "lee-a1": System("Lee's A1: just average", lee, _LEE[:2]),
+    "lee-a2": System("Lee's A2: sides re-arranged, average", lee, _LEE[:2]),
+    "lee-a3": System("Lee's A3: sides re-arranged, DBSCAN", lee, _LEE[:2]),
+    "lee-a4": System("Lee's A4: A3 with the previous position", lee, _LEE[:2]),
+    "lee-a5": System("Lee's A5: A4 and the Kalman filter", lee, _LEE),
 }
 
 
@@ -62,4 +71,4 @@ def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
     return tuple(LETTERS[letter] for letter in chosen)
 
 
-__all__ = ["LETTERS", "SYSTEMS", "Run", "Stages", "System", "chain_of", "hiros", "system"]
+__all__ = ["LETTERS", "SYSTEMS", "Run", "Stages", "System", "chain_of", "hiros", "lee", "system"]

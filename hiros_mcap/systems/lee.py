@@ -1,0 +1,30 @@
+"""Lee et al. (2022): joints re-arranged, clustered over the cameras, and filtered.
+
+The paper follows one person with cameras that are synchronised by wire. Here the tracker of Hi-ROS
+comes first, so that every person is merged as the paper merges its one. The variants A1 to A5 of
+section 3.1 are the same stages with other parameters (``SYSTEM_DEFAULTS`` of the configuration).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from hiros_mcap.systems.run import Run, Stages
+
+
+def lee(run: Run) -> Stages:
+    """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
+    from hiros_mcap.stages.cluster import cluster
+    from hiros_mcap.stages.predict import predict
+    from hiros_mcap.stages.track import track
+
+    model, config, events = run.model, run.config, run.events
+    return {
+        "tracked": partial(
+            track, model=model, params=config.track, events=events, cameras=run.cameras
+        ),
+        "merged": partial(
+            cluster, model=model, params=config.cluster, events=events, fixed_frame=run.fixed_frame
+        ),
+        "filtered": partial(predict, model=model, params=config.predict, events=events),
+    }
