@@ -1,0 +1,112 @@
+"""Lee's system as a whole: its variants, the tracker's ids, the laws of the chain."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import Room, moved, room, same
+from scipy.spatial.transform import Rotation
+
+from hiros_mcap.config import load_config
+from hiros_mcap.evaluate import evaluate
+from hiros_mcap.evaluate.logs import read_channel
+from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.skeletons import Frame
+from hiros_mcap.stages.cluster import cluster
+from hiros_mcap.systems import SYSTEMS, Run, chain_of
+
+VARIANTS = ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee-a5")
+TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
+
+
+@cache
+def pair() -> Room:
+    """Two people, four cameras with every fault of real ones."""
+    return room(people=2, cameras=4, action="free_dynamic", seconds=6, seed=5)
+
+
+@cache
+def tracked() -> list[Frame]:
+    stages = SYSTEMS["lee"].stages(Run(pair().model, cameras=pair().cameras, fixed_frame="world"))
+    return list(stages["tracked"](pair().frames))
+
+
+def after_tracking(system: str, frames: list[Frame], *overrides: str) -> list[Frame]:
+    """Run what follows the tracker."""
+    config = load_config(None, overrides, system=system)
+    stages = SYSTEMS[system].stages(Run(pair().model, config, fixed_frame="world"))
+    for name in chain_of(system)[1:]:
+        frames = list(stages[name](frames))
+    return frames
+
+
+def upper_limbs(system: str, *overrides: str) -> float:
+    """Mean error, mm."""
+    frames = after_tracking(system, tracked(), *overrides)
+    return evaluate(frames, pair().truth, pair().model).parts["upper limbs"].mean
+
+
+def test_l18_five_variants_and_the_whole() -> None:
+    results = {name: after_tracking(name, tracked()) for name in (*VARIANTS, "lee")}
+    for one, two in pairwise(VARIANTS):
+        assert not all(map(same, results[one], results[two]))
+    assert all(map(same, results["lee-a5"], results["lee"]))
+
+
+def test_l19_clustering_beats_averaging_on_the_upper_limbs() -> None:
+    a1, a2, a3, a4 = (upper_limbs(name) for name in VARIANTS[:4])
+    assert a3 < 0.9 * a2 < 0.9 * a1
+    assert a4 == pytest.approx(a3, rel=0.03)
+
+
+def test_l20_ten_centimetres_is_the_best_of_the_radii() -> None:
+    errors = {r: upper_limbs("lee-a4", f"cluster.radius={r}") for r in (0.05, 0.1, 0.15, 0.2)}
+    assert min(errors, key=lambda r: errors[r]) in (0.1, 0.15)
+    assert errors[0.2] > errors[0.1] < errors[0.05]
+
+
+def test_l14_two_people_by_the_trackers_ids(crossing: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    summary = process(crossing, out, options=ProcessOptions(system="lee"))
+    assert len(summary.people) == 2
+    frames = read_channel(out, "/hiros/filtered")[0]
+    assert {int(i) for frame in frames for i in frame.ids} == {0, 1}
+
+
+def test_l14_one_person_is_merged_as_in_the_paper(walking: Path, tmp_path: Path) -> None:
+    """With one person there is one id, and each instant is one merge of all cameras."""
+    out = tmp_path / "out.mcap"
+    process(walking, out, options=ProcessOptions(system="lee-a4"))
+    merged = read_channel(out, "/hiros/merged")[0]
+    assert {int(i) for frame in merged for i in frame.ids} == {0}
+    assert len(merged) > 60
+    assert len({frame.stamp for frame in merged}) == len(merged)
+
+
+@pytest.mark.parametrize("system", VARIANTS)
+def test_the_room_may_turn_and_shift(system: str) -> None:
+    expected = moved(after_tracking(system, tracked()), TURN, SHIFT)
+    result = after_tracking(system, moved(tracked(), TURN, SHIFT))
+    for here, there in zip(expected, result, strict=True):
+        assert np.allclose(here.positions, there.positions, atol=1e-6, equal_nan=True)
+
+
+@pytest.mark.parametrize("system", VARIANTS)
+def test_the_input_is_unchanged_and_the_result_repeats(system: str) -> None:
+    before = [frame.select(np.arange(frame.n_people)) for frame in tracked()]
+    first = after_tracking(system, tracked())
+    assert all(map(same, tracked(), before))
+    assert all(map(same, first, after_tracking(system, tracked())))
+
+
+def test_merging_streams() -> None:
+    """Pulled one by one, instants come as early as in one go."""
+    pulled = []
+    for frame in cluster(iter(tracked()), pair().model):
+        pulled.append(frame)
+        assert frame.log_time >= max(f.log_time for f in pulled)
+    assert len(pulled) > 100
