@@ -1,6 +1,6 @@
 """Error of Lee's system against the truth: A1 to A5, the radius, and the choices left open.
 
-python benchmarks/accuracy_lee.py                       simulated logs, 1, 2 and 4 people
+python benchmarks/accuracy_lee.py                       simulated logs, slow gestures too
 python benchmarks/accuracy_lee.py LOG TRUTH [LOG TRUTH ...]
 
 Mean and standard deviation of the joint error, mm, by the parts of the paper's section 3.1.
@@ -81,10 +81,15 @@ def main() -> None:
     if arguments:
         return
     with tempfile.TemporaryDirectory() as folder:
-        for people in (1, 2, 4):
-            path = Path(folder) / f"{people}.mcap"
-            write_log(path, SimulateParams(people=people, seconds=20.0, seed=people))
-            print(f"\n{people} people, 5 cameras, 20 s, simulated")
+        scenes = [{"people": people, "seed": people} for people in (1, 2, 4)]
+        gestures = [
+            {"people": 1, "seed": 3, "cameras": 4, "action": action}
+            for action in ("squat", "bend", "cross_arms")
+        ]
+        for number, scene in enumerate([*scenes, *gestures]):
+            path = Path(folder) / f"{number}.mcap"
+            write_log(path, SimulateParams.model_validate({"seconds": 20.0, **scene}))
+            print("\nsimulated, 20 s, " + ", ".join(f"{k} {v}" for k, v in scene.items()))
             Scene(path, load_truth(path)).table()
 
 
