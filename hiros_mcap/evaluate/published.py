@@ -1,6 +1,8 @@
-"""What the Hi-ROS paper reports (Guidolin et al. 2023), to print beside our own numbers.
+"""What the three papers report, to print beside our own numbers.
 
-They come from other data: real people, Azure Kinects, inertial suits as reference.
+They come from other data. Hi-ROS (Guidolin et al. 2023): real people, Azure Kinects, inertial suits
+as reference. Malaguti et al. (2019): Kinects v2 and a marker-based system. Lee et al. (2022): Azure
+Kinects, the camera in front as reference.
 """
 
 from __future__ import annotations
@@ -61,3 +63,40 @@ TIMES: dict[int, tuple[Pair, Pair, Pair, Pair]] = {
     4: ((0.86, 0.39), (0.88, 0.55), (8.33, 3.76), (0.21, 0.10)),
 }
 """People -> mean and SD of the time of tracker, merger, optimizer, filter, ms (Table 8)."""
+
+MALAGUTI: dict[str, tuple[Pair, Pair, Pair, Pair]] = {
+    "1": ((8.29, 7.39), (12.56, 7.17), (11.85, 6.4), (5.55, 2.68)),
+    "2": ((9.47, 8.43), (17.16, 10.23), (14.84, 8.67), (7.41, 4.74)),
+    "3": ((8.79, 7.42), (14.48, 7.35), (14.17, 6.2), (6.74, 3.76)),
+    "4": ((11.33, 8.81), (20.68, 9.44), (18.56, 8.24), (9.53, 4.46)),
+    "5a": ((8.81, 8.74), (14.98, 7.98), (13.17, 6.63), (6.45, 3.52)),
+    "5b": ((9.01, 9.11), (20.73, 10.85), (17.31, 8.86), (7.43, 5.53)),
+    "6a": ((9.94, 9.25), (20.93, 10.9), (17.62, 8.91), (8.55, 5.1)),
+    "6b": ((9.74, 8.71), (19.75, 9.82), (16.11, 8.28), (8.05, 4.31)),
+}
+"""Sequence -> mean and SD, cm, of raw (OpenPose), maf, openptrack, malaguti (Table I)."""
+MALAGUTI_COLUMNS = ("raw", "maf", "openptrack", "malaguti")
+MALAGUTI_MS_PER_PERSON = 13.4
+"""Time per frame and person, ms (Table II)."""
+
+LEE: dict[str, tuple[Pair, Pair, Pair]] = {
+    "lee-a1": ((41.1, 11.02), (90.9, 44.89), (45.2, 22.0)),
+    "lee-a3": ((40.8, 13.1), (66.0, 40.1), (38.9, 17.8)),
+    "lee-a4": ((41.1, 12.0), (60.2, 33.8), (38.9, 17.3)),
+    "lee-a5": ((39.9, 10.3), (55.9, 29.3), (36.2, 14.2)),
+}
+"""Variant -> mean error and SD, mm, of torso, upper limbs, lower limbs (section 3.1)."""
+LEE_RADII: dict[float, tuple[Pair, Pair, Pair]] = {
+    0.05: ((40.6, 13.5), (60.2, 36.2), (36.0, 14.4)),
+    0.10: ((39.1, 9.6), (51.6, 26.7), (35.7, 13.8)),
+    0.15: ((39.9, 9.0), (53.5, 26.6), (36.2, 14.0)),
+    0.20: ((39.9, 9.0), (58.1, 27.8), (36.8, 14.4)),
+}
+"""Radius, m -> the same for A5 (section 3.2)."""
+LEE_CAMERAS: dict[int, tuple[Pair, Pair, Pair]] = {
+    1: ((63.3, 15.8), (125.6, 64.2), (60.2, 28.6)),
+    2: ((50.9, 13.6), (103.5, 57.5), (46.8, 20.5)),
+    3: ((43.4, 12.2), (66.3, 37.1), (38.3, 14.5)),
+    4: ((39.6, 9.8), (51.8, 26.0), (35.8, 13.2)),
+}
+"""Number of cameras -> the same, mean over all subsets (section 3.3)."""

@@ -9,6 +9,7 @@ import typer
 from hiros_cli.commands import (
     calibrate,
     check,
+    compare,
     config,
     evaluate,
     info,
@@ -64,6 +65,7 @@ app.command()(view.view)
 app.command()(plot.plot)
 app.command("eval")(evaluate.evaluate)
 app.command()(check.check)
+app.command()(compare.compare)
 app.command()(info.info)
 app.command()(simulate.simulate)
 app.command()(systems.systems)

@@ -91,7 +91,7 @@ def evaluate(
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
     if html is not None:
-        _check_report(html)
+        check_report(html)
     if table is None and log is None:
         raise ConfigError("eval needs a LOG, or --table hiros (see hiros eval --help)")
     if log is not None:
@@ -121,7 +121,8 @@ def evaluate(
     _show_truth(log, moved, results, html=html, json=json, joints=joints)
 
 
-def _check_report(path: Path) -> None:
+def check_report(path: Path) -> None:
+    """Raise ConfigError where a page cannot be written, before anything slow happens."""
     if not path.parent.is_dir():
         raise ConfigError(f"{path.parent}: no such folder to write into")
     from importlib.util import find_spec
