@@ -308,7 +308,7 @@ def camera_orderings(table: Mapping[str, Mapping[int, tuple[float, float]]]) -> 
 
 
 def _order(text: str, values: Mapping[str, float], names: Sequence[str]) -> Iterator[Ordering]:
-    if not set(names) <= set(values):
+    if not set(names) <= set(values) or any(np.isnan(values[n]) for n in names):
         return
     mine = [values[n] for n in names]
     allowed = 0.0 if "<=" not in text else 0.05  # equal within what is printed

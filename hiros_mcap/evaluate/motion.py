@@ -33,7 +33,8 @@ def limb_variations(tracks: Iterable[Track], model: SkeletonModel) -> Floats:
         lengths = lengths_of(np.stack(track.poses), model)
         seen = (~np.isnan(lengths)).sum(axis=0) > 1
         row = np.full(model.n_links, np.nan)
-        row[seen] = np.nanstd(lengths[:, seen], axis=0) / np.nanmean(lengths[:, seen], axis=0)
+        mean = np.nanmean(lengths[:, seen], axis=0)
+        row[seen] = np.nanstd(lengths[:, seen], axis=0) / np.where(mean > 0, mean, np.nan)
         rows.append(row)
     return column_mean(np.stack(rows))
 

@@ -6,6 +6,7 @@ guessed joints come on top, bodies are lost and found again in a wrong pose, pha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from hiros_mcap.rotations import conjugate, multiply
 from hiros_mcap.simulate.body import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, Body
 from hiros_mcap.simulate.cameras import Camera, seconds_since
+from hiros_mcap.simulate.clip import Performer
 from hiros_mcap.simulate.curves import Spot
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, look
@@ -81,7 +83,7 @@ class Bodies:
         )
 
 
-def detect(people: list[Person], camera: Camera, params: SimulateParams) -> Bodies:
+def detect(people: Sequence[Person | Performer], camera: Camera, params: SimulateParams) -> Bodies:
     """Everything that a camera reports, in its nominal frames."""
     bodies = observe(people, camera, params)
     _hide(bodies, params)
@@ -92,7 +94,7 @@ def detect(people: list[Person], camera: Camera, params: SimulateParams) -> Bodi
     return bodies.beside(phantoms(bodies, camera, params))
 
 
-def observe(people: list[Person], camera: Camera, params: SimulateParams) -> Bodies:
+def observe(people: Sequence[Person | Performer], camera: Camera, params: SimulateParams) -> Bodies:
     """Return the truth in the camera's coordinates at the times of its nominal frames."""
     t = seconds_since(params.start, camera.ticks.captured)
     bodies = Bodies.of(len(t), len(people), params.detector.confidence_seen)

@@ -159,6 +159,14 @@ class SimulateParams(Params):
     people: Annotated[int, Field(ge=0, le=10)] = Field(1, description="Number of people.")
     cameras: Annotated[int, Field(ge=1, le=32)] = Field(5, description="Number of cameras.")
     action: ActionName = Field("walk", description="What everybody does (the paper's Table 5).")
+    motion: tuple[str, ...] = Field(
+        (),
+        description="AMC or BVH files that people perform instead of the action, one each; they "
+        "begin again if there are more people.",
+    )
+    skeleton: tuple[str, ...] = Field(
+        (), description="ASF file of each AMC file; the last one serves the rest."
+    )
     seconds: PositiveFloat = Field(10.0, description="Length of the log, s.")
     seed: NonNegativeInt = Field(0, description="Same seed, same log, byte for byte.")
     noise: NonNegativeFloat = Field(1.0, description="Scale of noise and bias of what is seen.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +12,7 @@ from hiros_mcap.rotations import Rigid, conjugate, multiply
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body import LINK_SEGMENTS, MODEL, Body
 from hiros_mcap.simulate.cameras import Camera, build_cameras, seconds_since
+from hiros_mcap.simulate.clip import Performer, perform_files
 from hiros_mcap.simulate.detector import Bodies, detect
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
@@ -53,15 +54,21 @@ class Simulation:
         return MODEL
 
     @cached_property
-    def people(self) -> list[Person]:
-        """Who is there, with his proportions and his motion as a function of time, s."""
+    def people(self) -> Sequence[Person | Performer]:
+        """Who is there, with his proportions and his motion as a function of time, s.
+
+        Raises ConfigError for a motion file that is faulty.
+        """
         params = self.params
         rng = stream(params.seed, "people")
         bodies = [
             Body.of(rng.uniform(*params.heights), params.proportions, rng)
             for _ in range(params.people)
         ]
-        return ACTIONS[params.action].perform(bodies, stream(params.seed, "motion"))
+        motion = stream(params.seed, "motion")
+        if params.motion:
+            return perform_files(params, bodies, motion)
+        return ACTIONS[params.action].perform(bodies, motion)
 
     @cached_property
     def cameras(self) -> list[Camera]:
@@ -145,7 +152,7 @@ def simulate(params: SimulateParams = _DEFAULT) -> Simulation:
     return Simulation(params)
 
 
-def _markers_and_links(person: Person, t: Floats) -> tuple[Floats, Floats]:
+def _markers_and_links(person: Person | Performer, t: Floats) -> tuple[Floats, Floats]:
     markers, rotations = person.pose(t)
     return markers, quaternions(rotations)[:, LINK_SEGMENTS]
 

@@ -229,3 +229,14 @@ def test_a_damaged_list_of_events_is_told(processed: Path) -> None:
         with pytest.raises((ValueError, TypeError)):
             events_from_json(text)
     assert issubclass(ConfigError, HirosError)
+
+
+def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
+    need_rerun()
+    target = tmp_path / "systems.rrd"
+    walking = SAMPLES / "one_person_walking.mcap"
+    arguments = ["--system", "hiros", "--system", "malaguti:TM", "--jobs", "1", "-q"]
+    assert run(["compare", str(walking), *arguments, "--rrd", str(target)]) == 0
+    assert {"/hiros/filtered/0", "/malaguti_TM/filtered/0", "/detections/camera_0"} <= entities(
+        target
+    )

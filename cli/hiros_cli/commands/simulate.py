@@ -34,6 +34,14 @@ def simulate(
             show_default="walk",
         ),
     ] = None,
+    motion: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="AMC or BVH file to perform instead; once per person."),
+    ] = None,
+    skeleton: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="ASF skeleton of the AMC files; one, or one each."),
+    ] = None,
     seconds: Annotated[float | None, _number("Length of the log, s.", "10")] = None,
     rate: Annotated[float | None, _number("Frames per second and camera.", "30")] = None,
     seed: Annotated[int | None, _number("Same seed, same log, byte for byte.", "0")] = None,
@@ -59,6 +67,8 @@ def simulate(
         "people": people,
         "cameras": cameras,
         "action": action,
+        "motion": [str(path) for path in motion] if motion else None,
+        "skeleton": [str(path) for path in skeleton] if skeleton else None,
         "seconds": seconds,
         "rate": rate,
         "seed": seed,
@@ -70,6 +80,10 @@ def simulate(
         "calibration_error": calibration_error,
         "phantoms": phantoms,
     }
+    for path in (*(motion or ()), *(skeleton or ())):
+        path.stat()
+    if motion and people is None:
+        given["people"] = len(motion)
     from hiros_cli.kernels import prepare
     from hiros_cli.output import check_target
 

@@ -1,0 +1,172 @@
+"""Systems on the same log."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate import contest_tables
+from hiros_mcap.evaluate.contest import (
+    Entry,
+    Outcome,
+    Task,
+    by_number_of_cameras,
+    camera_orderings,
+    camera_subsets,
+    check_orderings,
+    contest,
+    run_task,
+)
+from hiros_mcap.evaluate.logs import evaluate_log, find_truth
+from hiros_mcap.evaluate.published import LEE, LEE_CAMERAS, LEE_RADII, MALAGUTI
+from hiros_mcap.evaluate.scores import Scores
+from hiros_mcap.pipeline import ProcessOptions, process
+
+
+def test_entries_are_read_and_checked() -> None:
+    entry = Entry.parse("lee:tm,cluster.radius=0.2")
+    assert (entry.system, entry.stages, entry.assignments) == ("lee", "TM", ("cluster.radius=0.2",))
+    assert entry.name == "lee:TM,cluster.radius=0.2"
+    assert Entry.parse("hiros").name == "hiros"
+    for text in ("hydra", "hiros:FT", "lee,cluster.size=1", "lee,cluster.radius=-1"):
+        with pytest.raises(ConfigError):
+            Entry.parse(text)
+
+
+def test_the_scores_are_those_of_processing_and_evaluating(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    process(walking, out, options=ProcessOptions(system="malaguti", keep=()))
+    truth = find_truth(walking)
+    assert truth is not None
+    expected = evaluate_log(out, truth)["/hiros/optimized"].scores
+    outcome = run_task(Task(walking, Entry("malaguti")))
+    assert outcome.scores is not None
+    assert outcome.scores.mean == pytest.approx(expected.mean)
+    assert outcome.scores.tracking == expected.tracking
+    assert outcome.milliseconds > 0
+
+
+def test_side_by_side_as_one_after_the_other(walking: Path) -> None:
+    tasks = [Task(walking, Entry(name)) for name in ("raw", "hiros", "average")]
+    together, alone = contest(tasks, jobs=2), contest(tasks, jobs=1)
+    assert [o.name for o in together] == ["raw", "hiros", "average"]
+    assert [o.rank for o in together] == [o.rank for o in alone]
+    header, rows = contest_tables.ranked(together)
+    assert header[:2] == ("System", "Mean")
+    assert [row[0] for row in rows] == ["hiros", "average", "raw"]
+
+
+def test_every_subset_of_the_cameras(walking: Path) -> None:
+    tasks = camera_subsets(Task(walking, Entry("hiros")))
+    assert [len(task.sources or ()) for task in tasks] == [1, 1, 1, 2, 2, 2, 3]
+    table = by_number_of_cameras(contest(tasks, jobs=1))
+    errors = [table["hiros"][n][0] for n in (1, 2, 3)]
+    assert errors[0] > errors[1] > errors[2]
+    (ordering,) = camera_orderings(table)
+    assert ordering.holds
+
+
+def outcome(scores: Scores, name: str, mean: float) -> Outcome:
+    parts = {part: replace(stats, mean=mean) for part, stats in scores.parts.items()}
+    return Outcome("log", name, ("a",), 0.1, replace(scores, mean=mean, parts=parts))
+
+
+@pytest.fixture(scope="module")
+def scores() -> Scores:
+    walking = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
+    found = run_task(Task(walking, Entry("raw"))).scores
+    assert found is not None
+    return found
+
+
+def test_orders_of_the_papers(scores: Scores) -> None:
+    names = ("malaguti", "raw", "openptrack", "maf", "lee-a5", "lee-a4", "lee-a3", "lee-a1")
+    rising = [outcome(scores, name, 10.0 + k) for k, name in enumerate(names)]
+    assert [o.holds for o in check_orderings(rising)] == [True, True]
+    falling = [outcome(scores, name, 10.0 - k) for k, name in enumerate(names)]
+    assert [o.holds for o in check_orderings(falling)] == [False, False]
+    radii = [
+        outcome(scores, f"lee-a4,cluster.radius={radius:g}", error)
+        for radius, error in zip(LEE_RADII, (12, 10, 11, 15), strict=True)
+    ]
+    assert [o.holds for o in check_orderings(radii)] == [True]
+    assert list(check_orderings(rising[:1])) == []
+
+
+def test_fixtures_agree_with_what_the_papers_say_of_them() -> None:
+    """Means of Malaguti's Table I; A5 is the mean over the radii (M27, L19, L20, L21)."""
+    means = np.array(list(MALAGUTI.values())).mean(axis=0)[:, 0]
+    assert means == pytest.approx([9.42, 17.66, 15.45, 7.46], abs=0.006)
+    assert 1 - means[3] / means[0] == pytest.approx(0.208, abs=0.001)
+    assert 1 - means[3] / means[2] == pytest.approx(0.517, abs=0.001)
+    radii = np.array(list(LEE_RADII.values())).mean(axis=0)[:, 0]
+    assert radii == pytest.approx([pair[0] for pair in LEE["lee-a5"]], abs=0.11)
+    for part in range(3):
+        errors = [LEE_CAMERAS[n][part][0] for n in (1, 2, 3, 4)]
+        assert errors == sorted(errors, reverse=True)
+
+
+def test_tables_in_the_papers_layouts(scores: Scores) -> None:
+    names = ("raw", "maf", "openptrack", "malaguti")
+    rows = contest_tables.malaguti_rows([outcome(scores, n, 50.0) for n in names])
+    assert rows[0][0] == "log"
+    assert rows[0][1].startswith("5.00 +- ")
+    assert rows[-1] == (
+        "paper: mean", "9.42 +- 8.48", "17.66 +- 9.22", "15.45 +- 7.77", "7.46 +- 4.26",
+    )  # fmt: skip
+    (lee,) = contest_tables.lee_rows([outcome(scores, "lee-a1", 30.0)])
+    assert lee[0] == "lee-a1"
+    assert lee[2].endswith("[90.9 (44.9)]")
+    header, rows = contest_tables.camera_rows({"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0)}})
+    assert header == ("System", "1", "2")
+    assert rows[0] == ("hiros", "30.0 (5.0)", "20.0 (4.0)")
+    assert rows[2] == ("Lee's paper: upper limbs", "125.6 (64.2)", "103.5 (57.5)")
+
+
+def test_from_outside(walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "a.html"
+    arguments = ["--system", "raw", "--system", "hiros:TM", "--jobs", "1"]
+    assert run(["compare", str(walking), *arguments, "--html", str(page)]) == 0
+    text = capsys.readouterr().out
+    assert text.index("hiros:TM") < text.index("raw")
+    assert "hiros:TM" in page.read_text(encoding="utf-8")
+    assert run(["compare", str(walking), *arguments, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert {o["name"] for o in data["outcomes"]} == {"raw", "hiros:TM"}
+
+
+def test_without_a_truth_the_camera_left_out_ranks(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "bare.mcap"
+    process(walking, bare, options=ProcessOptions(stages="T", keep=("/camera_*", "/tf_static")))
+    assert run(["compare", str(bare), "--system", "hiros", "--system", "raw", "--jobs", "1"]) == 0
+    assert "Left out" in capsys.readouterr().out
+    assert run(["compare", str(bare), "--study", "cameras"]) == 2
+    assert "needs a truth" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        ([], "needs a LOG"),
+        (["{log}", "--study", "weather"], "none of cameras, radius, people"),
+        (["{log}", "--study", "people"], "leave LOG out"),
+        (["{log}", "--system", "hydra"], "no system 'hydra'"),
+        (["{log}", "{log}", "--truth", "a.trc"], "of one LOG"),
+        (["{log}", "--rrd", "/nowhere/at/all.rrd"], "no such folder"),
+    ],
+)
+def test_faults_are_one_line(
+    walking: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], fault: str
+) -> None:
+    assert run(["compare", *(a.format(log=walking) for a in arguments)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert fault in captured.err
