@@ -20,6 +20,7 @@ MEASUREMENT, PROCESS, STEP, REJECT, OUTLIER, LIMIT, CONFIDENCE = 0, 1, 2, 3, 4, 
 NUMBERS = 7
 # Columns of a joint's state: position, velocity, covariance 00 01 11.
 STATE = 9
+_VELOCITY = 7
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 
@@ -55,28 +56,16 @@ def predict(states: Floats, known: Flags, row: int, dt: float, process: float, s
             _predict(states[row, m], dt, process, step)
 
 
-@kernel(
-    types.int64(
-        _F3,
-        types.boolean[:, ::1],
-        _F3,
-        types.int64[:, ::1],
-        types.int64[:, ::1],
-        types.int64,
-        _F2,
-        _F1,
-        types.float64,
-        _F1,
-    )
-)
-def correct(
+@kernel
+def _correct(
     states: Floats,
     known: Flags,
     history: Floats,
     filled: Stamps,
     strikes: Stamps,
     row: int,
-    positions: Floats,
+    markers: Floats,
+    p: int,
     confidences: Floats,
     extra: float,
     numbers: Floats,
@@ -87,16 +76,16 @@ def correct(
     ----------
     states : (R, M, 9), predicted to the detection's time. known : (R, M), joints that have one.
     history : (R, M, N) last distances of accepted measurements, m; filled, strikes : (R, M).
-    positions : (M, 3) m. confidences : (M,). extra : variance added to all, m2.
+    markers : (P, M, 19) m; confidences : (P, M); of person ``p``. extra : variance added, m2.
     numbers : see the columns above.
     """
     outliers = 0
     for m in range(states.shape[1]):
-        if np.isnan(positions[m, 0]):
+        if np.isnan(markers[p, m, 0]):
             continue
         confidence = 1.0
-        if numbers[CONFIDENCE] > 0 and not np.isnan(confidences[m]):
-            confidence = confidences[m]
+        if numbers[CONFIDENCE] > 0 and not np.isnan(confidences[p, m]):
+            confidence = confidences[p, m]
             if confidence < numbers[REJECT]:
                 continue  # the prediction stands in for it (III-C)
         variance = numbers[MEASUREMENT] / max(confidence, 1e-3) + extra  # eq 8
@@ -104,14 +93,14 @@ def correct(
         if not known[row, m]:
             known[row, m] = True
             for c in range(3):
-                state[c] = positions[m, c]
+                state[c] = markers[p, m, c]
                 state[3 + c] = 0.0
             state[6], state[7], state[8] = variance, 0.0, 1.0
             filled[row, m] = strikes[row, m] = 0
             continue
         squared = 0.0
         for c in range(3):
-            squared += (positions[m, c] - state[c]) ** 2
+            squared += (markers[p, m, c] - state[c]) ** 2
         distance = np.sqrt(squared)
         size = history.shape[2]
         if size > 0:
@@ -131,7 +120,7 @@ def correct(
         gain0 = state[6] / (state[6] + variance)
         gain1 = state[7] / (state[6] + variance)
         for c in range(3):
-            error = positions[m, c] - state[c]
+            error = markers[p, m, c] - state[c]
             state[c] += gain0 * error
             state[3 + c] += gain1 * error
         state[8] -= gain1 * state[7]
@@ -140,23 +129,141 @@ def correct(
     return outliers
 
 
-@kernel(types.void(_F2, types.int32[:, ::1], types.int64[::1], _F1, _F2))
-def straighten(positions: Floats, links: Ints, order: Stamps, lengths: Floats, out: Floats) -> None:
-    """Give every link its length, from the root to the leaves; (M, 3) to (M, 3).
+@kernel(
+    types.int64(
+        _F3,
+        types.boolean[:, ::1],
+        _F3,
+        types.int64[:, ::1],
+        types.int64[:, ::1],
+        types.int64[::1],
+        types.int64[::1],
+        _F1,
+        _F3,
+        _F2,
+        _F1,
+        _F1,
+    )
+)
+def update(
+    states: Floats,
+    known: Flags,
+    history: Floats,
+    filled: Stamps,
+    strikes: Stamps,
+    rows: Stamps,
+    people: Stamps,
+    dts: Floats,
+    markers: Floats,
+    confidences: Floats,
+    extra: Floats,
+    numbers: Floats,
+) -> int:
+    """Predict and correct the people of one message; return how many joints were outliers.
 
-    The minimum of eq 12 in closed form: the child lies on the line from its parent, where that now
-    is, to where the filter has the child, at the link's length; both terms are 0 there.
+    ``people[i]`` of markers (P, M, 19) is the person in row ``rows[i]``, last seen ``dts[i]`` s
+    ago; extra (P,) m2. The rest is as in :func:`correct`.
     """
-    for m in range(positions.shape[0]):
-        for c in range(3):
-            out[m, c] = positions[m, c]
+    outliers = 0
+    for i in range(len(rows)):
+        row, p = rows[i], people[i]
+        if dts[i] > 0:
+            predict(states, known, row, dts[i], numbers[PROCESS], numbers[STEP])
+        outliers += _correct(
+            states, known, history, filled, strikes, row, markers, p, confidences, extra[i], numbers
+        )
+    return outliers
+
+
+@kernel(types.void(_F3, types.boolean[:, ::1], types.int64[::1], _F1, _F3))
+def emit(states: Floats, known: Flags, rows: Stamps, dts: Floats, markers: Floats) -> None:
+    """Write positions and velocities of ``rows``, ``dts`` s on, into markers (P, M, 19)."""
+    for i in range(len(rows)):
+        row = rows[i]
+        for m in range(states.shape[1]):
+            for c in range(3):
+                if known[row, m]:
+                    velocity = states[row, m, 3 + c]
+                    markers[i, m, c] = states[row, m, c] + dts[i] * velocity
+                    markers[i, m, _VELOCITY + c] = velocity
+                else:
+                    markers[i, m, c] = markers[i, m, _VELOCITY + c] = np.nan
+
+
+@kernel
+def _move_chain(
+    markers: Floats, p: int, lengths: Floats, row: int, links: Ints, order: Stamps
+) -> None:
+    """Place every child, parents first.
+
+    A child's filtered place is needed just once, when it is placed: all happens in place.
+    """
     for k in order:
         parent, child = links[k, 0], links[k, 1]
         squared = 0.0
         for c in range(3):
-            squared += (positions[child, c] - out[parent, c]) ** 2
-        if np.isnan(squared) or squared < 1e-12 or np.isnan(lengths[k]):
+            squared += (markers[p, child, c] - markers[p, parent, c]) ** 2
+        if np.isnan(squared) or squared < 1e-12:
             continue
-        scale = lengths[k] / np.sqrt(squared)
+        scale = lengths[row, k] / np.sqrt(squared)
         for c in range(3):
-            out[child, c] = out[parent, c] + scale * (positions[child, c] - out[parent, c])
+            start = markers[p, parent, c]
+            markers[p, child, c] = start + scale * (markers[p, child, c] - start)
+
+
+@kernel(
+    types.void(
+        _F3,
+        types.int64[::1],
+        _F2,
+        types.int64[::1],
+        types.int32[:, ::1],
+        types.int64[::1],
+        types.int64,
+        types.float64,
+    )
+)
+def straighten(
+    markers: Floats,
+    rows: Stamps,
+    lengths: Floats,
+    frames: Stamps,
+    links: Ints,
+    order: Stamps,
+    enough: int,
+    rate: float,
+) -> None:
+    """Learn the lengths of people's links, and give every link its length, root to leaves.
+
+    The minimum of eq 12 in closed form: the child lies on the line from its parent, where that now
+    is, to where the filter has the child, at the link's length; both terms are 0 there.
+
+    Parameters
+    ----------
+    markers : (P, M, 19), positions changed in place once a person has ``enough`` frames.
+    rows : (P,) row of each person in lengths (R, L), m, and frames (R,); -1 = leave alone.
+    links : (L, 2) marker slots; order : links, parents first. rate : share of a new measurement.
+    """
+    measured = 0.0
+    for p in range(markers.shape[0]):
+        row = rows[p]
+        if row < 0:
+            continue
+        whole = True
+        for k in order:
+            whole &= not np.isnan(markers[p, links[k, 0], 0] + markers[p, links[k, 1], 0])
+        for k in order:
+            squared = 0.0
+            for c in range(3):
+                squared += (markers[p, links[k, 0], c] - markers[p, links[k, 1], c]) ** 2
+            measured = np.sqrt(squared)
+            if frames[row] < enough:
+                if whole:
+                    lengths[row, k] += (measured - lengths[row, k]) / (frames[row] + 1)
+            elif not np.isnan(measured):
+                lengths[row, k] += rate * (measured - lengths[row, k])
+        if frames[row] < enough:
+            frames[row] += whole
+        if frames[row] < enough:
+            continue
+        _move_chain(markers, p, lengths, row, links, order)

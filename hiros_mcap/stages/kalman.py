@@ -14,9 +14,7 @@ from pydantic import Field
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import (
-    POSITION,
     UNTRACKED,
-    VELOCITY,
     Floats,
     Frame,
     SkeletonModel,
@@ -108,42 +106,35 @@ class _Filters:
             params.use_confidence,
         ], np.float64)  # fmt: skip
 
-    def row(self, person: int, stamp: int) -> int:
-        """Row of a person, predicted to ``stamp``; a new one if they were long away."""
-        if person in self.rows and stamp - self.seen[person] > self._params.max_gap * 1e9:
-            self.forget(person)
-        if person not in self.rows:
-            self.rows[person] = self._new_row()
-            self.stamps[person] = stamp
-        row = self.rows[person]
-        dt = (stamp - self.stamps[person]) * 1e-9
-        if dt > 0:
-            self._kernels.predict(
-                self.states, self.known, row, dt, self._numbers[1], self._params.step
-            )
-            self.stamps[person] = stamp
-        return row
-
-    def correct(self, person: int, stamp: int, frame: Frame, index: int, extra: float) -> int:
-        """Update a person with a detection; return the number of outliers."""
-        row = self.row(person, stamp)
-        self.seen[person] = stamp
+    def update(self, frame: Frame, extra: Floats) -> int:
+        """Predict and correct everybody with an id whom a message shows; return the outliers."""
+        gap = self._params.max_gap * 1e9
+        rows, people, dts = [], [], []
+        for index, person in enumerate(frame.ids.tolist()):
+            if person == UNTRACKED:
+                continue
+            if person in self.rows and frame.stamp - self.seen[person] > gap:
+                self.forget(person)
+            if person not in self.rows:
+                self.rows[person] = self._new_row()
+                self.stamps[person] = frame.stamp
+            rows.append(self.rows[person])
+            people.append(index)
+            dts.append((frame.stamp - self.stamps[person]) * 1e-9)
+            self.stamps[person] = self.seen[person] = frame.stamp
         return int(
-            self._kernels.correct(
-                self.states, self.known, self._history, self._filled, self._strikes, row,
-                np.ascontiguousarray(frame.positions[index]), frame.marker_confidences[index],
-                extra, self._numbers,
+            self._kernels.update(
+                self.states, self.known, self._history, self._filled, self._strikes,
+                np.array(rows, np.int64), np.array(people, np.int64), np.array(dts, np.float64),
+                frame.markers, frame.marker_confidences, extra[people], self._numbers,
             )
         )  # fmt: skip
 
-    def at(self, person: int, stamp: int) -> tuple[Floats, Floats]:
-        """(M, 3) positions and velocities of a person, carried on to ``stamp``; NaN if unknown."""
-        row = self.rows[person]
-        state, unknown = self.states[row], ~self.known[row]
-        dt = (stamp - self.stamps[person]) * 1e-9
-        positions, velocities = state[:, :3] + dt * state[:, 3:6], state[:, 3:6].copy()
-        positions[unknown] = velocities[unknown] = np.nan
-        return positions, velocities
+    def write(self, people: list[int], stamp: int, markers: Floats) -> None:
+        """Put people's positions and velocities, carried on to ``stamp``, into (P, M, 19)."""
+        rows = np.array([self.rows[person] for person in people], np.int64)
+        dts = np.array([(stamp - self.stamps[person]) * 1e-9 for person in people], np.float64)
+        self._kernels.emit(self.states, self.known, rows, dts, markers)
 
     def forget(self, person: int) -> None:
         """Free a person's row."""
@@ -224,23 +215,24 @@ class _Fusion:
             while self._due < frame.stamp:
                 yield self._output(self._due, frame)
                 self._due += self._period
+        self._events.count(
+            "outlier", frame.source, self._filters.update(frame, self._range_noise(frame))
+        )
         for index, person in enumerate(frame.ids.tolist()):
             if person != UNTRACKED:
-                self._take(frame, index, person)
+                self._latest[person] = (frame, index)
         if not self._period:
             yield self._output(frame.stamp, frame)
 
-    def _take(self, frame: Frame, index: int, person: int) -> None:
-        extra = 0.0
-        if self._params.range_noise and frame.source in self._cameras:
-            away = frame.positions[index] - self._cameras[frame.source]
-            known = away[~np.isnan(away).any(axis=1)]
-            if len(known):
-                square = float((known.mean(axis=0) ** 2).sum())
-                extra = (self._params.range_noise * square) ** 2
-        outliers = self._filters.correct(person, frame.stamp, frame, index, extra)
-        self._events.count("outlier", frame.source, outliers)
-        self._latest[person] = (frame, index)
+    def _range_noise(self, frame: Frame) -> Floats:
+        """(P,) Variance that grows with the distance from the camera, m2."""
+        if not self._params.range_noise or frame.source not in self._cameras:
+            return np.zeros(frame.n_people)
+        away = frame.positions - self._cameras[frame.source]
+        known = np.asarray(~np.isnan(away).any(axis=-1))
+        total = np.where(known[:, :, np.newaxis], away, 0.0).sum(axis=1)
+        middle = total / np.maximum(known.sum(axis=1), 1)[:, np.newaxis]
+        return np.asarray((self._params.range_noise * (middle**2).sum(axis=1)) ** 2)
 
     def _output(self, stamp: int, cause: Frame) -> Frame:
         """Everybody who was seen lately, at ``stamp``."""
@@ -250,22 +242,26 @@ class _Fusion:
             self._latest.pop(person, None)
         people = sorted(p for p, seen in filters.seen.items() if stamp - seen <= hold)
         fixed = self._fixed or cause.frame_id
-        out = Frame.empty(
-            len(people),
-            self._model,
-            stamp=stamp,
-            log_time=cause.log_time,
-            source=fixed,
-            frame_id=fixed,
-        )
+        latest = [self._latest[person] for person in people]
+        if people and all(frame is cause for frame, _ in latest):
+            out = cause.select([index for _, index in latest])
+            out.stamps[:], out.boxes[:] = stamp, np.nan
+            out = out.replace(stamp=stamp, source=fixed, frame_id=fixed)
+        else:
+            out = Frame.empty(
+                len(people),
+                self._model,
+                stamp=stamp,
+                log_time=cause.log_time,
+                source=fixed,
+                frame_id=fixed,
+            )
+            for row, (frame, index) in enumerate(latest):
+                out.links[row] = frame.links[index]
+                out.link_confidences[row] = frame.link_confidences[index]
+                out.marker_confidences[row] = frame.marker_confidences[index]
+                out.confidences[row] = frame.confidences[index]
         out.ids[:] = people
-        for row, person in enumerate(people):
-            frame, index = self._latest[person]
-            out.links[row] = frame.links[index]
-            out.link_confidences[row] = frame.link_confidences[index]
-            out.marker_confidences[row] = frame.marker_confidences[index]
-            out.confidences[row] = frame.confidences[index]
-            positions, velocities = filters.at(person, stamp)
-            out.markers[row, :, POSITION] = positions
-            out.markers[row, :, VELOCITY] = velocities
+        out.markers[:] = np.nan
+        filters.write(people, stamp, out.markers)
         return out

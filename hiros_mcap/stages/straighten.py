@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from pydantic import Field
@@ -35,13 +34,6 @@ class StraightenParams(Params):
     )
 
 
-@dataclass(slots=True)
-class _Person:
-    lengths: Floats
-    """(L,) m; sums until there are enough frames."""
-    frames: int = 0
-
-
 def straighten(
     frames: Iterable[Frame],
     model: SkeletonModel,
@@ -64,55 +56,34 @@ def straighten(
     events = Events() if events is None else events
     order, links = link_order(model), np.ascontiguousarray(model.links)
     chest = _chest(model) if params.chest_midpoint else None
-    people: dict[int, _Person] = {}
+    rows: dict[int, int] = {}
+    lengths, learned = np.zeros((8, model.n_links)), np.zeros(8, np.int64)
     for frame in frames:
+        ids = frame.ids.tolist()
+        for person in ids:
+            if person != UNTRACKED:
+                rows.setdefault(person, len(rows))
+        if len(rows) > len(lengths):
+            lengths = np.concatenate([lengths, np.zeros((len(rows), model.n_links))])
+            learned = np.concatenate([learned, np.zeros(len(rows), np.int64)])
         out = frame.replace(markers=frame.markers.copy())
-        for row, person in enumerate(frame.ids.tolist()):
-            if person == UNTRACKED:
-                continue
-            known = people.setdefault(person, _Person(np.zeros(model.n_links)))
-            positions = np.ascontiguousarray(frame.positions[row])
-            _learn(known, positions, model, params, order)
-            if known.frames == params.frames:
-                events.note(frame.stamp, "limbs calibrated", person=person)
-                known.frames += 1
-            if known.frames > params.frames:
-                moved = np.empty_like(positions)
-                kernel(positions, links, order, known.lengths, moved)
-                out.markers[row, :, POSITION] = moved
-            if chest is not None:
-                slot, corners = chest
-                out.markers[row, slot, POSITION] = out.markers[row, corners, POSITION].mean(axis=0)
+        own = np.array([rows.get(person, -1) for person in ids], np.int64)
+        before = learned[own]
+        kernel(out.markers, own, lengths, learned, links, order, params.frames, params.rate)
+        for k in np.nonzero((before < params.frames) & (learned[own] >= params.frames))[0]:
+            events.note(frame.stamp, "limbs calibrated", person=ids[k])
+        if chest is not None:
+            slot, corners = chest
+            out.markers[:, slot, POSITION] = out.markers[:, corners, POSITION].mean(axis=1)
         yield out
-    for person, known in people.items():
-        if known.frames > params.frames:
-            limbs.people[person] = _as_limbs(known, model, params)
+    for person, row in rows.items():
+        if learned[row] >= params.frames:
+            limbs.people[person] = _as_limbs(lengths[row], model, params)
 
 
-def _learn(
-    person: _Person,
-    positions: Floats,
-    model: SkeletonModel,
-    params: StraightenParams,
-    order: Stamps,
-) -> None:
-    """Start from the mean of whole skeletons, then follow slowly."""
-    bones = positions[model.links[order, 0]] - positions[model.links[order, 1]]
-    measured = np.linalg.norm(bones, axis=-1)
-    if person.frames < params.frames:
-        if np.isnan(measured).any():
-            return
-        person.lengths[order] += (measured - person.lengths[order]) / (person.frames + 1)
-        person.frames += 1
-        return
-    seen = ~np.isnan(measured)
-    slots = order[seen]
-    person.lengths[slots] += params.rate * (measured[seen] - person.lengths[slots])
-
-
-def _as_limbs(person: _Person, model: SkeletonModel, params: StraightenParams) -> dict[str, Limb]:
-    lengths = zip(link_keys(model), person.lengths.tolist(), strict=True)
-    return {key: Limb(length, 0.0, params.frames) for key, length in lengths if length > 0}
+def _as_limbs(lengths: Floats, model: SkeletonModel, params: StraightenParams) -> dict[str, Limb]:
+    rows = zip(link_keys(model), lengths.tolist(), strict=True)
+    return {key: Limb(length, 0.0, params.frames) for key, length in rows if length > 0}
 
 
 def link_order(model: SkeletonModel) -> Stamps:

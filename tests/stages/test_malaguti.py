@@ -32,6 +32,26 @@ def numbers(**changes: object) -> Floats:
     ], float)  # fmt: skip
 
 
+def measure(
+    bank: Sequence[np.ndarray],
+    counters: Sequence[np.ndarray],
+    positions: Floats,
+    confidences: Floats,
+    values: Floats,
+    dt: float = 0.0,
+) -> int:
+    """Feed one person's joints (M, 3) to the filters in row 0."""
+    markers = np.full((1, len(positions), 19), np.nan)
+    markers[0, :, :3] = positions
+    zero = np.zeros(1, np.int64)
+    return int(
+        kernels.update(
+            *bank, *counters, zero, zero.copy(), np.array([dt]), markers,
+            np.ascontiguousarray(confidences)[None], np.zeros(1), values,
+        )
+    )  # fmt: skip
+
+
 # -- association ---------------------------------------------------------------------------------
 
 
@@ -142,7 +162,7 @@ def test_m04_blocks_equal_the_dense_filter_to_1e_9() -> None:
     values = numbers(history=0)
     first = rng.normal(size=(m, 3))
     confidences = np.ones(m)
-    kernels.correct(*bank, *counters, 0, first, confidences, 0.0, values)
+    measure(bank, counters, first, confidences, values)
     x = np.concatenate([first.ravel(), np.zeros(3 * m)])
     p = np.diag(np.concatenate([np.full(3 * m, values[0]), np.ones(3 * m)]))
     for _ in range(40):
@@ -150,8 +170,7 @@ def test_m04_blocks_equal_the_dense_filter_to_1e_9() -> None:
         z = first + rng.normal(scale=0.1, size=(m, 3))
         z[rng.random(m) < 0.2] = np.nan
         confidences = rng.uniform(0.5, 1, m)
-        kernels.predict(bank[0], bank[1], 0, dt, values[1], 0.0)
-        kernels.correct(*bank, *counters, 0, z, confidences, 0.0, values)
+        measure(bank, counters, z, confidences, values, dt)
         variances = np.repeat(values[0] / confidences, 3)
         x, p = dense_step(x, p, dt, values[1] / 30, z.ravel(), variances)
     state = bank[0][0]
@@ -195,10 +214,8 @@ def corrected(
     bank, known = one_joint(state)
     size = int(str(changes.get("history", 0)))
     zeros = np.zeros((1, 1), np.int64)
-    kernels.correct(
-        bank, known, np.zeros((1, 1, size)), zeros, zeros.copy(), 0, np.array([z], float),
-        np.array([confidence]), 0.0, numbers(**changes),
-    )  # fmt: skip
+    banks, counters = [bank, known, np.zeros((1, 1, size))], [zeros, zeros.copy()]
+    measure(banks, counters, np.array([z], float), np.array([confidence]), numbers(**changes))
     return bank[0, 0]
 
 
@@ -226,13 +243,15 @@ class Joint:
         self.filled = np.zeros((1, 1), np.int64)
         self.strikes = np.zeros((1, 1), np.int64)
 
+    def take(self, distance: float, confidence: float) -> int:
+        banks, counters = [self.bank, self.known, self.history], [self.filled, self.strikes]
+        z = np.array([[distance, 0, 0.0]])
+        return measure(banks, counters, z, np.array([confidence]), self.values)
+
     def feed(self, distance: float, variance: float = 0.0009) -> tuple[int, float]:
         """Measure ``distance`` from the state, whose variance is set; outliers and gain."""
         self.bank[0, 0] = [0, 0, 0, 0, 0, 0, variance, 0, 1]
-        found = kernels.correct(
-            self.bank, self.known, self.history, self.filled, self.strikes, 0,
-            np.array([[distance, 0, 0.0]]), np.ones(1), 0.0, self.values,
-        )  # fmt: skip
+        found = self.take(distance, 1.0)
         return found, float(self.bank[0, 0, 0] / distance)
 
 
@@ -275,10 +294,7 @@ def test_m18_confidence_comes_before_outliers() -> None:
     for _ in range(15):
         joint.feed(0.01)
     before = joint.history.copy()
-    found = kernels.correct(
-        joint.bank, joint.known, joint.history, joint.filled, joint.strikes, 0,
-        np.array([[5.0, 0, 0]]), np.array([0.3]), 0.0, joint.values,
-    )  # fmt: skip
+    found = joint.take(5.0, 0.3)
     assert found == 0
     assert (joint.history == before).all()
 
@@ -355,8 +371,11 @@ def test_m20_m22_closed_form_is_the_minimum_of_eq12() -> None:
     lengths = rng.uniform(0.2, 0.6, MODEL.n_links)
     for _ in range(5):
         given = POSE + rng.normal(scale=0.05, size=POSE.shape)
-        closed = np.empty_like(given)
-        kernels.straighten(given, links, order, lengths, closed)
+        block = np.full((1, len(given), 19), np.nan)
+        block[0, :, :3] = given
+        zero = np.zeros(1, np.int64)
+        kernels.straighten(block, zero, lengths[None].copy(), np.array([1]), links, order, 1, 0.0)
+        closed = block[0, :, :3]
         solved = given.copy()
         for k in order:
             parent, child = links[k]
