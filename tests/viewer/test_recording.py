@@ -164,7 +164,7 @@ def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
         for kind, frame in in_time_order(log):
             if kind != "detections":
                 scene.stage(kind, frame)
-            longest = max(longest, *(len(rows.stamps) for rows in scene._points.values()), 0)
+            longest = max(longest, *(len(rows.stamps) for rows in scene._bodies.values()), 0)
     assert 0 < longest <= 50
 
 

@@ -52,27 +52,32 @@ class PointRows:
 
 
 @dataclass(slots=True)
-class BoneRows:
-    """Bones of one body over time; a row without bones hides it."""
+class BodyRows:
+    """One body over time; all that is drawn of it is derived from its joints when it is sent."""
 
     stamps: list[int] = field(default_factory=list)
-    bones: list[Floats] = field(default_factory=list)
-    """(K, 2, 3) m each."""
+    poses: list[Floats | None] = field(default_factory=list)
+    """(M, 3) m each; None hides the body."""
+    confidences: list[Floats] = field(default_factory=list)
+    """(M,) of each pose."""
     shown: bool = False
     last: int = 0
+    last_root: tuple[int, Floats] | None = None
+    """Stamp and place of the root in the last row that was sent."""
 
-    def add(self, stamp: int, bones: Floats) -> None:
+    def add(self, stamp: int, pose: Floats, confidences: Floats) -> None:
         """Append a row."""
         self.stamps.append(stamp)
-        self.bones.append(bones)
-        self.shown, self.last = len(bones) > 0, stamp
+        self.poses.append(pose)
+        self.confidences.append(confidences)
+        self.shown, self.last = True, stamp
 
     def hide(self, stamp: int) -> None:
         """Append an empty row, unless nothing is shown."""
         if self.shown:
-            last = self.last
-            self.add(stamp, np.zeros((0, 2, 3)))
-            self.last = last
+            self.stamps.append(stamp)
+            self.poses.append(None)
+            self.shown = False
 
 
 @dataclass(slots=True)
@@ -89,6 +94,11 @@ class ScalarRows:
         """Append a row."""
         self.stamps.append(stamp)
         self.values.append(values)
+
+    def extend(self, stamps: list[int], values: Floats) -> None:
+        """Append rows (T, len(names))."""
+        self.stamps += stamps
+        self.values += list(values)
 
 
 @dataclass(slots=True)

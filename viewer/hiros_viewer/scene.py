@@ -26,9 +26,9 @@ from hiros_mcap.colours import RGB, person_colour
 from hiros_mcap.evaluate.motion import lengths_of
 from hiros_mcap.events import Event
 from hiros_mcap.rotations import Rigid
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel
 from hiros_mcap.symmetry import split_side
-from hiros_viewer.columns import TIMELINE, BoneRows, PointRows, ScalarRows, TextRows
+from hiros_viewer.columns import TIMELINE, BodyRows, PointRows, ScalarRows, TextRows
 from hiros_viewer.palette import CAMERAS, CLASSES, camera_colour, curve_colour, pale
 
 if TYPE_CHECKING:
@@ -44,6 +44,8 @@ _BONE_M = 0.011
 _DETECTION_M = 0.008
 _FIRST_CAMERA_CLASS = 2 * CLASSES
 _CLASSES_PER_CAMERA = 30
+_LABEL_ABOVE_M = 0.18
+_MOST_BOUNDS = 2000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
@@ -97,12 +99,10 @@ class Scene:
         self._points: dict[str, PointRows] = {}
         self._scalars: dict[str, ScalarRows] = {}
         self._texts: dict[str, TextRows] = {}
-        self._labels: dict[str, PointRows] = {}
-        self._bones: dict[str, BoneRows] = {}
-        self._classes: dict[str, int] = {}
-        self._names: dict[str, str] = {}
+        self._bodies: dict[str, BodyRows] = {}
+        self._started: set[str] = set()
+        self._nowhere = np.full((model.n_markers, 3), np.nan)
         self._reference = _Reference()
-        self._roots: dict[int, tuple[int, Floats]] = {}
         self._alive: set[int] = set()
         self._last: dict[str, int] = {}
         self._root = _root_slot(model)
@@ -223,8 +223,6 @@ class Scene:
                 continue
             self.people.add(person)
             self._body(name, person, frame, row)
-            if final:
-                self._curves(person, frame, row)
         self._hide_gone(name, frame)
         if final:
             self._reference = _Reference(frame.stamp, frame.positions)
@@ -232,46 +230,19 @@ class Scene:
         self._count()
 
     def _body(self, stage: str, person: int, frame: Frame, row: int) -> None:
-        path = f"{self._prefix}/{stage}/{person}"
-        positions = frame.positions[row]
-        radii = _JOINT_M * _sure(frame.marker_confidences[row])
-        rows = self._points.setdefault(path, PointRows())
-        self._classes.setdefault(path, self._first_class + person % CLASSES)
+        rows = self._bodies.setdefault(f"{self._prefix}/{stage}/{person}", BodyRows())
         self._hide_after_pause(rows, frame.stamp)
-        rows.add(frame.stamp, positions, radii)
-        bones = positions[self._bone_ends]
-        self._bones.setdefault(f"{path}/bones", BoneRows()).add(
-            frame.stamp, bones[~np.isnan(bones).any(axis=(1, 2))]
-        )
-        self._classes.setdefault(f"{path}/bones", self._first_class + person % CLASSES)
-        known = positions[~np.isnan(positions).any(axis=-1)]
-        if not len(known):
-            return
-        top = np.array([[*known[:, :2].mean(axis=0), known[:, 2].max() + 0.18]])
-        label = self._labels.setdefault(f"{path}/name", PointRows())
-        self._names.setdefault(
-            f"{path}/name", f"{person}" if stage != "truth" else f"truth {person}"
-        )
-        self._classes.setdefault(f"{path}/name", self._first_class + person % CLASSES)
-        label.add(frame.stamp, top, np.array([0.001]))
-        root = positions[self._root : self._root + 1]
-        trail = self._points.setdefault(f"{path}/trail", PointRows())
-        self._classes.setdefault(f"{path}/trail", self._first_class + person % CLASSES)
-        trail.add(frame.stamp, root, np.array([0.005]))
-        if len(self.bounds) < 2000:
-            self.bounds.append(known.mean(axis=0))
+        rows.add(frame.stamp, frame.positions[row], frame.marker_confidences[row])
 
     def _hide_gone(self, stage: str, frame: Frame) -> None:
         """Hide people whom this frame lacks; the tracker's frames are of one camera each."""
         patience = GONE_NS if stage == "tracked" else 0
         start = f"{self._prefix}/{stage}/"
         present = {f"{start}{person}" for person in frame.ids.tolist()}
-        for table in (self._points, self._labels, self._bones):
-            for path, rows in table.items():
-                if path.startswith(start) and rows.shown:
-                    body = "/".join(path.split("/")[: start.count("/") + 1])
-                    if body not in present and frame.stamp - rows.last >= patience:
-                        rows.hide(frame.stamp)
+        for path, rows in self._bodies.items():
+            is_gone = rows.shown and path.startswith(start) and path not in present
+            if is_gone and frame.stamp - rows.last >= patience:
+                rows.hide(frame.stamp)
 
     def _end_before_pause(self, stage: str, stamp: int) -> None:
         """Hide a stage's people during a pause of its channel: nobody knows where they are."""
@@ -279,38 +250,17 @@ class Scene:
         self._last[stage] = stamp
         if stamp - last <= 2 * GONE_NS:
             return
-        for table in (self._points, self._labels, self._bones):
-            for path, rows in table.items():
-                if path.startswith(f"{self._prefix}/{stage}/"):
-                    rows.hide(last + GONE_NS)
+        for path, rows in self._bodies.items():
+            if path.startswith(f"{self._prefix}/{stage}/"):
+                rows.hide(last + GONE_NS)
         if stage == self.final:
             self._leave(self._alive, last + GONE_NS)
             self._alive = set()
 
-    def _hide_after_pause(self, rows: PointRows, stamp: int) -> None:
+    def _hide_after_pause(self, rows: PointRows | BodyRows, stamp: int) -> None:
         """Hide what was last shown before a pause of the channel."""
         if rows.shown and stamp - rows.last > 2 * GONE_NS:
             rows.hide(rows.last + GONE_NS)
-
-    def _curves(self, person: int, frame: Frame, row: int) -> None:
-        positions, stamp = frame.positions[row], frame.stamp
-        self._curve(
-            f"{self._prefix}/angles/{person}",
-            ANGLES,
-            stamp,
-            np.degrees(flexions(self.model, positions)),
-        )
-        if self._limbs:
-            lengths = lengths_of(positions, self.model)[list(self._limbs.values())]
-            self._curve(f"{self._prefix}/limbs/{person}", tuple(self._limbs), stamp, lengths)
-        before = self._roots.get(person)
-        root = positions[self._root]
-        if before is not None and 0 < stamp - before[0] < GONE_NS:
-            speed = float(np.linalg.norm(root - before[1])) / ((stamp - before[0]) / 1e9)
-            self._curve(
-                f"{self._prefix}/speed/{person}", (f"person {person}",), stamp, np.array([speed])
-            )
-        self._roots[person] = (stamp, root)
 
     def _states(self, frame: Frame) -> None:
         """Note when somebody comes and goes."""
@@ -356,21 +306,22 @@ class Scene:
 
     def finish(self) -> None:
         """Send what is left, and hide everybody after the last frame."""
-        for table in (self._points, self._labels, self._bones):
-            for rows in table.values():
-                rows.hide(rows.last + GONE_NS)
+        for rows in self._points.values():
+            rows.hide(rows.last + GONE_NS)
+        for body in self._bodies.values():
+            body.hide(body.last + GONE_NS)
         self._leave(self._alive, self._last.get(self.final, 0) + GONE_NS)
         self.flush()
 
     def flush(self) -> None:
         """Send what was collected so far."""
         self._collected = 0
-        for path, rows in (*self._points.items(), *self._labels.items()):
+        for path, rows in self._points.items():
             if rows.stamps:
                 self._send_points(path, rows)
-        for path, bones in self._bones.items():
-            if bones.stamps:
-                self._send_bones(path, bones)
+        for path, body in self._bodies.items():
+            if body.stamps:
+                self._send_body(path, body)
         for path, curve in self._scalars.items():
             if curve.stamps:
                 self._send_scalars(path, curve)
@@ -379,44 +330,109 @@ class Scene:
                 self._send_texts(path, lines)
 
     def _send_points(self, path: str, rows: PointRows) -> None:
+        """Send a camera's detections: several bodies in one batch, told apart by their classes."""
         import rerun as rr
 
-        if path in self._classes:
-            number = self._classes.pop(path)
-            fixed: dict[str, Any] = {"class_ids": [number], "show_labels": path in self._names}
-            if path not in self._names and not path.endswith("/trail"):
-                fixed["keypoint_ids"] = list(range(self.model.n_markers))
-            if path in self._names:
-                fixed["labels"] = [self._names[path]]
-            self.recording.log(path, rr.Points3D.from_fields(**fixed), static=True)
-        counts = [len(points) for points in rows.points]
-        columns: dict[str, Any] = {
-            "positions": np.concatenate(rows.points),
-            "radii": np.concatenate(rows.radii),
-        }
-        if any(rows.classes):
-            columns["class_ids"] = np.concatenate([np.array(c, np.uint16) for c in rows.classes])
-            columns["keypoint_ids"] = np.concatenate(
-                [np.array(k, np.uint16) for k in rows.keypoints]
-            )
-        parts = rr.Points3D.columns(**columns).partition(counts)
+        parts = rr.Points3D.columns(
+            positions=np.concatenate(rows.points),
+            radii=np.concatenate(rows.radii),
+            class_ids=np.array([c for row in rows.classes for c in row], np.uint16),
+            keypoint_ids=np.array([k for row in rows.keypoints for k in row], np.uint16),
+        ).partition([len(points) for points in rows.points])
+        if path not in self._started:
+            self._started.add(path)
+            look = rr.Points3D.from_fields(show_labels=False)
+            self.recording.log(path, look, static=True)
         self.recording.send_columns(path, [_times(rows.stamps)], parts)
         rows.stamps, rows.points, rows.radii = [], [], []
         rows.classes, rows.keypoints = [], []
 
-    def _send_bones(self, path: str, rows: BoneRows) -> None:
+    def _send_body(self, path: str, rows: BodyRows) -> None:
+        """Send joints, bones, label and trail of one person, derived for all rows at once."""
         import rerun as rr
 
-        if path in self._classes:
-            look = rr.LineStrips3D.from_fields(
-                class_ids=[self._classes.pop(path)], radii=_BONE_M, show_labels=False
-            )
-            self.recording.log(path, look, static=True)
-        counts = [len(bones) for bones in rows.bones]
-        strips = np.concatenate(rows.bones).astype(np.float32)
-        parts = rr.LineStrips3D.columns(strips=strips).partition(counts)
-        self.recording.send_columns(path, [_times(rows.stamps)], parts)
-        rows.stamps, rows.bones = [], []
+        if path not in self._started:
+            self._started.add(path)
+            self._send_looks(path)
+        times = _times(rows.stamps)
+        shown = np.array([pose is not None for pose in rows.poses])
+        poses = np.stack([pose for pose in rows.poses if pose is not None] or [self._nowhere])
+        poses = poses[: int(shown.sum())]
+        confidences = np.array(rows.confidences).reshape(len(poses), self.model.n_markers)
+        counts = np.where(shown, self.model.n_markers, 0)
+        joints = rr.Points3D.columns(
+            positions=poses.reshape(-1, 3), radii=(_JOINT_M * _sure(confidences)).reshape(-1)
+        )
+        self.recording.send_columns(path, [times], joints.partition(counts))
+
+        bones = poses[:, self._bone_ends]
+        whole = ~np.isnan(bones).any(axis=(2, 3))
+        per_row = np.zeros(len(shown), int)
+        per_row[shown] = whole.sum(axis=1)
+        strips = rr.LineStrips3D.columns(strips=bones[whole].astype(np.float32))
+        self.recording.send_columns(f"{path}/bones", [times], strips.partition(per_row))
+
+        known = ~np.isnan(poses[:, :, 0])
+        there = known.any(axis=1)
+        tops = np.empty((len(poses), 3))
+        places = np.where(known[:, :, np.newaxis], poses, 0.0).sum(axis=1)
+        tops[:, :2] = (places / np.maximum(known.sum(axis=1), 1)[:, np.newaxis])[:, :2]
+        tops[:, 2] = np.where(known, poses[:, :, 2], -np.inf).max(axis=1) + _LABEL_ABOVE_M
+        singles = np.zeros(len(shown), int)
+        singles[shown] = there
+        for part, spots in (("name", tops), ("trail", poses[:, self._root])):
+            column = rr.Points3D.columns(positions=spots[there])
+            self.recording.send_columns(f"{path}/{part}", [times], column.partition(singles))
+        if len(self.bounds) < _MOST_BOUNDS:
+            self.bounds += list((tops - [0, 0, _LABEL_ABOVE_M])[there][::10])
+        self._derive_curves(path, rows, poses, shown)
+        rows.stamps, rows.poses, rows.confidences = [], [], []
+
+    def _send_looks(self, path: str) -> None:
+        """Say once how a person's entities look."""
+        import rerun as rr
+
+        stage, person = path.rsplit("/", 2)[-2:]
+        number = self._first_class + int(person) % CLASSES
+        keypoints = list(range(self.model.n_markers))
+        label = f"truth {person}" if stage == "truth" else person
+        for part, look in (
+            ("", rr.Points3D.from_fields(
+                class_ids=[number], keypoint_ids=keypoints, show_labels=False)),
+            ("/bones", rr.LineStrips3D.from_fields(
+                class_ids=[number], radii=_BONE_M, show_labels=False)),
+            ("/name", rr.Points3D.from_fields(
+                class_ids=[number], radii=0.001, labels=[label], show_labels=True)),
+            ("/trail", rr.Points3D.from_fields(
+                class_ids=[number], radii=0.005, show_labels=False)),
+        ):  # fmt: skip
+            self.recording.log(f"{path}{part}", look, static=True)
+
+    def _derive_curves(self, path: str, rows: BodyRows, poses: Floats, shown: Flags) -> None:
+        """Angles, limb lengths and speed of the last stage."""
+        stage, person = path.rsplit("/", 2)[-2:]
+        if stage != self.final or not len(poses):
+            return
+        stamps = [stamp for stamp, yes in zip(rows.stamps, shown, strict=True) if yes]
+        angles = np.degrees(flexions(self.model, poses))
+        self._extend(f"{self._prefix}/angles/{person}", ANGLES, stamps, angles)
+        if self._limbs:
+            lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
+            self._extend(f"{self._prefix}/limbs/{person}", tuple(self._limbs), stamps, lengths)
+        times, roots = np.array(stamps), poses[:, self._root]
+        if rows.last_root is not None:
+            times = np.insert(times, 0, rows.last_root[0])
+            roots = np.insert(roots, 0, rows.last_root[1], axis=0)
+        rows.last_root = (stamps[-1], poses[-1, self._root])
+        steps = np.diff(times)
+        steady = (steps > 0) & (steps < GONE_NS)
+        speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
+        moments = times[1:][steady].tolist()
+        name = (f"person {person}",)
+        self._extend(f"{self._prefix}/speed/{person}", name, moments, speeds[:, np.newaxis])
+
+    def _extend(self, path: str, names: Sequence[str], stamps: list[int], values: Floats) -> None:
+        self._scalars.setdefault(path, ScalarRows(tuple(names))).extend(stamps, values)
 
     def _send_scalars(self, path: str, rows: ScalarRows) -> None:
         import rerun as rr
