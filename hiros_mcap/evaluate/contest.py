@@ -80,6 +80,8 @@ class Outcome:
     """Without a truth: mean over cameras of the median distance of the one left out, mm."""
     limb_variation: float = float("nan")
     jitter: float = float("nan")
+    people: float = float("nan")
+    """Mean number of people in the result."""
 
     @property
     def rank(self) -> float:
@@ -169,6 +171,7 @@ def run_task(task: Task) -> Outcome:
         scores,
         limb_variation=scores.limb_variation,
         jitter=scores.jitter,
+        people=float(np.mean([frame.n_people for frame in found])) if found else 0.0,
     )
 
 

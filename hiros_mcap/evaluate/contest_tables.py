@@ -14,6 +14,7 @@ from hiros_mcap.evaluate.published import (
     LEE_RADII,
     MALAGUTI,
     MALAGUTI_COLUMNS,
+    MALAGUTI_MS_PER_PERSON,
     Pair,
 )
 from hiros_mcap.text import number
@@ -89,6 +90,46 @@ def malaguti_rows(outcomes: Sequence[Outcome]) -> Rows:
 
 def _cm(pair: Pair) -> str:
     return f"{pair[0] / 10:.2f} +- {pair[1] / 10:.2f}"
+
+
+TIME_HEADER = ("People", "ms per message", "messages/s", "paper: ms", "paper: frames/s")
+
+
+def malaguti_times(outcomes: Sequence[Outcome], most: int = 6) -> Rows:
+    """Table II: time of malaguti for 1 to 6 people, from what one person costs on average."""
+    mine = [o.milliseconds / o.people for o in outcomes if o.name == "malaguti" and o.people >= 1]
+    if not mine:
+        return []
+    each = float(np.mean(mine))
+    return [
+        (
+            str(n),
+            f"{n * each:.3f}",
+            f"{1000 / (n * each):.0f}",
+            f"{n * MALAGUTI_MS_PER_PERSON:.1f}",
+            f"{1000 / (n * MALAGUTI_MS_PER_PERSON):.1f}",
+        )
+        for n in range(1, most + 1)
+    ]
+
+
+def joint_rows(outcomes: Sequence[Outcome]) -> tuple[tuple[str, ...], Rows]:
+    """Error (SD) of every joint, mm, a column per system: the layout of Lee's Tables A1 to A6."""
+    names = list(dict.fromkeys(o.name for o in outcomes))
+    by_name = {n: [o.scores for o in outcomes if o.name == n and o.scores] for n in names}
+    joints = dict.fromkeys(j for group in by_name.values() for s in group for j in s.joints)
+    rows: Rows = []
+    for joint in joints:
+        cells = []
+        for name in names:
+            known = [s.joints[joint] for s in by_name[name] if joint in s.joints]
+            pair = (
+                float(np.mean([e.mean for e in known])) if known else np.nan,
+                float(np.mean([e.deviation for e in known])) if known else np.nan,
+            )
+            cells.append(_with_paper(pair, None))
+        rows.append((joint, *cells))
+    return ("Joint", *names), rows
 
 
 LEE_HEADER = ("Variant", "Torso", "Upper limbs", "Lower limbs")

@@ -77,7 +77,7 @@ MALAGUTI: dict[str, tuple[Pair, Pair, Pair, Pair]] = {
 """Sequence -> mean and SD, cm, of raw (OpenPose), maf, openptrack, malaguti (Table I)."""
 MALAGUTI_COLUMNS = ("raw", "maf", "openptrack", "malaguti")
 MALAGUTI_MS_PER_PERSON = 13.4
-"""Time per frame and person, ms (Table II)."""
+"""Time per message and person, ms: Table II is its multiples for 1 to 6 people."""
 
 LEE: dict[str, tuple[Pair, Pair, Pair]] = {
     "lee-a1": ((41.1, 11.02), (90.9, 44.89), (45.2, 22.0)),

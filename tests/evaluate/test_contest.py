@@ -123,6 +123,15 @@ def test_tables_in_the_papers_layouts(scores: Scores) -> None:
     (lee,) = contest_tables.lee_rows([outcome(scores, "lee-a1", 30.0)])
     assert lee[0] == "lee-a1"
     assert lee[2].endswith("[90.9 (44.9)]")
+    header, rows = contest_tables.joint_rows([outcome(scores, "lee-a1", 30.0)])
+    assert header == ("Joint", "lee-a1")
+    assert rows[0][0] == "PELVIS"
+    assert len(rows) == 32
+    two = replace(outcome(scores, "malaguti", 20.0), people=2.0)
+    times = contest_tables.malaguti_times([two])
+    assert [row[1] for row in times] == [f"{n * 0.05:.3f}" for n in range(1, 7)]
+    assert [row[3] for row in times] == ["13.4", "26.8", "40.2", "53.6", "67.0", "80.4"]
+    assert [row[4] for row in times] == ["74.6", "37.3", "24.9", "18.7", "14.9", "12.4"]
     header, rows = contest_tables.camera_rows({"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0)}})
     assert header == ("System", "1", "2")
     assert rows[0] == ("hiros", "30.0 (5.0)", "20.0 (4.0)")

@@ -240,3 +240,15 @@ def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
     assert {"/hiros/filtered/0", "/malaguti_TM/filtered/0", "/detections/camera_0"} <= entities(
         target
     )
+
+
+def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Path) -> None:
+    """Golden logs hold no recording: their log times begin later than their stamps."""
+    need_rerun()
+    from hiros_mcap.regression.golden import write_golden
+
+    golden, target = tmp_path / "golden.mcap", tmp_path / "both.rrd"
+    write_golden(processed, golden)
+    arguments = [str(processed), str(golden), "--stage", "filtered", "--time-range", "0:1"]
+    assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
+    assert {"/a/filtered/0", "/b/filtered/0"} <= entities(target)

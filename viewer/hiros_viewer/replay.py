@@ -94,9 +94,11 @@ def _replay_one(
             raise LogError(f"holds no stage {options.stage!r}", path=path)
         scene = Scene(recording, source.model, final=final, prefix=prefix, is_second=is_second)
         scene.begin(source.cameras)
-        window = _window(source.start, options.time_range)
-        drawn = 0
+        window, drawn = (0, 0), 0
         for kind, frame in in_time_order(log):
+            if not window[1]:
+                # Outputs alone are logged later than they are stamped: whichever is first.
+                window = _window(min(source.start, frame.stamp), options.time_range)
             if window[0] <= frame.stamp <= window[1]:
                 drawn += 1
                 if kind == DETECTIONS:

@@ -86,6 +86,7 @@ def check(
         raise ConfigError(f"{target}: --golden says what to compare with")
     else:
         results = [_compare(target, golden, tolerances, channel or (), bless=bless)]
+        results = [_with_hint(result, target, golden) for result in results]
     _show(results, json=json, quiet=quiet)
     if any(result.status == "error" for result in results):
         return CANNOT
@@ -145,6 +146,23 @@ def _compare(
 
     limits = None if tolerances is None else load_tolerances(tolerances)
     return check_output(output, golden, limits, channels, bless=bless)
+
+
+def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
+    """Add the command that shows the first difference."""
+    from dataclasses import replace
+    from shlex import quote
+
+    if not result.first:
+        return result
+    topic, first = result.first[0]
+    stage = topic.rpartition("/")[2]
+    start = max(0.0, first.seconds - 1)
+    command = (
+        f"hiros view {quote(str(target))} {quote(str(golden))} --stage {stage} "
+        f"--time-range {start:.2f}:{first.seconds + 2:.2f}"
+    )
+    return replace(result, notes=(*result.notes, f"see it: {command}"))
 
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:

@@ -177,9 +177,13 @@ def _show(outcomes: list[Outcome], study: str) -> None:
     elif study == "malaguti":
         rows = contest_tables.malaguti_rows(outcomes)
         show("Malaguti 2019, Table I, cm; paper: other data", contest_tables.MALAGUTI_HEADER, rows)
+        times = contest_tables.malaguti_times(outcomes)
+        show("Table II: malaguti, by a line; paper: i7-4770", contest_tables.TIME_HEADER, times)
     elif study in ("lee", "radius"):
         rows = contest_tables.lee_rows(outcomes)
         show("Lee 2022, error (SD), mm [paper: other data]", contest_tables.LEE_HEADER, rows)
+        header, rows = contest_tables.joint_rows(outcomes)
+        show("The same by joint, mm, as Tables A1 to A6", header, rows)
     else:
         for log in dict.fromkeys(o.log for o in outcomes):
             header, rows = contest_tables.ranked([o for o in outcomes if o.log == log])
