@@ -48,6 +48,12 @@ class Consistency:
     """The same by joint."""
 
 
+def has_outputs(path: str | os.PathLike[str]) -> bool:
+    """Whether a log holds a channel that hiros wrote."""
+    with McapReader(Path(path)) as reader:
+        return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
+
+
 def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:
     """Topics of a log's output channels in the order of the stages, or those that globs name.
 
@@ -56,16 +62,12 @@ def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> 
     LogError
         There is none.
     """
+    if not globs and not has_outputs(path):
+        raise LogError("holds nothing that hiros wrote; run `hiros process` on it first", path=path)
     with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
         topics = [camera.channel.topic for camera in log.cameras]
     order = {f"{OUTPUT_PREFIX}/{name}": k for k, name in enumerate(ORDER)}
     return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
-
-
-def has_outputs(path: str | os.PathLike[str]) -> bool:
-    """Whether a log holds a channel that hiros wrote."""
-    with McapReader(Path(path)) as reader:
-        return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
 
 
 def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth | None:
