@@ -52,8 +52,9 @@ def overview(content: Content) -> rrb.Container:
         _limbs(content, content.people),
         name="Angles, limbs",
     )
-    side = [curves, _series("Speed, m/s", "/speed"), _series("People per camera", "/people")]
-    if len(content.prefixes) > 1:
+    speed = rrb.TimeSeriesView(origin="/", contents=_all(content, "/speed/**"), name="Speed, m/s")
+    side = [curves, speed, _series("People per camera", "/people")]
+    if len(content.prefixes) == 2:
         side.insert(0, _series("Joint distance between the logs, mm", "/distance"))
     return rrb.Horizontal(
         rrb.Vertical(

@@ -102,23 +102,25 @@ def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
                 options = ProcessOptions(system=entry.system, stages=entry.stages)
                 process(log, out, config=config, options=options)
                 prefixes.append("/" + "".join(c if c.isalnum() else "_" for c in entry.name))
-                scenes.append(_draw_one(recording, out, prefixes[-1], is_first=k == 0))
+                scenes.append(_draw_one(recording, out, prefixes[-1], (k, entry.name)))
         content = content_of(scenes, prefixes)
         recording.send_blueprint(blueprint(content))
 
     save(target, log.name, draw)
 
 
-def _draw_one(recording: rr.RecordingStream, out: Path, prefix: str, *, is_first: bool) -> Scene:
+def _draw_one(
+    recording: rr.RecordingStream, out: Path, prefix: str, team: tuple[int, str]
+) -> Scene:
     with open_log(out, topics=["*"], output_prefix="/none") as opened:
         source = describe(opened)
         final = source.stages[-1]
         # Whatever a system's last stage is called: here it is the one that layouts show.
-        scene = Scene(recording, source.model, final="filtered", prefix=prefix)
-        if is_first:
+        scene = Scene(recording, source.model, final="filtered", prefix=prefix, team=team)
+        if team[0] == 0:
             scene.begin(source.cameras)
         for kind, frame in in_time_order(opened):
-            if kind == DETECTIONS and is_first:
+            if kind == DETECTIONS and team[0] == 0:
                 scene.detections(frame.replace(source=source.names[frame.source]))
             elif kind == final:
                 scene.stage("filtered", frame)

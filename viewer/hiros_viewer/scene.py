@@ -72,6 +72,8 @@ class Scene:
     final : the stage that curves and residuals are taken from.
     prefix : put before every entity of this log when two logs are overlaid.
     is_second : of two logs that are overlaid; drawn in paler colours.
+    team : number and name of the system that made this, when several are overlaid: everybody of
+        it has one colour, and its name beside the id.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class Scene:
         final: str = "filtered",
         prefix: str = "",
         is_second: bool = False,
+        team: tuple[int, str] | None = None,
         batch: int = BATCH,
     ) -> None:
         self.recording = recording
@@ -94,6 +97,7 @@ class Scene:
         self.camera_centre: Floats | None = None
         self._prefix = prefix
         self._first_class = CLASSES if is_second else 0
+        self._team = team
         self._batch = batch
         self._collected = 0
         self._points: dict[str, PointRows] = {}
@@ -393,9 +397,11 @@ class Scene:
         import rerun as rr
 
         stage, person = path.rsplit("/", 2)[-2:]
-        number = self._first_class + int(person) % CLASSES
+        which = int(person) if self._team is None else self._team[0]
+        number = self._first_class + which % CLASSES
         keypoints = list(range(self.model.n_markers))
         label = f"truth {person}" if stage == "truth" else person
+        label = label if self._team is None else f"{self._team[1]} {person}"
         for part, look in (
             ("", rr.Points3D.from_fields(
                 class_ids=[number], keypoint_ids=keypoints, show_labels=False)),
