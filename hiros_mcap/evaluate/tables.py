@@ -13,6 +13,7 @@ from hiros_mcap.evaluate.paper import (
     step_times,
 )
 from hiros_mcap.evaluate.published import ANGLES, TIMES
+from hiros_mcap.evaluate.score_tables import pair
 from hiros_mcap.text import number
 
 ANGLE_HEADER = ("People", "Action", *CONFIGURATIONS, "T-TMF", "T-TMOF")
@@ -106,8 +107,3 @@ def time_rows(sequences: Sequence[ActionRun]) -> list[tuple[str, ...]]:
 def _totals(milliseconds: Sequence[float]) -> tuple[str, str]:
     """Latency, the sum of the steps, and frames per second when they run side by side."""
     return f"{sum(milliseconds):.3f}", f"{1000 / max(*milliseconds, 1e-9):.0f}"
-
-
-def pair(rmse: float, deviation: float) -> str:
-    """Return RMSE (SD) as the papers print them."""
-    return f"{number(rmse, 2)} ({number(deviation, 2)})"

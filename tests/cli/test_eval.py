@@ -60,7 +60,7 @@ def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str
     text = page.read_text(encoding="utf-8")
     assert text.count("<svg") >= 1
     assert not re.findall(r"""(?:src|href)=["'](?!#|data:)""", text)
-    for name in ("left elbow", "WRIST_LEFT") if not options else ("of nobody",):
+    for name in ("left elbow", "WRIST_LEFT") if not options else ("Of nobody",):
         assert name in text
 
 

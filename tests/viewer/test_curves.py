@@ -18,6 +18,7 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 pytest.importorskip("matplotlib")
 
 from hiros_viewer import curves  # noqa: E402
+from hiros_viewer.figures import with_gaps  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_limbs_are_flat_and_errors_small(processed: Path) -> None:
 
 
 def test_no_line_is_drawn_over_a_pause() -> None:
-    seconds, values = curves._with_gaps(np.array([0.0, 0.1, 2.0]), np.array([1.0, 2.0, 3.0]))
+    seconds, values = with_gaps(np.array([0.0, 0.1, 2.0]), np.array([1.0, 2.0, 3.0]))
     assert np.isnan(seconds).tolist() == [False, False, True, False]
     assert np.isnan(values).tolist() == [False, False, True, False]
 

@@ -13,6 +13,7 @@ from hiros_mcap.evaluate.contest import Entry, Outcome
 from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import DETECTIONS, ProcessOptions, process
 from hiros_viewer.blueprint import blueprint
+from hiros_viewer.figures import SPREAD, TRUTH, new_figure, tidy
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
 from hiros_viewer.scene import Scene
@@ -56,28 +57,24 @@ def contest_page(outcomes: Sequence[Outcome], study: str) -> Page:
 
 
 def _bars(outcomes: Sequence[Outcome]) -> Figure:
-    from matplotlib.figure import Figure
-
     ordered = sorted(outcomes, key=lambda o: -o.rank)
-    figure = Figure(figsize=(8, 0.32 * len(ordered) + 0.9), layout="constrained")
+    figure = new_figure(8, 0.32 * len(ordered) + 0.9)
     axes = figure.subplots()
     spread = [0.0 if o.scores is None else o.scores.deviation for o in ordered]
     axes.barh(
         [o.name for o in ordered],
         [o.rank for o in ordered],
         xerr=spread if any(spread) else None,
-        color="#1f5fa8",
-        ecolor="#9aa4af",
+        color=TRUTH,
+        ecolor=SPREAD,
     )
     axes.set(xlabel="mm", xlim=(0, None))
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     return figure
 
 
 def _camera_figure(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 3.4), layout="constrained")
+    figure = new_figure(7, 3.4)
     axes = figure.subplots()
     for name, row in table.items():
         sizes = sorted(row)
@@ -85,8 +82,7 @@ def _camera_figure(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
     axes.set(xlabel="cameras", ylabel="mm", ylim=(0, None))
     axes.set_xticks(sorted({size for row in table.values() for size in row}))
     axes.legend(frameon=False)
-    axes.grid(alpha=0.3)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     return figure
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.angles import ANGLES, flexions
 from hiros_mcap.colours import PEOPLE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import consistency
@@ -18,16 +17,14 @@ from hiros_mcap.evaluate.motion import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.text import number
+from hiros_viewer.figures import RESULT, angle_figure, new_figure, tidy, with_gaps
 from hiros_viewer.page import Page
 from hiros_viewer.scene import limb_links
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 KINDS = ("angles", "limbs", "error")
-_TRUTH, _RESULT = "#1f5fa8", "#e07b1a"
-_PAUSE_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +104,7 @@ def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
     """
     _, body = curves.body(person)
     if kind == "angles":
-        return _angles(curves.model, body)
+        return angle_figure(curves.model, body.seconds, body.poses, body.true_poses)
     if kind == "limbs":
         return _limbs(curves.model, body)
     if body.true_poses is None:
@@ -122,7 +119,10 @@ def page_of(curves: Curves) -> Page:
         span = f"{number(body.seconds[0], 1)} to {number(body.seconds[-1], 1)} s"
         page.heading(f"Person {person}, {span}")
         note = "" if body.true_poses is None else ": blue truth, orange result"
-        page.figure(_angles(curves.model, body), f"Flexion angles, degrees{note}")
+        page.figure(
+            angle_figure(curves.model, body.seconds, body.poses, body.true_poses),
+            f"Flexion angles, degrees{note}",
+        )
         if limb_links(curves.model):
             page.figure(_limbs(curves.model, body), "Limb lengths, mm")
         if body.true_poses is not None:
@@ -139,58 +139,20 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
     )
 
 
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _tidy(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.01)
-
-
-def _with_gaps(seconds: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Put a NaN into every pause, so that no line is drawn over it."""
-    pauses = np.nonzero(np.diff(seconds) > _PAUSE_S)[0] + 1
-    return np.insert(seconds, pauses, np.nan), np.insert(values, pauses, np.nan, axis=0)
-
-
-def _angles(model: SkeletonModel, body: Body) -> Figure:
-    """Left and right side by side, truth and result, as in Fig. 5 of the Hi-ROS paper."""
-    bends = np.degrees(flexions(model, body.poses))
-    true = None if body.true_poses is None else np.degrees(flexions(model, body.true_poses))
-    shown = [k for k in range(len(ANGLES)) if not np.isnan(bends[:, k]).all()]
-    if not shown:
-        raise ConfigError("the skeleton has no joint whose angle is known by its markers' names")
-    rows = (len(shown) + 1) // 2
-    figure = _figure(11, 1.6 * rows + 0.5)
-    grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
-    for axes, k in zip(grid.T.ravel(), shown, strict=False):
-        if true is not None:
-            axes.plot(*_with_gaps(body.seconds, true[:, k]), color=_TRUTH, lw=1.2)
-        axes.plot(*_with_gaps(body.seconds, bends[:, k]), color=_RESULT, lw=1.2)
-        axes.set_title(f"{ANGLES[k]} flexion, degrees", loc="left", fontsize=9)
-        _tidy(axes)
-    for axes in grid[-1]:
-        axes.set_xlabel("s")
-    return figure
-
-
 def _limbs(model: SkeletonModel, body: Body) -> Figure:
     limbs = limb_links(model)
     if not limbs:
         raise ConfigError("the skeleton has no arms and legs that are known by their names")
     lengths = 1000 * lengths_of(body.poses, model)[:, list(limbs.values())]
-    figure = _figure(11, 3.2)
+    figure = new_figure(11, 3.2)
     axes = figure.subplots()
     for k, name in enumerate(limbs):
         colour = tuple(0.8 * part / 255 for part in PEOPLE[k % len(PEOPLE)])
-        axes.plot(*_with_gaps(body.seconds, lengths[:, k]), label=name, lw=1.2, color=colour)
+        axes.plot(*with_gaps(body.seconds, lengths[:, k]), label=name, lw=1.2, color=colour)
     axes.set(xlabel="s", ylabel="mm")
     axes.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9)
-    _tidy(axes)
+    axes.margins(x=0.01)
+    tidy(axes)
     return figure
 
 
@@ -202,13 +164,14 @@ def _error(body: Body, true_poses: Floats) -> Figure:
         np.nanmean(errors[known], axis=1),
         np.nanmax(errors[known], axis=1),
     )
-    figure = _figure(11, 2.6)
+    figure = new_figure(11, 2.6)
     axes = figure.subplots()
-    axes.plot(*_with_gaps(body.seconds, largest), color="#b8c4d0", lw=1.0, label="largest")
-    axes.plot(*_with_gaps(body.seconds, mean), color=_RESULT, lw=1.2, label="mean")
+    axes.plot(*with_gaps(body.seconds, largest), color="#b8c4d0", lw=1.0, label="largest")
+    axes.plot(*with_gaps(body.seconds, mean), color=RESULT, lw=1.2, label="mean")
     axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
     axes.legend(frameon=False, fontsize=9)
-    _tidy(axes)
+    axes.margins(x=0.01)
+    tidy(axes)
     return figure
 
 

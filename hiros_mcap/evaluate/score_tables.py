@@ -1,0 +1,111 @@
+"""Scores as rows of text, for the terminal and for pages: a header, and rows under it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from hiros_mcap.evaluate.leave_one_out import LeftOut
+from hiros_mcap.evaluate.parts import PARTS
+from hiros_mcap.evaluate.scores import ErrorStats, Scores
+from hiros_mcap.text import number
+
+Rows = list[tuple[str, ...]]
+Table = tuple[tuple[str, ...], Rows]
+"""Header and rows; the first column is text, the others are numbers."""
+
+
+def error_table(scores: Mapping[str, Scores]) -> Table:
+    """Joint errors, mm, and PCK, a row per channel."""
+    parts = [p for p in PARTS if any(p in s.parts for s in scores.values())]
+    header = ("Channel", "Mean", "SD", "RMSE", "95 %", *(p.capitalize() for p in parts))
+    rows = [
+        (
+            topic,
+            *_millimetres(s),
+            *(number(s.parts[part].mean, 1) for part in parts),
+            number(100 * s.pck_at(50), 1, " %"),
+            number(100 * s.pck_at(100), 1, " %"),
+            number(s.first_frames, 1),
+        )
+        for topic, s in scores.items()
+    ]
+    return (*header, "PCK 50", "PCK 100", "First 5"), rows
+
+
+def _millimetres(error: ErrorStats | Scores) -> tuple[str, str, str, str]:
+    numbers = (error.mean, error.deviation, error.rmse, error.percentile_95)
+    mean, deviation, rmse, percentile = (number(value, 1) for value in numbers)
+    return mean, deviation, rmse, percentile
+
+
+def motion_table(scores: Mapping[str, Scores]) -> Table:
+    """Angles, limbs, jitter and lag, a row per channel."""
+    header = ("Channel", "Angles, deg", "By links, deg", "Turn, deg", "Limbs, mm", "Limb CV")
+    rows: Rows = [
+        (
+            topic,
+            pair(s.angle_rmse, s.angle_deviation),
+            pair(s.link_angle_rmse, s.link_angle_deviation),
+            number(s.turn_error, 2),
+            number(s.limb_error, 1),
+            number(s.limb_variation, 4),
+            number(s.jitter, 1),
+            number(s.lag, 1),
+        )
+        for topic, s in scores.items()
+    ]
+    return (*header, "Jitter, mm", "Lag, ms"), rows
+
+
+def people_table(scores: Mapping[str, Scores]) -> Table:
+    """Who was missed, invented or renamed, a row per channel."""
+    header = ("Channel", "Frames", "Missing", "False", "Switches", "MOTA", "IDF1", "HOTA")
+    rows = [
+        (
+            topic,
+            *map(str, (s.frames, s.missing, s.false, s.switches)),
+            *(number(v, 4) for v in (s.tracking.mota, s.tracking.idf1, s.tracking.hota)),
+        )
+        for topic, s in scores.items()
+    ]
+    return header, rows
+
+
+def angle_table(scores: Scores) -> Table:
+    """Errors of the eight flexions, degrees, by joint positions and by links."""
+    header = ("Joint", "RMSE", "SD", "Bias", "By links: RMSE", "SD", "Bias")
+    rows = []
+    for name, own in scores.angles.items():
+        both = (own, scores.link_angles[name])
+        cells = (number(v, 2) for s in both for v in (s.rmse, s.deviation, s.bias))
+        rows.append((name, *cells))
+    return header, rows
+
+
+def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
+    """Error of every joint, mm."""
+    rows: Rows = [(name, *_millimetres(joint)) for name, joint in joints.items()]
+    return ("Joint", "Mean", "SD", "RMSE", "95 %"), rows
+
+
+def left_out_table(cameras: Sequence[LeftOut]) -> Table:
+    """Distance of each camera left out from what the others give, mm."""
+    parts = [p for p in PARTS if any(p in c.parts for c in cameras)]
+    header = ("Left out", "Median", "Mean", "SD", "RMSE", "95 %", *(p.capitalize() for p in parts))
+    rows = [
+        (
+            c.topic,
+            number(c.median, 1),
+            *_millimetres(c.error),
+            *(number(c.parts[part].mean, 1) for part in parts),
+            number(c.offset, 1),
+            *map(str, (c.detections, c.unmatched, c.mirrored)),
+        )
+        for c in cameras
+    ]
+    return (*header, "Offset", "Detections", "Of nobody", "Mirrored"), rows
+
+
+def pair(rmse: float, deviation: float) -> str:
+    """Return RMSE (SD) as the papers print them."""
+    return f"{number(rmse, 2)} ({number(deviation, 2)})"
