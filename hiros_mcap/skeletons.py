@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -150,7 +151,7 @@ class Frame:
 
     def replace(self, **changes: Any) -> Frame:
         """Return a copy with some fields changed; arrays that are not named are shared."""
-        values = {name: getattr(self, name) for name in Frame.__slots__}
+        values = dict(zip(Frame.__slots__, _FIELDS(self), strict=True))
         return Frame(**values | changes)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
@@ -197,6 +198,8 @@ class Frame:
             boxes=np.full((p, BOX), np.nan),
         )
 
+
+_FIELDS = attrgetter(*Frame.__slots__)
 
 Stage = Callable[[Iterable[Frame]], Iterator[Frame]]
 """A step of a system: a generator over frames. ``list(stage(frames))`` is its whole test."""
