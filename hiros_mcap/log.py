@@ -208,7 +208,7 @@ class _Stream:
         if cleaned:
             self._account.cleaned.update(cleaned)
         frame = frame.replace(
-            stamp=int(frame.stamps.max(initial=0)) or frame.stamp or frame.log_time,
+            stamp=max([0, *frame.stamps.tolist()]) or frame.stamp or frame.log_time,
             source=self._names.get(source, source or self._account.topic),
             frame_id=frame.frame_id.lstrip("/"),
         )

@@ -78,8 +78,9 @@ def _closes(buffer: dict[str, Frame], frame: Frame, max_delta_time: float) -> bo
 
 def tracked_only(frame: Frame) -> Frame:
     """Return the frame without people who have no id."""
-    tracked = frame.ids != UNTRACKED
-    return frame if tracked.all() else frame.select(tracked)
+    if UNTRACKED not in frame.ids.tolist():
+        return frame
+    return frame.select(frame.ids != UNTRACKED)
 
 
 def summarize(

@@ -276,10 +276,11 @@ class _Run:
         rhythm.beat(frame.stamp)
         self._forget(frame.stamp)
         rows = []
-        for row in range(frame.n_people):
-            if frame.ids[row] != UNTRACKED:
-                stamp = int(frame.stamps[row]) or frame.stamp
-                person = self._person((frame.source, int(frame.ids[row])), stamp)
+        identities = zip(frame.ids.tolist(), frame.stamps.tolist(), strict=True)
+        for row, (identity, given) in enumerate(identities):
+            if identity != UNTRACKED:
+                stamp = given or frame.stamp
+                person = self._person((frame.source, identity), stamp)
                 if person is None:
                     self.events.count("filter: time not increasing", frame.source)
                     continue

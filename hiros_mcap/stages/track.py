@@ -324,7 +324,7 @@ class _Tracker:
         """Associate, update, add and remove (the three parts of section 3.1.2)."""
         self._forget(frame.stamp)
         held = self._hold(frame)
-        usable = [j for j in range(frame.n_people) if self._usable(held, j)]
+        usable = self._usable(held)
         known = [t for t in self.tracks if t.person != UNTRACKED]
         gap = self._match(held, known, usable)
         rest = [j for j in usable if held.tracks[j] is None]
@@ -360,14 +360,19 @@ class _Tracker:
         n = frame.n_people
         return _Held(frame, markers, links, [None] * n, [""] * n)
 
-    def _usable(self, held: _Held, j: int) -> bool:
-        x = held.markers[j, :, 0]
+    def _usable(self, held: _Held) -> list[int]:
+        """People who have a marker and enough confidence; notes why others are of nobody."""
+        x, confidences = held.markers[:, :, 0], held.frame.confidences
+        least = self.params.min_skeleton_confidence
         # Looking at the first marker is enough nearly always, and much quicker.
-        if not (x.size and x[0] == x[0]) and np.isnan(x).all():
-            held.reasons[j] = "no markers"
-        elif held.frame.confidences[j] < self.params.min_skeleton_confidence:
-            held.reasons[j] = "low confidence"
-        return not held.reasons[j]
+        if x.shape[1] and least <= 0 and not np.isnan(x[:, 0]).any():
+            return list(range(len(x)))
+        for j in range(len(x)):
+            if np.isnan(x[j]).all():
+                held.reasons[j] = "no markers"
+            elif confidences[j] < least:
+                held.reasons[j] = "low confidence"
+        return [j for j, reason in enumerate(held.reasons) if not reason]
 
     def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> Floats:
         """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update; return the gaps."""
