@@ -10,9 +10,10 @@ import pytest
 from hiros_mcap.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
+from hiros_mcap.simulate.body import SLOT
 from hiros_mcap.simulate.log import write_log
 from hiros_mcap.simulate.scene import Simulation
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Stamps
 from hiros_mcap.transforms import transform_to_fixed
 
 OFF = {
@@ -149,3 +150,51 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         read = [f for f in transform_to_fixed(log.frames(), log.transforms, "world") if f.n_people]
     assert len(read) == len(expected)
     assert log.model == simulate(params).model
+
+
+def _numbers(simulation: Simulation) -> list[tuple[int, bytes]]:
+    return [(frame.stamp, frame.markers.tobytes()) for frame in simulation.detections]
+
+
+@pytest.mark.parametrize("flaw", OFF)
+def test_each_flaw_alone_is_seen_and_changes_nothing_else(flaw: str) -> None:
+    """What one switch turns on differs from the faultless log; the people move as before."""
+    scene = {"people": 2, "cameras": 3, "seconds": 12.0, "seed": 5, "action": "cross"}
+    clean = simulate(SimulateParams.model_validate({**scene, **OFF}))
+    flawed = simulate(SimulateParams.model_validate({**scene, **OFF, flaw: 3.0}))
+    truths = [[frame.markers for frame in s.truth_at(_instants())] for s in (clean, flawed)]
+    assert np.array_equal(np.stack(truths[0]), np.stack(truths[1]), equal_nan=True)
+    same = _numbers(clean) == _numbers(flawed)
+    published = [np.concatenate([p.translation for p in s.transforms.values()]) for s in
+                 (clean, flawed)]  # fmt: skip
+    if flaw == "calibration_error":
+        # The cameras stay where they are; what they publish of it is off.
+        assert same
+        assert 0 < np.abs(published[0] - published[1]).max() < 0.1
+    else:
+        assert not same
+        assert np.array_equal(*published)
+
+
+def _instants() -> Stamps:
+    return 1_700_000_000_000_000_000 + np.arange(0, 12, dtype=np.int64) * 1_000_000_000
+
+
+def test_flips_come_at_the_same_times_with_and_without_noise() -> None:
+    """Each flaw draws from a stream of its own: switching one leaves the others as they were."""
+    scene = {"people": 1, "cameras": 2, "seconds": 20.0, "seed": 9, "action": "circle"}
+    times = []
+    for noise in (0.0, 1.0):
+        params = {**scene, **OFF, "flips": 4.0, "noise": noise}
+        simulation = simulate(SimulateParams.model_validate(params))
+        left, right = SLOT["SHOULDER_LEFT"], SLOT["SHOULDER_RIGHT"]
+        flipped = []
+        for frame in simulation.detections:
+            true = simulation.truth_at(frame.stamps[:1])[0].positions[0]
+            pose = {c.name: c.pose for c in simulation.cameras}[frame.source]
+            seen = frame.positions[0] @ _matrix(pose.xyzw).T + pose.translation
+            across = (seen[left] - seen[right]) @ (true[left] - true[right])
+            flipped.append(bool(across < 0))
+        times.append(flipped)
+    assert times[0] == times[1]
+    assert 5 < sum(times[0]) < len(times[0])
