@@ -6,6 +6,7 @@ separate step that takes out numbers that cannot be true.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable, Mapping
 from itertools import count
@@ -15,12 +16,15 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cdr_encode, cleaning
 from hiros_mcap.layout import PUBLISHED, Bytes, Layout, check_schema
-from hiros_mcap.skeletons import BOX, STATE, Frame, SkeletonModel
+from hiros_mcap.skeletons import BOX, STATE, Frame, SkeletonModel, Stamps
 
 __all__ = [
     "PUBLISHED",
+    "Batch",
+    "BatchDecoder",
     "Decoder",
     "Encoder",
     "Layout",
@@ -81,7 +85,11 @@ def clean(frame: Frame) -> tuple[Frame, Mapping[str, int]]:
         boxes=frame.boxes.copy(),
     )
     cleaning.clean(counts, True, *_measured(fixed))
-    return fixed, {kind: n for kind, n in zip(_CLEANED, counts.tolist(), strict=True) if n}
+    return fixed, _by_kind(counts.tolist())
+
+
+def _by_kind(counts: Iterable[int]) -> Mapping[str, int]:
+    return {kind: n for kind, n in zip(_CLEANED, counts, strict=True) if n}
 
 
 class ModelBuilder:
@@ -292,6 +300,89 @@ class Decoder:
             empty(link_confidences),
             empty(boxes),
         )
+
+
+class Batch:
+    """What the messages of a chunk say, cleaned: Frames that share one set of arrays."""
+
+    def __init__(self, arrays: tuple[Any, ...], first: Stamps) -> None:
+        self.arrays = arrays
+        """Fields of a Frame from ``ids`` on, with the people of all messages."""
+        self.first = first
+        """(N + 1,) row of each message's first person."""
+        n = len(first) - 1
+        self.reports = np.zeros((n, cdr.REPORT), np.int64)
+        self.cleaned = np.zeros((n, cleaning.COUNTS), np.int64)
+        self.codes = np.zeros(n, np.int64)
+        self.frame_ids = [""] * n
+        """The frame that a message's people were moved to; "" = they are as they were measured."""
+
+    def frame(
+        self, row: int, data: Bytes, log_time: int, topic: str
+    ) -> tuple[Frame, Mapping[str, int]] | None:
+        """Return what :meth:`Decoder.decode` and :func:`clean` would of a message, in that order.
+
+        None = the message holds several cameras' skeletons. Raises LogError as they do.
+        """
+        code, report = int(self.codes[row]), self.reports[row]
+        if code != cdr.OK:
+            raise _fault(code, report, data, topic)
+        if report[cdr.MIXED]:
+            return None
+        frame_id, common = self.names(row, data, topic)
+        source = common or frame_id
+        people = slice(*self.first[row : row + 2].tolist())
+        arrays = [array[people] for array in self.arrays]
+        frame_id = self.frame_ids[row] or frame_id or common
+        frame = Frame(report[cdr.HEADER_STAMP].item(), log_time, source, frame_id, *arrays)
+        counts = self.cleaned[row].tolist()
+        return frame, _by_kind(counts) if any(counts) else _NOTHING
+
+    def names(self, row: int, data: Bytes, topic: str) -> tuple[str, str]:
+        """Return the header's frame_id and the common src_frame of a message.
+
+        Raises LogError if one is no text.
+        """
+        *_, header, header_end, source, source_end, _ = self.reports[row].tolist()
+        return _text(data, header, header_end, topic), _text(data, source, source_end, topic)
+
+
+class BatchDecoder:
+    """Decodes the messages of a chunk at once; for logs, where :class:`Decoder` is for streams."""
+
+    _MOST = 64 * 2**20  # bytes of arrays; a chunk that needs more is decoded message by message
+
+    def __init__(self, model: SkeletonModel) -> None:
+        self._tables = _Tables.of(model)
+        m, n = model.n_markers, model.n_links
+        self._shapes = (m, STATE), (m,), (n, STATE), (n,), (BOX,)
+        self._scratch = np.empty(m + n, np.int64)
+
+    def decode(self, data: Bytes, places: Stamps) -> Batch | None:
+        """Read messages of the published layout that lie in ``data`` at ``places`` (N, 2).
+
+        None = they would need too much memory at once.
+        """
+        buffer = _as_array(data)
+        first = np.empty(len(places) + 1, np.int64)
+        reports = np.zeros((len(places), cdr.REPORT), np.int64)
+        batch_kernels.count_people(buffer, places, reports, first)
+        people = int(first[-1])
+        if people * 8 * sum(math.prod(shape) for shape in self._shapes) > self._MOST:
+            return None
+        arrays: tuple[Any, ...] = (
+            np.empty(people, np.int32),
+            np.empty(people, np.int64),
+            np.empty(people),
+            *(np.empty((people, *shape)) for shape in self._shapes),
+        )
+        batch = Batch(arrays, first)
+        sources = np.empty((people, 2), np.int64)
+        batch_kernels.decode_batch(
+            buffer, places, *self._tables, self._scratch, batch.reports, batch.cleaned,
+            batch.codes, first, sources, *arrays,
+        )  # fmt: skip
+        return batch
 
 
 class Encoder:

@@ -3,7 +3,7 @@
 ::
 
     with open_log("lab.mcap") as log:
-        for frame in transform_to_fixed(log.frames(), log.transforms, log.fixed_frame):
+        for frame in log.detections():
             ...
 """
 
@@ -12,12 +12,14 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+import numpy as np
 
 import hiros_schemas
 from hiros_mcap.channels import (
@@ -27,12 +29,24 @@ from hiros_mcap.channels import (
     channels_of,
     select_skeletons,
 )
-from hiros_mcap.codec import Decoder, ModelBuilder, check_schema, clean
-from hiros_mcap.container import McapReader, Message
+from hiros_mcap.codec import (
+    PUBLISHED,
+    Batch,
+    BatchDecoder,
+    Decoder,
+    ModelBuilder,
+    check_schema,
+    clean,
+)
+from hiros_mcap.container import McapReader, Message, Records
 from hiros_mcap.errors import LogError
+from hiros_mcap.kernels.cdr import OK
+from hiros_mcap.kernels.geometry import move_batch
+from hiros_mcap.kernels.records import CHANNEL, START, STOP
 from hiros_mcap.layout import Layout
+from hiros_mcap.rotations import to_matrix
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.transforms import TransformTree, parse_tf, read_extrinsics
+from hiros_mcap.transforms import Mover, TransformTree, parse_tf, read_extrinsics
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
@@ -149,11 +163,27 @@ class Log:
         Raises LogError where the file is damaged. A message that cannot be decoded is counted in
         ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
         """
-        for _, frame in self.frames_by_topic():
+        for _, frame in self._frames_by_topic(_Digest(self)):
             yield frame
 
-    def frames_by_topic(self) -> Iterator[tuple[str, Frame]]:
-        """Yield what :meth:`frames` does, each frame with its topic."""
+    def detections(self) -> Iterator[Frame]:
+        """Yield what :meth:`frames` does, in the fixed frame (Hi-ROS eq. 5).
+
+        Raises LogError also for a frame that no transform joins to the fixed frame.
+        """
+        for _, frame in self.detections_by_topic():
+            yield frame
+
+    def detections_by_topic(self) -> Iterator[tuple[str, Frame]]:
+        """Yield what :meth:`detections` does, each frame with its topic."""
+        fixed = self.fixed_frame
+        mover = Mover(self.transforms, fixed)
+        for topic, frame in self._frames_by_topic(_Digest(self, fixed)):
+            with _named(self.path):
+                moved = mover(frame)
+            yield topic, moved
+
+    def _frames_by_topic(self, digest: _Digest) -> Iterator[tuple[str, Frame]]:
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
         streams = {
@@ -161,10 +191,65 @@ class Log:
             for camera in self.cameras
         }
         with _named(self.path):
-            for message in self.reader.messages(streams.keys()):
+            for message in self.reader.messages(streams.keys(), digest):
                 stream = streams[message.channel_id]
                 for frame in stream.frames_of(message, strict=self.strict):
                     yield stream.topic, frame
+
+
+class _Digest:
+    """Decodes a chunk's messages ahead of their use, in the thread that reads.
+
+    With ``fixed``, cameras at rest are moved to that frame on the way.
+    """
+
+    def __init__(self, log: Log, fixed: str = "") -> None:
+        self._decoder = BatchDecoder(log.model)
+        self._tree = log.transforms
+        self._fixed = fixed
+        self._poses: dict[str, int] = {}
+        self._turns, self._matrices = np.empty((0, 4)), np.empty((0, 3, 3))
+        self._places = np.empty((0, 3))
+        self._published = np.zeros(1 << 16, np.bool_)
+        for camera in log.cameras:
+            self._published[camera.channel.id] = camera.layout is PUBLISHED
+
+    def __call__(self, records: Records) -> list[tuple[Batch, int] | None]:
+        """Return each message's place in a batch; None = decode it on its own."""
+        notes: list[tuple[Batch, int] | None] = [None] * len(records.messages)
+        rows = np.flatnonzero(self._published[records.messages[:, CHANNEL]])
+        places = records.messages[rows][:, [START, STOP]].astype(np.int64)
+        batch = self._decoder.decode(records.data, np.ascontiguousarray(places))
+        if batch is not None:
+            if self._fixed:
+                self._move(batch, memoryview(records.data), places.tolist())
+            for i, row in enumerate(rows.tolist()):
+                notes[row] = batch, i
+        return notes
+
+    def _move(self, batch: Batch, data: memoryview, places: list[list[int]]) -> None:
+        """Move people to the fixed frame, in place."""
+        pose_of = np.full(len(places), -1, np.int64)
+        for i in np.flatnonzero(batch.codes == OK).tolist():
+            with suppress(LogError):  # whoever asks for that message will hear of it
+                frame_id, source = batch.names(i, data[slice(*places[i])], "")
+                pose_of[i] = self._pose((frame_id or source).lstrip("/"))
+                batch.frame_ids[i] = self._fixed if pose_of[i] >= 0 else ""
+        _, _, _, markers, _, links, _, boxes = batch.arrays
+        move_batch(
+            self._turns, self._matrices, self._places, pose_of, batch.first, markers, links, boxes
+        )
+
+    def _pose(self, name: str) -> int:
+        """Row of a frame's pose; -1 if it moves, is not known, or is the fixed frame itself."""
+        if name not in self._poses:
+            pose = None if name == self._fixed else self._tree.at_rest(name, self._fixed)
+            self._poses[name] = -1 if pose is None else len(self._turns)
+            if pose is not None:
+                self._turns = np.concatenate([self._turns, pose.xyzw[None]])
+                self._matrices = np.concatenate([self._matrices, to_matrix(pose.xyzw)[None]])
+                self._places = np.concatenate([self._places, pose.translation[None]])
+        return self._poses[name]
 
 
 class _Stream:
@@ -183,7 +268,7 @@ class _Stream:
         account = self._account
         account.read += 1
         try:
-            decoded = self._decoder.decode_all(message.data, message.log_time)
+            decoded = self._decode(message)
         except LogError as error:
             if strict:
                 raise
@@ -191,7 +276,9 @@ class _Stream:
             account.first_error = account.first_error or error.fault
             return []
         found = []
-        for frame in decoded:
+        for frame, cleaned in decoded:
+            if cleaned:
+                account.cleaned.update(cleaned)
             fresh = self._fresh(frame)
             if fresh.n_people or not frame.n_people:
                 found.append(fresh)
@@ -201,12 +288,18 @@ class _Stream:
             account.skipped[STALE] += 1
         return found
 
+    def _decode(self, message: Message) -> list[tuple[Frame, Mapping[str, int]]]:
+        """Return the frames of a message, cleaned, and what was taken out of each."""
+        if message.note is not None:
+            batch, row = message.note
+            found = batch.frame(row, message.data, message.log_time, self.topic)
+            if found is not None:
+                return [found]
+        return [clean(f) for f in self._decoder.decode_all(message.data, message.log_time)]
+
     def _fresh(self, frame: Frame) -> Frame:
-        """Return the frame cleaned, named, stamped and without what was said before."""
+        """Return the frame named, stamped and without what was said before."""
         source = frame.source if frame.n_people else self._only or frame.source
-        frame, cleaned = clean(frame)
-        if cleaned:
-            self._account.cleaned.update(cleaned)
         frame = frame.replace(
             stamp=max([0, *frame.stamps.tolist()]) or frame.stamp or frame.log_time,
             source=self._names.get(source, source or self._account.topic),

@@ -151,7 +151,7 @@ class Observer:
             people=tuple(self._person(i, self._people[i]) for i in sorted(self._people)),
             stages=tuple(
                 StageTime(name, self.watch.wall[name])
-                for name in ("read", "transform", *self._chain, "write")
+                for name in ("read", *self._chain, "write")
                 if name in self.watch.wall
             ),
             written={f"/hiros/{name}": self._written[name] for name in self._chain},

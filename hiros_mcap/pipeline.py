@@ -31,7 +31,6 @@ from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, system
-from hiros_mcap.transforms import transform_to_fixed
 
 if TYPE_CHECKING:
     from hiros_mcap.export.markers import MarkerExport
@@ -196,8 +195,7 @@ def _frames(
 ) -> Iterator[Frame]:
     """Join the stages: each pulls from the one before; every output is observed and written."""
     watch = observer.watch
-    frames: Iterable[Frame] = observer.watch_input(watch.timed("read", log.frames()))
-    frames = watch.timed("transform", transform_to_fixed(frames, log.transforms, run.fixed_frame))
+    frames: Iterable[Frame] = observer.watch_input(watch.timed("read", log.detections()))
     frames = watch.timed("write", _tap(frames, partial(sink, DETECTIONS)))
     for name, stage in _stages(run, chain).items():
         frames = observer.watch_output(name, watch.timed(name, stage(frames)))
@@ -220,7 +218,7 @@ def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
 def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
     """First of two passes: everything before the optimizer, to measure the limbs."""
     blind = replace(run, events=Events(), limbs=LimbTable())
-    frames: Iterable[Frame] = transform_to_fixed(log.frames(), log.transforms, run.fixed_frame)
+    frames: Iterable[Frame] = log.detections()
     for stage in _stages(blind, chain[: chain.index("optimized")]).values():
         frames = stage(frames)
     return calibrate(frames, run.model, run.config.optimize, run.events)

@@ -151,8 +151,10 @@ class Frame:
 
     def replace(self, **changes: Any) -> Frame:
         """Return a copy with some fields changed; arrays that are not named are shared."""
-        values = dict(zip(Frame.__slots__, _FIELDS(self), strict=True))
-        return Frame(**values | changes)
+        values: list[Any] = list(_FIELDS(self))
+        for name, value in changes.items():
+            values[_PLACES[name]] = value
+        return Frame(*values)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
         """Return a frame with the given rows (indices or a mask), arrays copied."""
@@ -200,6 +202,7 @@ class Frame:
 
 
 _FIELDS = attrgetter(*Frame.__slots__)
+_PLACES = {name: place for place, name in enumerate(Frame.__slots__)}
 
 Stage = Callable[[Iterable[Frame]], Iterator[Frame]]
 """A step of a system: a generator over frames. ``list(stage(frames))`` is its whole test."""

@@ -174,6 +174,14 @@ class TransformTree:
             self._fixed[key] = pose
         return pose
 
+    def at_rest(self, frame: str, fixed: str) -> Rigid | None:
+        """Return the pose of ``frame`` in ``fixed`` if it is known and never changes."""
+        try:
+            self.lookup(frame, fixed, 0)
+        except LogError:
+            return None
+        return self._fixed.get((frame, fixed))
+
     def _chain(self, names: list[str], stamp: int) -> Rigid:
         """Pose of the first frame in the parent of the last."""
         pose = Rigid.identity()
@@ -314,16 +322,29 @@ def transform_to_fixed(
 
     Raises LogError for a frame that no transform joins to the fixed frame.
     """
-    prepared: dict[str, tuple[Rigid, Floats]] = {}
+    mover = Mover(tree, fixed_frame)
     for frame in frames:
-        if frame.frame_id == fixed_frame:
-            yield frame
-            continue
-        pose = tree.lookup(frame.frame_id, fixed_frame, frame.stamp)
-        known = prepared.get(frame.frame_id)
+        yield mover(frame)
+
+
+class Mover:
+    """Expresses one frame after the other in the fixed frame; see :func:`transform_to_fixed`."""
+
+    def __init__(self, tree: TransformTree, fixed_frame: str) -> None:
+        self._tree = tree
+        self._fixed = fixed_frame
+        self._prepared: dict[str, tuple[Rigid, Floats]] = {}
+
+    def __call__(self, frame: Frame) -> Frame:
+        """Return the frame in the fixed frame, itself if it already is."""
+        name = frame.frame_id
+        if name == self._fixed:
+            return frame
+        pose = self._tree.lookup(name, self._fixed, frame.stamp)
+        known = self._prepared.get(name)
         if known is None or known[0] is not pose:
-            known = prepared[frame.frame_id] = (pose, np.ascontiguousarray(to_matrix(pose.xyzw)))
-        yield _moved(frame, pose, known[1], fixed_frame)
+            known = self._prepared[name] = (pose, np.ascontiguousarray(to_matrix(pose.xyzw)))
+        return _moved(frame, pose, known[1], self._fixed)
 
 
 def _moved(frame: Frame, pose: Rigid, matrix: Floats, fixed_frame: str) -> Frame:

@@ -14,7 +14,7 @@ from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summar
 from hiros_mcap.text import number
 
 PIPE_WIDTH = 160
-STEPS = ("read", "transform", "tracked", "merged", "optimized", "filtered", "write")
+STEPS = ("read", "tracked", "merged", "optimized", "filtered", "write")
 
 
 def console() -> Console:

@@ -1,6 +1,6 @@
 """The MCAP container: strict reading, reproducible writing. Knows nothing of skeletons."""
 
-from hiros_mcap.container.reader import McapReader
+from hiros_mcap.container.reader import McapReader, Records
 from hiros_mcap.container.records import Attachment, Channel, Chunk, Message, Schema
 from hiros_mcap.container.writer import ChunkCopier, McapWriter
 
@@ -12,5 +12,6 @@ __all__ = [
     "McapReader",
     "McapWriter",
     "Message",
+    "Records",
     "Schema",
 ]

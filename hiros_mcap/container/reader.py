@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import struct
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from types import TracebackType
@@ -68,6 +68,8 @@ class Records:
     """One row per message in order of log time, columns as in kernels.records."""
     defined: frozenset[int]
     """Channels that the chunk itself defines."""
+    notes: Sequence[Any] = ()
+    """One per message, or none at all."""
 
 
 class McapReader:
@@ -125,12 +127,18 @@ class McapReader:
         """Chunk record and its message index records as they are in the file."""
         return self._file.read(chunk.offset, chunk.index_end - chunk.offset)
 
-    def messages(self, channels: Collection[int] | None = None) -> Iterator[Message]:
+    def messages(
+        self,
+        channels: Collection[int] | None = None,
+        digest: Callable[[Records], Sequence[Any]] | None = None,
+    ) -> Iterator[Message]:
         """Messages by log time; those of equal time in the order of the file.
 
         Parameters
         ----------
         channels : ids to read, None for all. Chunks without any of them are not decompressed.
+        digest : is called in the thread that reads ahead, with the chosen messages of a chunk,
+            and returns a note for each of them.
 
         Raises
         ------
@@ -140,11 +148,16 @@ class McapReader:
         """
         wanted = self._wanted(channels)
         chosen = None if channels is None else np.isin(np.arange(65536), list(channels))
-        pending: list[Records] = []
-        for at, loaded in enumerate(read_ahead(self.load, wanted)):
+
+        def load(chunk: Chunk) -> Records:
+            loaded = self.load(chunk)
             if chosen is not None:
                 keep = chosen[loaded.messages[:, CHANNEL]]
                 loaded = replace(loaded, messages=loaded.messages[keep])
+            return loaded if digest is None else replace(loaded, notes=digest(loaded))
+
+        pending: list[Records] = []
+        for at, loaded in enumerate(read_ahead(load, wanted)):
             pending.append(loaded)
             horizon = wanted[at + 1].start_time if at + 1 < len(wanted) else None
             ready, pending = _split(pending, horizon)
@@ -289,9 +302,13 @@ def _split(pending: list[Records], horizon: int | None) -> tuple[list[Records], 
     for records in pending:
         cut = int(np.searchsorted(records.messages[:, LOG_TIME], np.uint64(horizon), "left"))
         if cut:
-            ready.append(replace(records, messages=records.messages[:cut]))
+            ready.append(
+                replace(records, messages=records.messages[:cut], notes=records.notes[:cut])
+            )
         if cut < len(records.messages):
-            later.append(replace(records, messages=records.messages[cut:]))
+            later.append(
+                replace(records, messages=records.messages[cut:], notes=records.notes[cut:])
+            )
     return ready, later
 
 
@@ -302,14 +319,16 @@ def _merged(ready: list[Records]) -> Iterator[Message]:
     ready = sorted(ready, key=lambda records: records.chunk.offset)
     views = [memoryview(records.data) for records in ready]
     table = np.concatenate([records.messages for records in ready])
+    notes = [note for records in ready for note in records.notes] or [None] * len(table)
     owner = np.repeat(np.arange(len(ready)), [len(records.messages) for records in ready])
     if len(ready) > 1:
         # Parts are in file order and each is stably sorted, so a stable sort by time is enough.
         order = np.argsort(table[:, LOG_TIME], kind="stable")
         table, owner = table[order], owner[order]
+        notes = [notes[k] for k in order.tolist()]
     columns = (table[:, k].tolist() for k in (CHANNEL, LOG_TIME, START, STOP))
     rest = (table[:, k].tolist() for k in (PUBLISH_TIME, SEQUENCE))
-    for part, channel, time, start, stop, publish, sequence in zip(
-        owner.tolist(), *columns, *rest, strict=True
+    for part, channel, time, start, stop, publish, sequence, note in zip(
+        owner.tolist(), *columns, *rest, notes, strict=True
     ):
-        yield Message(channel, time, views[part][start:stop], publish, sequence)
+        yield Message(channel, time, views[part][start:stop], publish, sequence, note)

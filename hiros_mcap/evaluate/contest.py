@@ -28,7 +28,6 @@ from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, camera_positions
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.systems import Run, chain_of, system
-from hiros_mcap.transforms import transform_to_fixed
 
 DEFAULT = ("hiros", "malaguti", "lee", "openptrack", "maf", "average", "raw")
 """Systems that are compared unless others are named."""
@@ -180,7 +179,7 @@ def _room(task: Task) -> _Room:
     if _CACHE.key != key or _CACHE.room is None:
         truth = find_truth(task.log, task.truth)
         with open_log(task.log) as log:
-            fixed = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
+            fixed = log.detections()
             frames = list(fixed)
             start = log.span[0]
             _CACHE.room = _Room(

@@ -27,7 +27,6 @@ from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.symmetry import symmetry_of
-from hiros_mcap.transforms import transform_to_fixed
 
 SIMULTANEOUS_NS = 50_000_000
 """Views of two cameras are compared when they are at most this far apart."""
@@ -128,7 +127,7 @@ def _detections(
             name: camera.channel.topic for camera in log.cameras for name in camera.sources.values()
         }
         found: dict[str, list[Frame]] = {topic: [] for topic in dict.fromkeys(topic_of.values())}
-        for frame in transform_to_fixed(log.frames(), log.transforms, log.fixed_frame):
+        for frame in log.detections():
             found[topic_of[frame.source]].append(frame)
         return found, log.model
 

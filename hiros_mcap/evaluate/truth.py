@@ -16,7 +16,6 @@ from hiros_mcap.log import open_log
 from hiros_mcap.rotations import multiply
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.symmetry import split_side
-from hiros_mcap.transforms import transform_to_fixed
 
 MAX_GAP_NS = 500_000_000
 """The truth is not interpolated over a longer pause."""
@@ -183,7 +182,7 @@ def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -
         if len(log.cameras) > 1:
             topics = ", ".join(camera.channel.topic for camera in log.cameras)
             raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
-        frames = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+        frames = list(log.detections())
         if not frames:
             raise LogError("holds no true skeletons", path=path, topic=topic)
         return Truth.of(frames, log.model)

@@ -167,7 +167,7 @@ def _stamp(data: Bytes, at: int, swap: bool) -> tuple[int, int]:
 
 
 @kernel
-def _header(data: Bytes, report: Table) -> tuple[int, int, bool]:
+def read_header(data: Bytes, report: Table) -> tuple[int, int, bool]:
     """Read up to the number of people; return fault, where they start, whether to swap bytes."""
     report[AT] = 0
     report[PERSON] = -1
@@ -242,7 +242,7 @@ def outline(data: Bytes, rows: Table, report: Table) -> int:
     ``rows`` is (n, 6), n at least ``data.size // MIN_MARKER + 1``; the first ``report[ROWS]`` rows
     are filled, names by their place in ``data``. Returns OK or a fault.
     """
-    fault, at, swap = _header(data, report)
+    fault, at, swap = read_header(data, report)
     if fault != OK:
         return fault
     n_rows = 0
@@ -514,7 +514,7 @@ def decode(
     stamp and the places of the strings; ``sources`` (MAX_PEOPLE, 2) gets the places of src_frame.
     Returns OK, a fault, or PEOPLE when the message has ``report[COUNT]`` people instead of P.
     """
-    fault, at, swap = _header(data, report)
+    fault, at, swap = read_header(data, report)
     if fault != OK:
         return fault
     if report[COUNT] != len(ids):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from numba import njit
+from hiros_mcap.kernels.unaligned import kernel
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _STATE = 19
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _move_state(xyzw, matrix, translation, source, target, p, n):  # type: ignore[no-untyped-def]
     """Move state (p, n). Most of a state is absent: a NaN at the front stands for its vector."""
     for at in (0, 7, 10, 13, 16):
@@ -39,13 +39,9 @@ def _move_state(xyzw, matrix, translation, source, target, p, n):  # type: ignor
     target[p, n, 6] = aw * bw - ax * bx - ay * by - az * bz
 
 
-@njit(
-    [
-        "void(float64[::1], float64[:,::1], float64[::1], float64[:,:,::1], float64[:,:,::1],"
-        " float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1])"
-    ],
-    cache=True,
-    nogil=True,
+@kernel(
+    "void(float64[::1], float64[:,::1], float64[::1], float64[:,:,::1], float64[:,:,::1],"
+    " float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1])"
 )
 def move(
     xyzw: npt.NDArray[Any],
@@ -69,7 +65,7 @@ def move(
     xyzw, matrix, translation : the same rotation twice, (4,) and (3, 3), and (3,) m.
     markers, links : (P, M, 19), (P, L, 19).
     boxes : (P, 22).
-    moved_markers, moved_links, moved_boxes : filled, shapes as above.
+    moved_markers, moved_links, moved_boxes : filled, shapes as above; may be the same arrays.
     """
     people = markers.shape[0]
     box = boxes.reshape((people, 1, boxes.shape[1]))
@@ -82,3 +78,32 @@ def move(
         _move_state(xyzw, matrix, translation, box, moved_box, p, 0)
         for k in range(_STATE, boxes.shape[1]):
             moved_boxes[p, k] = boxes[p, k]
+
+
+@kernel(
+    "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1],"
+    " float64[:,:,::1], float64[:,:,::1], float64[:,::1])"
+)
+def move_batch(
+    xyzw: npt.NDArray[Any],
+    matrices: npt.NDArray[Any],
+    translations: npt.NDArray[Any],
+    pose_of: npt.NDArray[Any],
+    first: npt.NDArray[Any],
+    markers: npt.NDArray[Any],
+    links: npt.NDArray[Any],
+    boxes: npt.NDArray[Any],
+) -> None:
+    """Move the people of N messages in place, as :func:`move` does.
+
+    ``xyzw`` (K, 4), ``matrices`` (K, 3, 3), ``translations`` (K, 3) are the poses, ``pose_of``
+    (N,) which of them is a message's, -1 = leave it; its people are the rows ``first[i]`` to
+    ``first[i + 1]``.
+    """
+    for i in range(len(pose_of)):
+        k, a, b = pose_of[i], first[i], first[i + 1]
+        if k >= 0:
+            move(
+                xyzw[k], matrices[k], translations[k], markers[a:b], links[a:b], boxes[a:b],
+                markers[a:b], links[a:b], boxes[a:b],
+            )  # fmt: skip

@@ -18,7 +18,6 @@ from hiros_mcap.log import Camera, Log, open_log
 from hiros_mcap.pipeline import DETECTIONS, EVENTS_ATTACHMENT
 from hiros_mcap.rotations import Rigid
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.transforms import transform_to_fixed
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.scene import STAGES, Scene
 
@@ -166,17 +165,9 @@ def in_time_order(log: Log) -> Iterator[tuple[str, Frame]]:
     A log is in the order of its messages, and what a stage that looks ahead says of an instant
     comes later; frames wait until nothing earlier can come.
     """
-    topics: list[str] = []
-
-    def frames() -> Iterator[Frame]:
-        for topic, frame in log.frames_by_topic():
-            topics.append(topic)
-            yield frame
-
     waiting: list[tuple[int, int, str, Frame]] = []
-    fixed = transform_to_fixed(frames(), log.transforms, log.fixed_frame)
-    for k, frame in enumerate(fixed):
-        heapq.heappush(waiting, (frame.stamp, k, kind_of(topics.pop()), frame))
+    for k, (topic, frame) in enumerate(log.detections_by_topic()):
+        heapq.heappush(waiting, (frame.stamp, k, kind_of(topic), frame))
         while waiting and waiting[0][0] < frame.log_time - HORIZON_NS:
             yield heapq.heappop(waiting)[2:]
     while waiting:

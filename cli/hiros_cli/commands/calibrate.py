@@ -42,11 +42,10 @@ def noise(
     from hiros_mcap.stages.associate import associate
     from hiros_mcap.stages.noise import measure_noise
     from hiros_mcap.text import number
-    from hiros_mcap.transforms import transform_to_fixed
 
     with open_log(log) as opened:
         start = opened.span[0]
-        fixed = transform_to_fixed(opened.frames(), opened.transforms, opened.fixed_frame)
+        fixed = opened.detections()
         frames = (
             frame
             for frame in associate(fixed, opened.model)
