@@ -401,7 +401,21 @@ class Encoder:
         Raises :class:`LogError` if a stamp lies beyond the years 1901 to 2038 that messages can
         express, and :class:`ValueError` for arrays that do not fit each other or the model.
         """
-        arguments: tuple[Any, ...] = (
+        size = self.encode_into(self._out, frame, source)
+        if size < 0:
+            self._out = np.empty(-2 * size, np.uint8)
+            size = self.encode_into(self._out, frame, source)
+        return self._out[:size].tobytes()
+
+    def encode_into(
+        self, out: npt.NDArray[np.uint8], frame: Frame, source: str | None = None
+    ) -> int:
+        """Write the message of :meth:`encode` to the front of ``out``; return its length.
+
+        Minus the number of bytes that are enough, and nothing written, if ``out`` has fewer.
+        """
+        size = cdr_encode.encode(
+            out,
             _as_array(frame.frame_id.encode()),
             _as_array((frame.source if source is None else source).encode()),
             frame.stamp,
@@ -412,15 +426,11 @@ class Encoder:
             frame.stamps,
             *_measured(frame),
         )
-        size = cdr_encode.encode(self._out, *arguments)
-        if size < -cdr_encode.STAMP:
-            self._out = np.empty(-2 * size, np.uint8)
-            size = cdr_encode.encode(self._out, *arguments)
         if size == -cdr_encode.SHAPE:
             raise ValueError("the arrays of the frame do not fit each other or the model")
         if size == -cdr_encode.STAMP:
             raise LogError("a stamp lies outside the years 1901 to 2038")
-        return self._out[:size].tobytes()
+        return int(size)
 
 
 def _measured(frame: Frame) -> tuple[Any, ...]:

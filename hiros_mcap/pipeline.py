@@ -255,7 +255,11 @@ def _write(
             watcher.frame(channel, frame)
             if channel != DETECTIONS:
                 copier.until(frame.log_time)
-                writer.write(channels[channel], frame.log_time, encoder.encode(frame))
+                writer.write_into(
+                    channels[channel],
+                    frame.log_time,
+                    lambda space: encoder.encode_into(space, frame),
+                )
             if export is not None and channel == chain[-1]:
                 export.write(frame)
 

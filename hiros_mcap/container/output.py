@@ -6,12 +6,22 @@ import os
 import secrets
 import weakref
 from collections.abc import Iterable
+from io import FileIO
 from pathlib import Path
 
 from isal.isal_zlib import crc32
 
 from hiros_mcap.container.records import Bytes
 from hiros_mcap.errors import LogError
+
+_PARTS = 64  # POSIX allows 16 at the least, every system of today 1024
+
+
+def _write(file: FileIO, parts: list[memoryview]) -> int:
+    """Write some of ``parts``, at least one byte; return how many bytes."""
+    if hasattr(os, "writev"):
+        return os.writev(file.fileno(), parts[:_PARTS])
+    return file.write(parts[0])
 
 
 class OutputFile:
@@ -43,12 +53,17 @@ class OutputFile:
     def write(self, *parts: Bytes) -> None:
         """Append; ``offset`` and ``crc`` (of everything so far) follow."""
         try:
-            for part in parts:
-                left = memoryview(part)
-                self.crc = crc32(left, self.crc)
-                self.offset += len(left)
-                while left:
-                    left = left[self._file.write(left) :]
+            left = [memoryview(part) for part in parts if len(part)]
+            for part in left:
+                self.crc = crc32(part, self.crc)
+                self.offset += len(part)
+            while left:
+                # All parts at once where the system can: every call hands over the GIL twice.
+                n = _write(self._file, left)
+                while left and n >= len(left[0]):
+                    n -= len(left.pop(0))
+                if n:
+                    left[0] = left[0][n:]
         except (OSError, ValueError, MemoryError) as error:
             raise self._error(error) from None
 

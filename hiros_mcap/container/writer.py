@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
 from isal.isal_zlib import crc32
 
 from hiros_mcap._version import __version__
@@ -29,6 +31,7 @@ from hiros_mcap.errors import LogError
 
 CHUNK_SIZE = 1 << 20
 """A chunk is closed when its records reach this many bytes. 0.25 to 4 MiB cost the same."""
+_SPARE = 1 << 16
 _IN_FLIGHT = 4
 _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -38,8 +41,8 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 class _Batch:
     """The chunk that is being filled."""
 
-    parts: list[r.Bytes] = field(default_factory=list)
-    """Records as they came; joined in the background, where the copying costs the run nothing."""
+    room: npt.NDArray[np.uint8]
+    """Its records, one after the other, and space for more."""
     size: int = 0
     index: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
     start_time: int = 2**64
@@ -78,7 +81,8 @@ class McapWriter:
         self._chunk_size = chunk_size
         self._times: list[int] = []
         self._reserved = (0, 0)
-        self._batch = _Batch()
+        self._batch = _Batch(np.empty(chunk_size + _SPARE, np.uint8))
+        self._rooms: deque[npt.NDArray[np.uint8]] = deque()
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
@@ -168,22 +172,53 @@ class McapWriter:
         The publish time is the log time unless given; the sequence number counts the channel's
         messages unless given.
         """
-        count = self.counts[channel_id]
+        payload = np.frombuffer(data, np.uint8) if len(data) else np.empty(0, np.uint8)
+
+        def fill(space: npt.NDArray[np.uint8]) -> int:
+            if len(space) < len(payload):
+                return -len(payload)
+            space[: len(payload)] = payload
+            return len(payload)
+
+        self.write_into(channel_id, log_time, fill, publish_time=publish_time, sequence=sequence)
+
+    def write_into(
+        self,
+        channel_id: int,
+        log_time: int,
+        fill: Callable[[npt.NDArray[np.uint8]], int],
+        *,
+        publish_time: int | None = None,
+        sequence: int | None = None,
+    ) -> None:
+        """Add a message that ``fill`` writes where it is to lie, which spares a copy.
+
+        ``fill`` is given space and returns how many bytes of it it took, or minus the number that
+        it needs if there are fewer; then it is called again.
+        """
         if channel_id not in self.channels:
             raise ValueError(f"there is no channel {channel_id}")
-        # What is not bytes may be written into before it is compressed.
-        batch, payload = self._batch, data if isinstance(data, bytes) else bytes(data)
-        batch.index.setdefault(channel_id, []).append((log_time, batch.size))
-        head = _MESSAGE.pack(
+        count, batch = self.counts[channel_id], self._batch
+        at = batch.size
+        begin = at + _MESSAGE.size
+        length = fill(batch.room[begin:])
+        if length < 0:
+            bigger = np.empty(begin - length, np.uint8)
+            bigger[:at] = batch.room[:at]
+            batch.room = bigger
+            length = fill(bigger[begin:])
+        batch.index.setdefault(channel_id, []).append((log_time, at))
+        _MESSAGE.pack_into(
+            batch.room.data,
+            at,
             r.MESSAGE_OP,
-            r.MESSAGE_HEAD.size + len(payload),
+            r.MESSAGE_HEAD.size + length,
             channel_id,
             count if sequence is None else sequence,
             log_time,
             log_time if publish_time is None else publish_time,
         )
-        batch.parts += (head, payload)
-        batch.size += len(head) + len(payload)
+        batch.size = begin + length
         batch.start_time = min(batch.start_time, log_time)
         batch.end_time = max(batch.end_time, log_time)
         self.counts[channel_id] = count + 1
@@ -203,7 +238,7 @@ class McapWriter:
         if whole and chunk.index_end > chunk.end:
             self.counts.update(counts)
             self._times += (chunk.start_time, chunk.end_time)
-            self._submit(self._emit_copy, chunk, reader.raw(chunk))
+            self._submit(self._emit_copy, chunk, reader)
             return
         for message in reader.messages_in(chunk):
             if message.channel_id in self.channels:
@@ -251,20 +286,24 @@ class McapWriter:
             self._waiting.popleft().result()
 
     def _flush(self) -> None:
-        batch, self._batch = self._batch, _Batch()
+        batch = self._batch
         if batch.index:
+            # Room that was written before is in the caches, and known to the system.
+            room = self._rooms.popleft() if self._rooms else batch.room[:0]
+            self._batch = _Batch(
+                room if len(room) >= len(batch.room) else np.empty_like(batch.room)
+            )
             self._times += (batch.start_time, batch.end_time)
             self._submit(self._emit_batch, batch)
 
     def _emit_batch(self, batch: _Batch) -> None:
-        data = b"".join(batch.parts)
+        data = batch.room.data[: batch.size]
         packed = compress(data, self._compression)
         head = r.CHUNK_HEAD.pack(batch.start_time, batch.end_time, len(data), crc32(data))
         fixed = head + r.text(self._compression) + struct.pack("<Q", len(packed))
         start = self._out.offset
         length = len(fixed) + len(packed)
         end = at = start + r.HEAD.size + length
-        # One write for everything: each would take the GIL from the run twice more.
         parts = [r.HEAD.pack(r.CHUNK_OP, length), fixed, packed]
         offsets = {}
         for channel, entries in sorted(batch.index.items()):
@@ -273,7 +312,8 @@ class McapWriter:
             fixed = struct.pack("<HI", channel, len(flat))
             parts.append(r.record(r.MESSAGE_INDEX_OP, fixed, flat))
             at += len(parts[-1])
-        self._out.write(b"".join(parts))
+        self._out.write(*parts)
+        self._rooms.append(batch.room)
         self._indexes.append(
             r.ChunkIndex(
                 start_time=batch.start_time,
@@ -288,7 +328,8 @@ class McapWriter:
             )
         )
 
-    def _emit_copy(self, chunk: r.Chunk, raw: bytes) -> None:
+    def _emit_copy(self, chunk: r.Chunk, reader: McapReader) -> None:
+        raw = reader.raw(chunk)
         start, length = self._out.offset, chunk.end - chunk.offset
         offsets, at = {}, length
         while at < len(raw):

@@ -28,6 +28,8 @@ from hiros_mcap.symmetry import symmetry_of
 
 Indices = npt.NDArray[np.intp]
 
+_MARGIN = 100_000_000  # ns by which frames are late that are not late
+
 
 class TrackParams(Params):
     """Parameters of the tracker."""
@@ -87,15 +89,16 @@ class TrackParams(Params):
     reorder: float = Field(
         1.0,
         ge=0,
-        description="s: frames wait this long for older ones of slower cameras; later ones are "
-        "still tracked, at their own time. Recorders stall for up to a second; a live system "
-        "takes 0.1.",
+        description="s: frames wait at most this long for older ones of slower cameras; later "
+        "ones are still tracked, at their own time. Recorders stall for up to a second; a live "
+        "system takes 0.1.",
     )
     lookahead: float = Field(
         1.0,
         ge=0,
-        description="s: frames are held this long, so that somebody who is confirmed meanwhile "
-        "has the id from the first detection. 0 = a live system without delay.",
+        description="s: a frame with somebody who may or may not be a person is held this long, "
+        "so that who is confirmed meanwhile has the id from the first detection. 0 = a live system "
+        "without delay.",
     )
     confirm_detections: int = Field(
         5, ge=1, description="Detections, by two cameras or more, that make a body a person."
@@ -182,6 +185,11 @@ class _Track:
     former: int = UNTRACKED
     """The id before it was doubted; it gets it back if it is a person after all."""
 
+    @property
+    def settled(self) -> bool:
+        """Whether it is a person for good: nobody doubts whom two cameras saw."""
+        return self.person != UNTRACKED and len(self.evidence.reports) > 1
+
 
 class _Bank:
     """Motion of all tracks, as arrays that the kernels take; rows are reused."""
@@ -236,6 +244,11 @@ class _Held:
     reasons: list[str]
     """Why a detection is of nobody; "" where it is of a track."""
 
+    @property
+    def settled(self) -> bool:
+        """Whether no evidence that is still to come can change an id."""
+        return all(body is None or body.settled for body in self.tracks)
+
 
 def track(
     frames: Iterable[Frame],
@@ -265,26 +278,44 @@ def track(
     patience = round(params.lookahead * 1e9)
     for frame in in_time_order(frames, params.reorder):
         held.append(tracker.step(frame))
-        while held and held[0].frame.stamp + patience <= frame.stamp:
+        while held and (held[0].frame.stamp + patience <= frame.stamp or held[0].settled):
             yield tracker.release(held.popleft(), frame.log_time)
     for waiting in held:
         yield tracker.release(waiting, held[-1].frame.log_time)
 
 
 def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
-    """Sort frames by (stamp, source), holding each until one ``delay`` seconds younger came.
+    """Sort frames by (stamp, source), holding each ``delay`` seconds at most for older ones.
 
-    A frame that is later still goes on at once: it is used, out of order, and not dropped. Log
-    times become those of the arrivals that let the frames go, so they never run backwards.
+    A frame goes on when every camera has sent a younger one (a camera that has been silent for
+    ``delay`` is not waited for), and no sooner than the latest frame so far would have wanted. A
+    frame that is later still goes on at once: it is used, out of order, and not dropped. Log times
+    become those of the arrivals that let the frames go, so they never run backwards.
     """
     waiting: list[tuple[int, str, int, Frame]] = []
-    newest = now = 0
+    newest_of: dict[str, int] = {}
+    newest = now = begin = 0
     patience = round(delay * 1e9)
+    margin = min(patience, _MARGIN)
     count = itertools.count()
     for frame in frames:
-        heapq.heappush(waiting, (frame.stamp, frame.source, next(count), frame))
-        newest, now = max(newest, frame.stamp), max(now, frame.log_time)
-        while waiting and waiting[0][0] <= newest - patience:
+        stamp, source = frame.stamp, frame.source
+        heapq.heappush(waiting, (stamp, source, next(count), frame))
+        newest, now, begin = max(newest, stamp), max(now, frame.log_time), begin or stamp
+        margin = max(margin, min(newest - stamp, patience))
+        newest_of[source] = max(newest_of.get(source, 0), stamp)
+        horizon, everybody = newest - patience, (newest, "")
+        if begin >= horizon:  # there may be cameras that have not sent yet
+            everybody = (horizon, source)
+        else:
+            for name, last in newest_of.items():
+                if last > horizon and (last, name) < everybody:
+                    everybody = (last, name)
+        recent = newest - margin
+        while waiting:
+            first = waiting[0]
+            if first[0] > horizon and (first[0] > recent or first[:2] > everybody):
+                break
             yield heapq.heappop(waiting)[3].replace(log_time=now)
     while waiting:
         yield heapq.heappop(waiting)[3].replace(log_time=now)
