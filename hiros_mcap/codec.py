@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -19,7 +19,8 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cdr_encode, cleaning
 from hiros_mcap.layout import PUBLISHED, Bytes, Layout, check_schema
-from hiros_mcap.skeletons import BOX, STATE, Frame, SkeletonModel, Stamps
+from hiros_mcap.rotations import Rigid, to_matrix
+from hiros_mcap.skeletons import BOX, STATE, Floats, Frame, SkeletonModel, Stamps
 
 __all__ = [
     "PUBLISHED",
@@ -29,6 +30,7 @@ __all__ = [
     "Encoder",
     "Layout",
     "ModelBuilder",
+    "Poses",
     "check_schema",
     "clean",
 ]
@@ -329,7 +331,9 @@ class Batch:
             raise _fault(code, report, data, topic)
         if report[cdr.MIXED]:
             return None
-        frame_id, common = self.names(row, data, topic)
+        *_, header, header_end, first, end, _ = report.tolist()
+        frame_id = _text(data, header, header_end, topic)
+        common = _text(data, first, end, topic)
         source = common or frame_id
         people = slice(*self.first[row : row + 2].tolist())
         arrays = [array[people] for array in self.arrays]
@@ -338,13 +342,42 @@ class Batch:
         counts = self.cleaned[row].tolist()
         return frame, _by_kind(counts) if any(counts) else _NOTHING
 
-    def names(self, row: int, data: Bytes, topic: str) -> tuple[str, str]:
-        """Return the header's frame_id and the common src_frame of a message.
 
-        Raises LogError if one is no text.
-        """
-        *_, header, header_end, source, source_end, _ = self.reports[row].tolist()
-        return _text(data, header, header_end, topic), _text(data, source, source_end, topic)
+class Poses:
+    """Poses at rest of frames in the fixed frame, found out by name as they are asked for."""
+
+    def __init__(
+        self, fixed: str = "", lookup: Callable[[str], Rigid | None] | None = None
+    ) -> None:
+        self.fixed = fixed
+        self._lookup = lookup
+        self._rows: dict[bytes, int] = {}
+        self.arrays: tuple[Floats, Floats, Floats] = (
+            np.empty((0, 4)),
+            np.empty((0, 3, 3)),
+            np.empty((0, 3)),
+        )
+        """Quaternions (K, 4), matrices (K, 3, 3) and translations (K, 3), m."""
+
+    def find(self, name: bytes) -> int:
+        """Row of a frame's pose; -1 if it has none, or is the fixed frame itself."""
+        row = self._rows.get(name)
+        if row is None:
+            row = self._rows[name] = self._learn(name)
+        return row
+
+    def _learn(self, name: bytes) -> int:
+        frame = name.decode(errors="replace").lstrip("/")
+        pose = self._lookup(frame) if self._lookup and frame not in ("", self.fixed) else None
+        if pose is None:
+            return -1
+        turns, matrices, places = self.arrays
+        self.arrays = (
+            np.concatenate([turns, pose.xyzw[None]]),
+            np.concatenate([matrices, to_matrix(pose.xyzw)[None]]),
+            np.concatenate([places, pose.translation[None]]),
+        )
+        return len(turns)
 
 
 class BatchDecoder:
@@ -358,15 +391,16 @@ class BatchDecoder:
         self._shapes = (m, STATE), (m,), (n, STATE), (n,), (BOX,)
         self._scratch = np.empty(m + n, np.int64)
 
-    def decode(self, data: Bytes, places: Stamps) -> Batch | None:
+    def decode(self, data: Bytes, places: Stamps, poses: Poses | None = None) -> Batch | None:
         """Read messages of the published layout that lie in ``data`` at ``places`` (N, 2).
 
-        None = they would need too much memory at once.
+        People whose message names a frame of ``poses`` are moved by its pose. None = the messages
+        would need too much memory at once.
         """
         buffer = _as_array(data)
         first = np.empty(len(places) + 1, np.int64)
         reports = np.zeros((len(places), cdr.REPORT), np.int64)
-        batch_kernels.count_people(buffer, places, reports, first)
+        batch_kernels.read_headers(buffer, places, reports, first)
         people = int(first[-1])
         if people * 8 * sum(math.prod(shape) for shape in self._shapes) > self._MOST:
             return None
@@ -377,10 +411,16 @@ class BatchDecoder:
             *(np.empty((people, *shape)) for shape in self._shapes),
         )
         batch = Batch(arrays, first)
+        pose_of = np.full(len(places), -1, np.int64)
+        poses = poses or Poses()
+        names = places[:, :1] + reports[:, [cdr.FRAME, cdr.FRAME_END]]
+        for i, (start, end) in enumerate(names.tolist()):
+            pose_of[i] = pose = poses.find(bytes(data[start:end]))
+            batch.frame_ids[i] = poses.fixed if pose >= 0 else ""
         sources = np.empty((people, 2), np.int64)
         batch_kernels.decode_batch(
             buffer, places, *self._tables, self._scratch, batch.reports, batch.cleaned,
-            batch.codes, first, sources, *arrays,
+            batch.codes, first, sources, *arrays, pose_of, *poses.arrays,
         )  # fmt: skip
         return batch
 

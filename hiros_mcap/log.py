@@ -12,9 +12,9 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -35,16 +35,14 @@ from hiros_mcap.codec import (
     BatchDecoder,
     Decoder,
     ModelBuilder,
+    Poses,
     check_schema,
     clean,
 )
 from hiros_mcap.container import McapReader, Message, Records
 from hiros_mcap.errors import LogError
-from hiros_mcap.kernels.cdr import OK
-from hiros_mcap.kernels.geometry import move_batch
 from hiros_mcap.kernels.records import CHANNEL, START, STOP
 from hiros_mcap.layout import Layout
-from hiros_mcap.rotations import to_matrix
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.transforms import Mover, TransformTree, parse_tf, read_extrinsics
 
@@ -205,11 +203,7 @@ class _Digest:
 
     def __init__(self, log: Log, fixed: str = "") -> None:
         self._decoder = BatchDecoder(log.model)
-        self._tree = log.transforms
-        self._fixed = fixed
-        self._poses: dict[str, int] = {}
-        self._turns, self._matrices = np.empty((0, 4)), np.empty((0, 3, 3))
-        self._places = np.empty((0, 3))
+        self._poses = Poses(fixed, partial(log.transforms.at_rest, fixed=fixed)) if fixed else None
         self._published = np.zeros(1 << 16, np.bool_)
         for camera in log.cameras:
             self._published[camera.channel.id] = camera.layout is PUBLISHED
@@ -219,37 +213,11 @@ class _Digest:
         notes: list[tuple[Batch, int] | None] = [None] * len(records.messages)
         rows = np.flatnonzero(self._published[records.messages[:, CHANNEL]])
         places = records.messages[rows][:, [START, STOP]].astype(np.int64)
-        batch = self._decoder.decode(records.data, np.ascontiguousarray(places))
+        batch = self._decoder.decode(records.data, np.ascontiguousarray(places), self._poses)
         if batch is not None:
-            if self._fixed:
-                self._move(batch, memoryview(records.data), places.tolist())
             for i, row in enumerate(rows.tolist()):
                 notes[row] = batch, i
         return notes
-
-    def _move(self, batch: Batch, data: memoryview, places: list[list[int]]) -> None:
-        """Move people to the fixed frame, in place."""
-        pose_of = np.full(len(places), -1, np.int64)
-        for i in np.flatnonzero(batch.codes == OK).tolist():
-            with suppress(LogError):  # whoever asks for that message will hear of it
-                frame_id, source = batch.names(i, data[slice(*places[i])], "")
-                pose_of[i] = self._pose((frame_id or source).lstrip("/"))
-                batch.frame_ids[i] = self._fixed if pose_of[i] >= 0 else ""
-        _, _, _, markers, _, links, _, boxes = batch.arrays
-        move_batch(
-            self._turns, self._matrices, self._places, pose_of, batch.first, markers, links, boxes
-        )
-
-    def _pose(self, name: str) -> int:
-        """Row of a frame's pose; -1 if it moves, is not known, or is the fixed frame itself."""
-        if name not in self._poses:
-            pose = None if name == self._fixed else self._tree.at_rest(name, self._fixed)
-            self._poses[name] = -1 if pose is None else len(self._turns)
-            if pose is not None:
-                self._turns = np.concatenate([self._turns, pose.xyzw[None]])
-                self._matrices = np.concatenate([self._matrices, to_matrix(pose.xyzw)[None]])
-                self._places = np.concatenate([self._places, pose.translation[None]])
-        return self._poses[name]
 
 
 class _Stream:

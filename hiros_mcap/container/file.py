@@ -45,16 +45,21 @@ class LogFile:
             raise FormatError("reaches past the end of the file")
         parts = []
         try:
-            with self._lock:
-                self._file.seek(offset)
-                while n and (part := self._file.read(n)):
-                    parts.append(part)
-                    n -= len(part)
+            while n and (part := self._read_at(offset, n)):
+                parts.append(part)
+                offset, n = offset + len(part), n - len(part)
         except (OSError, ValueError, MemoryError) as error:
             raise _refused(self.path, error) from None
         if n:
             raise LogError("shrank while it was being read", path=self.path)
         return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def _read_at(self, offset: int, n: int) -> bytes:
+        if hasattr(os, "pread"):  # needs no lock, and gives up the GIL once instead of twice
+            return os.pread(self._file.fileno(), n, offset)
+        with self._lock:
+            self._file.seek(offset)
+            return self._file.read(n)
 
     def crc(self, start: int, stop: int) -> int:
         """CRC-32 of the bytes from ``start`` to before ``stop``."""

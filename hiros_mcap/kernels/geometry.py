@@ -78,32 +78,3 @@ def move(
         _move_state(xyzw, matrix, translation, box, moved_box, p, 0)
         for k in range(_STATE, boxes.shape[1]):
             moved_boxes[p, k] = boxes[p, k]
-
-
-@kernel(
-    "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1],"
-    " float64[:,:,::1], float64[:,:,::1], float64[:,::1])"
-)
-def move_batch(
-    xyzw: npt.NDArray[Any],
-    matrices: npt.NDArray[Any],
-    translations: npt.NDArray[Any],
-    pose_of: npt.NDArray[Any],
-    first: npt.NDArray[Any],
-    markers: npt.NDArray[Any],
-    links: npt.NDArray[Any],
-    boxes: npt.NDArray[Any],
-) -> None:
-    """Move the people of N messages in place, as :func:`move` does.
-
-    ``xyzw`` (K, 4), ``matrices`` (K, 3, 3), ``translations`` (K, 3) are the poses, ``pose_of``
-    (N,) which of them is a message's, -1 = leave it; its people are the rows ``first[i]`` to
-    ``first[i + 1]``.
-    """
-    for i in range(len(pose_of)):
-        k, a, b = pose_of[i], first[i], first[i + 1]
-        if k >= 0:
-            move(
-                xyzw[k], matrices[k], translations[k], markers[a:b], links[a:b], boxes[a:b],
-                markers[a:b], links[a:b], boxes[a:b],
-            )  # fmt: skip

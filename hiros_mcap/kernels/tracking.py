@@ -19,6 +19,9 @@ from numba import njit
 from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
+# What may be wrong with a detection.
+USABLE, EMPTY, DOUBTFUL = 0, 1, 2
+
 _INFINITE = 1e18
 _NOT_MIRRORED = 0.1  # m: a body whose sides are swapped is farther than this from its track
 
@@ -638,3 +641,87 @@ def update(
                     stamp, row_of[person], person, turn, spin, turn_spread, turn_seen, links,
                     numbers,
                 )  # fmt: skip
+
+
+@kernel
+def _take_over(source: Floats, confidences: Floats, least: float, person: int, out: Floats) -> bool:
+    """Copy a person's states, those of too little confidence as absent; whether any is there."""
+    some = False
+    for m in range(source.shape[1]):
+        if confidences[person, m] < least:
+            for c in range(source.shape[2]):
+                out[person, m, c] = np.nan
+            continue
+        for c in range(source.shape[2]):
+            out[person, m, c] = source[person, m, c]
+        some = some or not math.isnan(source[person, m, 0])
+    return some
+
+
+@njit(
+    "int64(int64, int64[::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
+    " float64[:,:,::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1], float64[::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int32[::1],"
+    " float64[::1], float64[::1], float64[::1], float64[:,:,::1], float64[:,:,::1],"
+    " float64[:,::1], int64[::1], int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def follow(
+    stamp: int,
+    rows: Stamps,
+    motion: Floats,
+    spread: Floats,
+    seen: Stamps,
+    turn: Floats,
+    spin: Floats,
+    turn_spread: Floats,
+    turn_seen: Stamps,
+    confidences: Floats,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    mirror: Ints,
+    association: Floats,
+    dynamics: Floats,
+    least: Floats,
+    out_markers: Floats,
+    out_links: Floats,
+    gap: Floats,
+    match: Stamps,
+    fault: Stamps,
+) -> int:
+    """Take over a message: find the track of each person among ``rows``, and move it.
+
+    ``association`` and ``dynamics`` are the numbers of :func:`associate` and :func:`update`;
+    ``least`` the confidences below which a skeleton is left out, and a marker or link absent.
+    Outputs: ``out_markers``, ``out_links``, copies with the tracks' velocities; ``gap`` and
+    ``match`` as in :func:`associate`; ``fault`` (P,) USABLE, EMPTY or DOUBTFUL. Returns how many
+    usable people are of no track.
+    """
+    n_people = len(confidences)
+    wanted, flipped = np.empty(n_people, np.bool_), np.empty(n_people, np.bool_)
+    for j in range(n_people):
+        some = _take_over(markers, marker_confidences, least[1], j, out_markers)
+        _take_over(links, link_confidences, least[1], j, out_links)
+        fault[j] = EMPTY
+        if some:
+            fault[j] = DOUBTFUL if confidences[j] < least[0] else USABLE
+        wanted[j] = fault[j] == USABLE
+        match[j] = -1
+    if len(rows):
+        associate(
+            stamp, rows, motion, seen, turn, spin, turn_seen, out_markers, marker_confidences,
+            out_links, link_confidences, mirror, association, wanted, gap, match, flipped,
+        )  # fmt: skip
+    left = 0
+    row_of = np.empty(n_people, np.int64)
+    for j in range(n_people):
+        row_of[j] = rows[match[j]] if match[j] >= 0 else -1
+        left += wanted[j] and match[j] < 0
+    update(
+        stamp, row_of, motion, spread, seen, turn, spin, turn_spread, turn_seen, out_markers,
+        marker_confidences, out_links, flipped, mirror, dynamics,
+    )  # fmt: skip
+    return left

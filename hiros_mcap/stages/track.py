@@ -28,6 +28,7 @@ from hiros_mcap.symmetry import symmetry_of
 
 Indices = npt.NDArray[np.intp]
 
+_REASONS = {kernels.USABLE: "", kernels.EMPTY: "no markers", kernels.DOUBTFUL: "low confidence"}
 _MARGIN = 100_000_000  # ns by which frames are late that are not late
 
 
@@ -336,6 +337,13 @@ class _Tracker:
         self.bank = _Bank(model)
         self.coverage = Coverage(cameras)
         self.tracks: list[_Track] = []
+        self.known: list[_Track] | None = None
+        self.known_rows: Stamps = np.empty(0, np.int64)
+        """The tracks that are persons, and their rows in the bank; None = to be looked up."""
+        self.calm = False
+        """Whether every track is a person for good."""
+        self.expiry = 0
+        """No track is to be forgotten before this stamp."""
         self.people = itertools.count()
         symmetry = symmetry_of(model)
         self.flip_aware = params.flip_aware and symmetry.known
@@ -346,6 +354,7 @@ class _Tracker:
             params.velocity_weight, params.angular_velocity_weight, params.exponent,
             self.flip_aware,
         ], np.float64)  # fmt: skip
+        self.least = np.array([params.min_skeleton_confidence, params.min_marker_confidence])
         self.dynamics = np.array([
             params.horizon, params.position_noise, params.jerk, params.orientation_noise,
             params.angular_jerk, params.innovation_gate, params.max_speed,
@@ -353,19 +362,43 @@ class _Tracker:
 
     def step(self, frame: Frame) -> _Held:
         """Associate, update, add and remove (the three parts of section 3.1.2)."""
-        self._forget(frame.stamp)
-        held = self._hold(frame)
-        usable = self._usable(held)
-        known = [t for t in self.tracks if t.person != UNTRACKED]
-        gap = self._match(held, known, usable)
-        rest = [j for j in usable if held.tracks[j] is None]
-        if rest:
+        if frame.stamp >= self.expiry:
+            self._forget(frame.stamp)
+        if self.known is None:
+            self.known = [t for t in self.tracks if t.person != UNTRACKED]
+            self.known_rows = np.array([t.row for t in self.known], np.int64)
+            self.calm = all(t.settled for t in self.tracks)
+        known = self.known
+        held, gap, left = self._follow(frame, known, self.known_rows)
+        if left:
+            rest = [j for j, body in enumerate(held.tracks) if body is None and not held.reasons[j]]
             tentative = [t for t in self.tracks if t.person == UNTRACKED]
             rest = self._drop_second_bodies(held, known, gap, rest)
             self._match(held, tentative, rest)
             self._add(held, [j for j in rest if held.tracks[j] is None])
         self._judge(held)
         return held
+
+    def _follow(self, frame: Frame, known: list[_Track], rows: Stamps) -> tuple[_Held, Floats, int]:
+        """Give people to the tracks of persons; also return the gaps and how many are left."""
+        bank, n = self.bank, frame.n_people
+        markers, links = np.empty_like(frame.markers), np.empty_like(frame.links)
+        gap = np.full((len(known), n), np.inf)
+        match, fault = np.empty(n, np.int64), np.empty(n, np.int64)
+        left = kernels.follow(
+            frame.stamp, rows, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
+            bank.turn_spread, bank.turn_seen, frame.confidences, frame.markers,
+            frame.marker_confidences, frame.links, frame.link_confidences, self.mirror,
+            self.association, self.dynamics, self.least, markers, links, gap, match, fault,
+        )  # fmt: skip
+        bodies: list[_Track | None] = []
+        for i in match.tolist():
+            body = known[i] if i >= 0 else None
+            bodies.append(body)
+            if body is not None and body.seen < frame.stamp:
+                body.seen = frame.stamp
+        reasons = [_REASONS[code] for code in fault.tolist()]
+        return _Held(frame, markers, links, bodies, reasons), gap, left
 
     def release(self, held: _Held, log_time: int) -> Frame:
         """Write the ids that the tracks have by now."""
@@ -381,36 +414,12 @@ class _Tracker:
             frame.marker_confidences, held.links, frame.link_confidences, frame.boxes,
         )  # fmt: skip
 
-    def _hold(self, frame: Frame) -> _Held:
-        """Copy what this stage writes into, without what is below the confidence threshold."""
-        markers, links = frame.markers.copy(), frame.links.copy()
-        least = self.params.min_marker_confidence
-        if least > 0:
-            markers[frame.marker_confidences < least] = np.nan
-            links[frame.link_confidences < least] = np.nan
-        n = frame.n_people
-        return _Held(frame, markers, links, [None] * n, [""] * n)
-
-    def _usable(self, held: _Held) -> list[int]:
-        """People who have a marker and enough confidence; notes why others are of nobody."""
-        x, confidences = held.markers[:, :, 0], held.frame.confidences
-        least = self.params.min_skeleton_confidence
-        # Looking at the first marker is enough nearly always, and much quicker.
-        if x.shape[1] and least <= 0 and not np.isnan(x[:, 0]).any():
-            return list(range(len(x)))
-        for j in range(len(x)):
-            if np.isnan(x[j]).all():
-                held.reasons[j] = "no markers"
-            elif confidences[j] < least:
-                held.reasons[j] = "low confidence"
-        return [j for j, reason in enumerate(held.reasons) if not reason]
-
-    def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> Floats:
-        """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update; return the gaps."""
+    def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> None:
+        """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update."""
         frame, bank = held.frame, self.bank
-        gap = np.full((len(tracks), frame.n_people), np.inf)
         if not tracks or not people:
-            return gap
+            return
+        gap = np.empty((len(tracks), frame.n_people))
         rows = np.array([t.row for t in tracks], np.int64)
         wanted = np.zeros(frame.n_people, np.bool_)
         wanted[people] = True
@@ -422,7 +431,6 @@ class _Tracker:
             self.mirror, self.association, wanted, gap, match, flipped,
         )  # fmt: skip
         self._update(held, [tracks[i] if i >= 0 else None for i in match.tolist()], flipped)
-        return gap
 
     def _update(self, held: _Held, bodies: list[_Track | None], flipped: Flags) -> None:
         """Give people to their tracks, move these, and fill the people's velocities."""
@@ -462,6 +470,7 @@ class _Tracker:
                 continue
             body = _Track(self.bank.take(), stamp, _Evidence(stamp, np.nanmean(here, axis=0)))
             self.tracks.append(body)
+            self._changed()
             born[j] = body
         self._update(held, born, np.zeros(len(born), np.bool_))
 
@@ -469,6 +478,8 @@ class _Tracker:
         """Weigh the evidence that this message adds to bodies that are not people yet."""
         frame, found = held.frame, held.tracks
         teaches = self.coverage.is_due(frame.source, frame.stamp)
+        if self.calm and not teaches:
+            return
         for body in self.tracks:
             if body.person != UNTRACKED and len(body.evidence.reports) > 1:
                 if teaches and body in found:
@@ -482,6 +493,11 @@ class _Tracker:
             elif frame.source not in evidence.reports and self._ought_to_see(frame.source, body):
                 evidence.misses += 1
             self._settle(body, frame)
+            self._changed()
+
+    def _changed(self) -> None:
+        """Say that the tracks are others, or what is known of them."""
+        self.known, self.calm, self.expiry = None, False, 0
 
     def _settle(self, body: _Track, frame: Frame) -> None:
         """Make a body a person, or take that back, as the evidence now says."""
@@ -526,14 +542,17 @@ class _Tracker:
     def _forget(self, stamp: int) -> None:
         """Remove tracks that nobody saw for t_m; bodies that were nobody yet go sooner."""
         kept = []
+        self.expiry = stamp + round(self.params.max_gap * 1e9)
         for body in self.tracks:
-            unseen = (stamp - body.seen) * 1e-9
             person = body.person != UNTRACKED
-            if unseen <= (self.params.max_gap if person else self.params.tentative_gap):
+            gap = self.params.max_gap if person else self.params.tentative_gap
+            if (stamp - body.seen) * 1e-9 <= gap:
                 kept.append(body)
+                self.expiry = min(self.expiry, body.seen + int(gap * 1e9))
                 continue
             self.bank.free.append(body.row)
             if person:
                 self.events.note(body.seen, "track lost", person=body.person)
         if len(kept) < len(self.tracks):
             self.tracks = kept
+            self.known = None
