@@ -5,7 +5,8 @@
     HirosError
     ├── LogError      a log that cannot be read or written as asked
     │   └── SchemaError   a message definition that differs from hiros_skeleton_msgs
-    └── ConfigError   a parameter, an option or a side file that makes no sense
+    ├── ConfigError   a parameter, an option or a side file that makes no sense
+    └── RegistrationError  points that do not tell where a camera stands
 
 The command line catches :class:`HirosError` once, prints its one line and exits with 2.
 Anything else that escapes is a bug of ours and exits with 70.
@@ -42,3 +43,7 @@ class SchemaError(LogError):
 
 class ConfigError(HirosError):
     """A parameter, an option or a side file (configuration, limbs, extrinsics) is wrong."""
+
+
+class RegistrationError(HirosError, ValueError):
+    """Points that do not tell a pose: of a wrong shape, too few, on a line, or on no sphere."""

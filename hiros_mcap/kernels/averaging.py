@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
 from hiros_mcap.kernels.tracking import exponential, multiply
 from hiros_mcap.kernels.unaligned import kernel
@@ -98,3 +99,43 @@ def mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Float
             total += weights[k] * c
             norm += weights[k]
     return total / norm if norm > 0.0 else np.nan
+
+
+@njit(
+    "void(int64, int64[::1], int64[::1], float64[::1], boolean, int64[::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def mean_people(
+    stamp: int,
+    person_of: Stamps,
+    stamps: Stamps,
+    trust: Floats,
+    carried: bool,
+    out_stamps: Stamps,
+    out_trust: Floats,
+) -> None:
+    """Fill in source time and confidence of each merged person: the means over the views.
+
+    Parameters
+    ----------
+    stamp : merged time, ns.
+    person_of, stamps, trust : (N,) output row, source time (ns) and confidence of each view.
+    carried : every pose has been carried to the merged time, which so is the source time.
+    out_stamps, out_trust : (P,), rows without views untouched, nor confidences never given.
+    """
+    for p in range(len(out_stamps)):
+        late = total = 0.0
+        count = given = 0
+        for k in range(len(person_of)):
+            if person_of[k] != p:
+                continue
+            count += 1
+            late += stamps[k] - stamp
+            if not math.isnan(trust[k]):
+                given += 1
+                total += trust[k]
+        if given > 0:
+            out_trust[p] = total / given
+        if count > 0 and not carried:
+            out_stamps[p] = stamp + int(np.rint(late / count))

@@ -1,7 +1,8 @@
 """Kernels of Lee's merger: left and right re-arranged, joints clustered (Lee et al. 2022, 2.2).
 
-A *view* is what one camera reports of one person. N views of an instant lie in arrays (N, M, 19);
-``members`` are the indices of one person's views.
+A *view* is what one camera reports of one person. The views of an instant are loaded camera by
+camera into arrays (N, M, 19), which have room for more; ``members`` are the indices of one person's
+views, ``picked`` those of them that are averaged.
 """
 
 from __future__ import annotations
@@ -11,12 +12,40 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.averaging import compensate, mean_columns, mean_confidence, mean_turn
+from hiros_mcap.kernels.averaging import compensate, mean_people
 from hiros_mcap.kernels.tracking import norm3
-from hiros_mcap.kernels.unaligned import kernel
+from hiros_mcap.kernels.unaligned import copy, kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _EQUAL = 1e-9  # m: distances that differ by less are equal
+
+
+@kernel
+def _linked(points: Floats, n: int, limit: float, stack: Stamps, labels: Stamps) -> int:
+    """Do the work of :func:`_label` if every point is a core; few distances are needed then."""
+    for k in range(n):
+        labels[k] = -1
+    clusters = 0
+    for start in range(n):
+        if labels[start] >= 0 or math.isnan(points[start, 0]):
+            continue
+        labels[start] = clusters
+        stack[0], waiting = start, 1
+        while waiting > 0:
+            waiting -= 1
+            a = stack[waiting]
+            for b in range(start + 1, n):
+                if labels[b] >= 0:
+                    continue
+                x = points[a, 0] - points[b, 0]
+                y = points[a, 1] - points[b, 1]
+                z = points[a, 2] - points[b, 2]
+                if x * x + y * y + z * z <= limit:  # false for NaN
+                    labels[b] = clusters
+                    stack[waiting] = b
+                    waiting += 1
+        clusters += 1
+    return clusters
 
 
 @kernel
@@ -26,6 +55,9 @@ def _label(
 ) -> int:  # fmt: skip
     """Do the work of :func:`dbscan` on the first ``n`` points in the room that it gives."""
     limit = radius * radius
+    if min_points <= 1:
+        linked: int = _linked(points, n, limit, stack, labels)
+        return linked
     for a in range(n):
         labels[a] = -1
         for b in range(a + 1):
@@ -130,17 +162,14 @@ def _elect(
 
 @kernel
 def _close_by(points: Floats, n: int, radius: float) -> bool:
-    """Whether all of the first ``n`` points lie near one of them: a single cluster if N_c = 1."""
-    centre = 0
-    while math.isnan(points[centre, 0]):
-        centre += 1
-    for k in range(centre + 1, n):
-        x = points[k, 0] - points[centre, 0]
-        y = points[k, 1] - points[centre, 1]
-        z = points[k, 2] - points[centre, 2]
-        if x * x + y * y + z * z > radius * radius:
-            return False
-    return True
+    """Whether the first ``n`` points lie near the first one: a single cluster if N_c = 1."""
+    farthest = 0.0
+    for k in range(1, n):
+        x = points[k, 0] - points[0, 0]
+        y = points[k, 1] - points[0, 1]
+        z = points[k, 2] - points[0, 2]
+        farthest = max(farthest, x * x + y * y + z * z)
+    return farthest <= radius * radius
 
 
 @kernel
@@ -234,160 +263,299 @@ def _rearrange(
 
 
 @kernel
-def _first_turned(states: Floats, members: Stamps, m: int, weights: Floats) -> int:
-    """First weighed view with an orientation, -1 if there is none."""
-    for k in range(len(members)):
-        if weights[k] > 0.0 and not math.isnan(states[members[k], m, 3]):
-            return k
-    return -1
+def _copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
+    """Copy all of a row of the first axis."""
+    size = 8
+    for length in to.shape[1:]:
+        size *= length
+    copy(to, at * size, source, row * size, size)
+
+
+@kernel
+def _mean_turn(states: Floats, picked: Stamps, n: int, m: int, p: int, out: Floats) -> None:
+    """Mean of the orientations, signs aligned with the first one, then with the mean itself."""
+    x = y = z = w = np.nan
+    for k in range(n):
+        v = picked[m, k]
+        x, y, z, w = states[v, m, 3], states[v, m, 4], states[v, m, 5], states[v, m, 6]
+        if not math.isnan(x):
+            break
+    if math.isnan(x):
+        return
+    for _ in range(2):
+        qx, qy, qz, qw = x, y, z, w
+        x = y = z = w = 0.0
+        for k in range(n):
+            v = picked[m, k]
+            a, b, c, d = states[v, m, 3], states[v, m, 4], states[v, m, 5], states[v, m, 6]
+            if math.isnan(a):
+                continue
+            if a * qx + b * qy + c * qz + d * qw >= 0.0:
+                x, y, z, w = x + a, y + b, z + c, w + d
+            else:
+                x, y, z, w = x - a, y - b, z - c, w - d
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    out[p, m, 3], out[p, m, 4], out[p, m, 5], out[p, m, 6] = x, y, z, w
 
 
 @kernel
 def _average(
-    states: Floats, confidences: Floats, members: Stamps, m: int, weights: Floats,
-    p: int, out: Floats, out_confidences: Floats,
+    states: Floats, confidences: Floats, picked: Stamps, sizes: Stamps, p: int, out: Floats,
+    out_confidences: Floats,
 ) -> None:  # fmt: skip
-    """Average all that the weighed views say of a marker or link."""
-    for first in (0, 7, 10, 13, 16):
-        mean_columns(states, members, m, first, weights, out, p)
-    turned = _first_turned(states, members, m, weights)
-    if turned >= 0:
-        mean_turn(states, members, m, weights, turned, out, p)
-    out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
+    """Average all that the picked views say of each marker or link; NaN where none says any.
+
+    ``picked`` (M, N) are the views of each slot, of which the first ``sizes`` (M,) count.
+    """
+    for m in range(len(sizes)):
+        n = sizes[m]
+        for first in (0, 7, 10, 13, 16):
+            norm = float(n)
+            x = y = z = 0.0
+            for k in range(n):
+                v = picked[m, k]
+                x += states[v, m, first]
+                y += states[v, m, first + 1]
+                z += states[v, m, first + 2]
+            if math.isnan(x):  # seldom of some views only: the sum costs less than asking each
+                norm = x = y = z = 0.0
+                for k in range(n):
+                    v = picked[m, k]
+                    if not math.isnan(states[v, m, first]):
+                        norm += 1.0
+                        x += states[v, m, first]
+                        y += states[v, m, first + 1]
+                        z += states[v, m, first + 2]
+            if norm > 0.0:
+                out[p, m, first] = x / norm
+                out[p, m, first + 1] = y / norm
+                out[p, m, first + 2] = z / norm
+        total = norm = 0.0
+        for k in range(n):
+            c = confidences[picked[m, k], m]
+            if not math.isnan(c):
+                total, norm = total + c, norm + 1.0
+        if norm > 0.0:
+            out_confidences[p, m] = total / norm
+        _mean_turn(states, picked, n, m, p, out)
 
 
 @kernel
-def _merge_markers(
-    members: Stamps, markers: Floats, confidences: Floats, reference: Floats, previous: Floats,
-    numbers: Floats, used: Flags, points: Floats, near: Flags, flags: Flags, stack: Stamps,
-    labels: Stamps, weights: Floats, p: int, out: Floats, out_confidences: Floats, kept: Flags,
-    outliers: Stamps,
+def _pick_markers(
+    members: Stamps, cameras: Stamps, markers: Floats, confidences: Floats, reference: Floats,
+    previous: Floats, past: int, numbers: Floats, used: Flags, points: Floats, near: Flags,
+    flags: Flags, stack: Stamps, labels: Stamps, kept: Flags, picked: Stamps, sizes: Stamps,
+    counts: Stamps,
 ) -> None:  # fmt: skip
-    """Average each marker over the views whose candidates form its largest cluster."""
-    n = len(members)
+    """Pick the views whose candidates form the largest cluster of each marker."""
     core, trusted, chosen = flags[0], flags[1], flags[2]
+    radius, least = numbers[3], int(numbers[4])
     for m in range(markers.shape[1]):
-        present = 0
-        for k in range(n):
+        n = 0
+        for k in range(len(members)):
             v = members[k]
             kept[v, m] = used[m] and not math.isnan(markers[v, m, 0])
-            present += int(kept[v, m])
-            trusted[k] = not confidences[v, m] < numbers[0]
-            for c in range(3):
-                points[k, c] = markers[v, m, c]
-        if present == 0:
+            if kept[v, m]:
+                picked[m, n] = v
+                trusted[n] = not confidences[v, m] < numbers[0]
+                for c in range(3):
+                    points[n, c] = markers[v, m, c]
+                n += 1
+        sizes[m] = n
+        if n == 0 or radius <= 0.0 or (least <= 1 and _close_by(points, n, radius)):
             continue
-        single = numbers[4] <= 1.0 and _close_by(points, n, numbers[3])
-        if numbers[3] > 0.0 and not single:
-            for c in range(3):
-                points[n, c] = reference[m, c] if numbers[5] > 0.0 else np.nan
-                points[n + 1, c] = previous[p, m, c]
-            clusters = _label(points, n + 2, numbers[3], int(numbers[4]), near, core, stack, labels)
-            if _elect(points, n, labels, clusters, trusted, chosen):
-                for k in range(n):
-                    outliers[members[k]] += int(kept[members[k], m] and not chosen[k])
-                    kept[members[k], m] = chosen[k]
+        for c in range(3):
+            points[n, c] = reference[m, c] if numbers[5] > 0.0 else np.nan
+            points[n + 1, c] = previous[past, m, c] if past >= 0 else np.nan
+        clusters = _label(points, n + 2, radius, least, near, core, stack, labels)
+        if not _elect(points, n, labels, clusters, trusted, chosen):
+            continue
+        sizes[m] = 0
         for k in range(n):
-            weights[k] = 1.0 if kept[members[k], m] else 0.0
-        _average(markers, confidences, members, m, weights, p, out, out_confidences)
+            v = picked[m, k]
+            if chosen[k]:
+                picked[m, sizes[m]] = v
+                sizes[m] += 1
+            else:
+                kept[v, m] = False
+                counts[0, cameras[v]] += 1
 
 
 @kernel
-def _merge_links(
-    members: Stamps, links: Floats, confidences: Floats, ends: Ints, used: Flags, kept: Flags,
-    weights: Floats, p: int, out: Floats, out_confidences: Floats,
+def _pick_links(
+    members: Stamps, links: Floats, ends: Ints, used: Flags, kept: Flags, picked: Stamps,
+    sizes: Stamps,
 ) -> None:  # fmt: skip
-    """Average each link over the views that placed both its ends well; all views if none did."""
+    """Pick the views that placed both ends of each link well; all views if none did."""
     for m in range(links.shape[1]):
+        sizes[m] = 0
         parent, child = ends[m, 0], ends[m, 1]
         if (parent >= 0 and not used[parent]) or (child >= 0 and not used[child]):
             continue
-        good = 0
+        n = 0
         for k in range(len(members)):
             v = members[k]
             right = (parent < 0 or kept[v, parent]) and (child < 0 or kept[v, child])
-            known = not (math.isnan(links[v, m, 3]) and math.isnan(links[v, m, 0]))
-            weights[k] = 1.0 if right and known else 0.0
-            good += int(right and known)
-        if good == 0:
+            if right and not (math.isnan(links[v, m, 3]) and math.isnan(links[v, m, 0])):
+                picked[m, n] = v
+                n += 1
+        if n == 0:
             for k in range(len(members)):
-                weights[k] = 1.0
-        _average(links, confidences, members, m, weights, p, out, out_confidences)
+                picked[m, k] = members[k]
+            n = len(members)
+        sizes[m] = n
 
 
 @njit(
-    "void(float64[::1], int64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1],"
-    " float64[:,::1], float64[:,:,::1], int32[:,::1], int32[:,::1], boolean[::1], float64[::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1])",
+    "int64(int64, int64, int64, int64, boolean, int32[::1], int32[::1], float64[::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1],"
+    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1])",
     cache=True,
     nogil=True,
 )
-def cluster_views(
-    delays: Floats,
-    person_of: Stamps,
+def load_views(
+    at: int,
+    camera: int,
+    stamp: int,
+    merged: int,
+    carry: bool,
+    people: Ints,
+    ids: Ints,
+    trust: Floats,
     markers: Floats,
     confidences: Floats,
     links: Floats,
     link_confidences: Floats,
+    whose: Stamps,
+    to_trust: Floats,
+    to_markers: Floats,
+    to_confidences: Floats,
+    to_links: Floats,
+    to_link_confidences: Floats,
+) -> int:
+    """Copy a camera's views to where they are merged, carried to the merged time; the next index.
+
+    Parameters
+    ----------
+    at : index of the first view to write. camera : its number.
+    stamp, merged : time of the message and of the merged frame, ns.
+    carry : by the views' own velocities from the one time to the other.
+    people : (P,) ids of the output rows. ids : (K,) of the views; others are left out.
+    trust, markers, confidences, links, link_confidences : (K, ...) of the message.
+    whose : (3, N) output row, camera and time of each view; ``to_...`` (N, ...); written.
+    """
+    for k in range(len(ids)):
+        for p in range(len(people)):
+            if ids[k] == people[p]:
+                whose[0, at], whose[1, at], whose[2, at] = p, camera, stamp
+                to_trust[at] = trust[k]
+                _copy_row(to_markers, at, markers, k)
+                _copy_row(to_confidences, at, confidences, k)
+                _copy_row(to_links, at, links, k)
+                _copy_row(to_link_confidences, at, link_confidences, k)
+                if carry:
+                    compensate(at, (merged - stamp) * 1e-9, to_markers, to_links)
+                at += 1
+    return at
+
+
+@njit(
+    "void(int64, int64, int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
+    " float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], float64[:,:,::1], int32[:,::1],"
+    " int32[:,::1], boolean[::1], float64[::1], int64[::1], float64[::1], float64[:,:,::1],"
+    " float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def merge_views(
+    stamp: int,
+    n: int,
+    whose: Stamps,
+    trust: Floats,
+    markers: Floats,
+    confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    rows: Stamps,
+    seen: Stamps,
     previous: Floats,
     pairs: Ints,
     ends: Ints,
     used: Flags,
     numbers: Floats,
+    out_stamps: Stamps,
+    out_trust: Floats,
     out: Floats,
     out_confidences: Floats,
     out_links: Floats,
     out_link_confidences: Floats,
-    swaps: Stamps,
-    outliers: Stamps,
+    counts: Stamps,
 ) -> None:
-    """Merge an instant: carry to its time, re-arrange left and right, cluster, average.
+    """Merge an instant: re-arrange left and right, cluster, average.
 
     Parameters
     ----------
-    delays : (N,) s from each view to the merged time. person_of : (N,) output row of each view.
-    markers, confidences, links, link_confidences : the views; overwritten.
-    previous : (P, M, 3) position that joins the candidates; NaN = none.
+    stamp : merged time, ns. n : number of views.
+    whose, trust, markers, confidences, links, link_confidences : the views, as
+        :func:`load_views` left them; overwritten.
+    rows : (P,) row of each person in ``seen`` (S,), the time of the last merged position, ns, and
+        ``previous`` (S, M, 3), that position, which joins the candidates; brought to ``stamp``.
     pairs : (K, 2) left and right slots to re-arrange. ends : (L, 2) parent and child of each link.
     used : (M,) markers that are merged; the others stay absent.
     numbers : least confidence of medium, of low, re-arrange (0 no, 1 by the right side, 2 by
         both), radius (0 = average of all), minimum of neighbours, reference joins the candidates,
-        carry (as stages/cluster.py packs them).
-    out, out_confidences, out_links, out_link_confidences : (P, ...), filled.
-    swaps, outliers : (N,) pairs swapped and candidates left out per view, added to.
+        carried, ns for which the previous position joins them (as stages/cluster.py packs them).
+    out_stamps, out_trust, out, out_confidences, out_links, out_link_confidences : (P, ...), filled
+        where anything is known.
+    counts : (2, C) candidates left out and pairs swapped by camera, added to.
     """
-    n, n_markers = len(delays), markers.shape[1]
+    n_markers = markers.shape[1]
     reference = np.empty((n_markers, 3))
     kept = np.empty((n, n_markers), np.bool_)
     swapped = np.empty(n_markers, np.bool_)
     points, near = np.empty((n + 2, 3)), np.empty((n + 2, n + 2), np.bool_)
     flags = np.empty((3, n + 2), np.bool_)
     stack, labels = np.empty(n + 2, np.int64), np.empty(n + 2, np.int64)
-    weights = np.empty(n)
-    if numbers[6] > 0.0:
-        for k in range(n):
-            compensate(k, delays[k], markers, links)
-    for p in range(len(out)):
-        members = np.nonzero(person_of == p)[0]
+    member_room = np.empty(n, np.int64)
+    slots = max(n_markers, links.shape[1])
+    picked, sizes = np.empty((slots, n), np.int64), np.empty(slots, np.int64)
+    cameras = whose[1]
+    for p in range(len(rows)):
+        count = 0
+        for v in range(n):
+            if whose[0, v] == p:
+                member_room[count] = v
+                count += 1
+        members = member_room[:count]
         reference_positions(members, markers, confidences, numbers, reference)
         if numbers[2] > 0.0:
             changed = 0
-            for k in range(len(members)):
+            for k in range(count):
                 v = members[k]
-                count = _rearrange(
+                swaps = _rearrange(
                     v, markers, confidences, links, link_confidences, pairs, ends, reference,
                     numbers[2] > 1.0, swapped,
                 )  # fmt: skip
-                swaps[v] += count
-                changed += count
+                counts[1, cameras[v]] += swaps
+                changed += swaps
             if changed > 0:
                 reference_positions(members, markers, confidences, numbers, reference)
-        weighed = weights[: len(members)]
-        _merge_markers(
-            members, markers, confidences, reference, previous, numbers, used, points, near, flags,
-            stack, labels, weighed, p, out, out_confidences, kept, outliers,
+        past = rows[p] if 0 <= stamp - seen[rows[p]] <= numbers[7] else -1
+        _pick_markers(
+            members, cameras, markers, confidences, reference, previous, past, numbers, used,
+            points, near, flags, stack, labels, kept, picked, sizes, counts,
         )  # fmt: skip
-        _merge_links(
-            members, links, link_confidences, ends, used, kept, weighed, p, out_links,
+        _average(markers, confidences, picked, sizes[:n_markers], p, out, out_confidences)
+        _pick_links(members, links, ends, used, kept, picked, sizes)
+        _average(
+            links, link_confidences, picked, sizes[: links.shape[1]], p, out_links,
             out_link_confidences,
         )  # fmt: skip
+        seen[rows[p]] = stamp
+        for m in range(n_markers):
+            for c in range(3):
+                previous[rows[p], m, c] = out[p, m, c]
+    mean_people(
+        stamp, whose[0, :n], whose[2, :n], trust[:n], numbers[6] > 0.0, out_stamps, out_trust
+    )

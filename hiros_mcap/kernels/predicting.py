@@ -10,11 +10,24 @@ import math
 import numpy as np
 from numba import njit
 
+from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Floats
+
+_DERIVATIVES = (7, 13)  # first columns of velocity and acceleration in a KinematicState
+
+
+@kernel
+def _write_derivatives(state: Floats, m: int, period: float, out: Floats) -> None:
+    """Write a joint's velocity and acceleration, as far as its state has them."""
+    scale = 1.0
+    for order in range(1, state.shape[1]):
+        scale *= period
+        for c in range(3):
+            out[_DERIVATIVES[order - 1] + c] = state[m, order, c] / scale
 
 
 @njit(
-    "void(float64[:,:,::1], int64, float64, float64, float64, float64, boolean,"
+    "void(float64[:,:,::1], int64, float64, float64, float64, float64, float64, boolean,"
     " float64[:,:,::1], float64[:,:,::1], float64[::1])",
     cache=True,
     nogil=True,
@@ -23,6 +36,7 @@ def predict_and_correct(
     markers: Floats,
     p: int,
     steps: float,
+    period: float,
     process: float,
     measurement: float,
     max_steps: float,
@@ -31,12 +45,13 @@ def predict_and_correct(
     covariance: Floats,
     age: Floats,
 ) -> None:
-    """Predict each joint, correct it by its measurement, write one of both.
+    """Predict each joint, correct it by its measurement, write one of both, and its derivatives.
 
     Parameters
     ----------
-    markers : (P, M, 19); row ``p`` holds the measured positions, which are replaced.
-    steps : time since the previous call, in time steps of the noises.
+    markers : (P, M, 19); row ``p`` holds the measured positions, which are replaced; velocities,
+        and accelerations if the state has them, are filled in where a position is measured.
+    steps : time since the previous call, in time steps of the noises. period : s of such a step.
     process, measurement : Q per step and R, m2; Q is that of every element of the state.
     max_steps : after so long without a measurement a joint starts anew.
     corrected : whether the corrected position is written, or the predicted one.
@@ -63,6 +78,7 @@ def predict_and_correct(
                 for j in range(size):
                     covariance[m, i, j] = measurement if i == j else 0.0
             age[m] = 0.0
+            _write_derivatives(state, m, period, here)
             continue
         for i in range(size):
             for c in range(3):
@@ -92,6 +108,7 @@ def predict_and_correct(
             for i in range(size):
                 state[m, i, c] += covariance[m, i, 0] * scale * change
             here[c] = state[m, 0, c] if corrected else predicted
+        _write_derivatives(state, m, period, here)
         for i in range(size - 1, -1, -1):  # the first row, which the others need, comes last
             gain = covariance[m, i, 0] * scale
             for j in range(size):

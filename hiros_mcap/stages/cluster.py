@@ -8,7 +8,7 @@ of the tracker is merged so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -16,8 +16,8 @@ from pydantic import Field
 
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import Flags, Floats, Frame, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.instants import Instant, instants, summarize, tracked_only
+from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.stages.instants import Instant, instants
 from hiros_mcap.symmetry import split_side, symmetry_of
 
 LEE_JOINTS = (
@@ -140,15 +140,50 @@ def pairs_of(model: SkeletonModel) -> Ints:
     return np.array(rows, np.int32).reshape(-1, 2)
 
 
+class _Past:
+    """Where each person was last, as arrays that the kernel takes and fills; rows are reused."""
+
+    def __init__(self, n_markers: int, memory: float) -> None:
+        self.memory = memory * 1e9
+        self.row_of: dict[int, int] = {}
+        self.free: list[int] = []
+        self.seen: Stamps = np.zeros(0, np.int64)
+        self.positions: Floats = np.zeros((0, n_markers, 3))
+
+    def rows(self, people: list[int], stamp: int) -> Stamps:
+        """Rows of some people; those of new ones hold no position."""
+        if not self.row_of.keys() >= set(people):
+            self._forget(stamp)
+            for person in people:
+                if person not in self.row_of:
+                    self._add(person, stamp)
+        return np.array([self.row_of[person] for person in people], np.int64)
+
+    def _forget(self, stamp: int) -> None:
+        """Free the rows of people whose position is too old to be the previous one."""
+        gone = [p for p, row in self.row_of.items() if stamp - self.seen[row] > self.memory]
+        self.free += [self.row_of.pop(person) for person in gone]
+
+    def _add(self, person: int, stamp: int) -> None:
+        if not self.free:
+            self.free = list(range(len(self.seen), 2 * len(self.seen) + 8))
+            more = len(self.free)
+            self.seen = np.append(self.seen, np.zeros(more, np.int64))
+            new = np.zeros((more, *self.positions.shape[1:]))
+            self.positions = np.concatenate([self.positions, new])
+        row = self.row_of[person] = self.free.pop()
+        self.seen[row], self.positions[row] = stamp, np.nan
+
+
 class _Clusterer:
     """Merges one instant at a time; remembers each person's last merged pose."""
 
     def __init__(
         self, model: SkeletonModel, params: ClusterParams, events: Events, fixed_frame: str
     ) -> None:
-        from hiros_mcap.kernels.clustering import cluster_views  # compiled only where it is used
+        from hiros_mcap.kernels import clustering  # compiled only where it is used
 
-        self.kernel = cluster_views
+        self.kernels = clustering
         self.model = model
         self.params = params
         self.events = events
@@ -157,65 +192,58 @@ class _Clusterer:
         self.ends = np.ascontiguousarray(model.links)
         every = np.ones(model.n_markers, np.bool_)
         self.used = lee_joints(model) if params.joints == "lee16" else every
-        self.last: dict[int, tuple[int, Floats]] = {}
+        self.past = _Past(model.n_markers, params.memory)
+        self.room = _room(16, model)
         self.numbers = np.array([
             params.medium_confidence, params.low_confidence, _SWAPS[params.rearrange],
             params.radius if params.method == "dbscan" else 0.0, params.min_neighbours,
             params.reference_helps, params.compensate_motion,
+            params.memory * 1e9 if params.previous_helps else -1.0,
         ], np.float64)  # fmt: skip
 
     def fuse(self, instant: Instant) -> Frame:
         """Merge the views of an instant into one frame at its time."""
-        frames = [tracked_only(frame) for frame in instant.frames]
-        stamp, log_time = instant.stamp, instant.log_time
-        ids = np.concatenate([f.ids for f in frames])
-        people = np.unique(ids)
+        frames = instant.frames
+        people = sorted({i for frame in frames for i in frame.ids.tolist()} - {UNTRACKED})
         fixed = self.fixed_frame or frames[0].frame_id
         out = Frame.empty(
-            len(people), self.model, stamp=stamp, log_time=log_time, source=fixed, frame_id=fixed
-        )
-        out.ids[:] = people
-        if len(people):
-            self._merge(out, np.searchsorted(people, ids), frames)
-        self._remember(out)
+            len(people), self.model, stamp=instant.stamp, log_time=instant.log_time, source=fixed,
+            frame_id=fixed,
+        )  # fmt: skip
+        if people:
+            out.ids[:] = people
+            self._merge(out, self.past.rows(people, out.stamp), frames)
         return out
 
-    def _merge(self, out: Frame, person_of: Stamps, frames: list[Frame]) -> None:
-        """Fill the rows of ``out``; ``person_of`` (N,) is the row of each view."""
-        counts = [f.n_people for f in frames]
-        stamps = np.repeat([f.stamp for f in frames], counts)
-        swaps, outliers = np.zeros((2, len(stamps)), np.int64)
-        self.kernel(
-            (out.stamp - stamps) * 1e-9, person_of,
-            np.concatenate([f.markers for f in frames]),
-            np.concatenate([f.marker_confidences for f in frames]),
-            np.concatenate([f.links for f in frames]),
-            np.concatenate([f.link_confidences for f in frames]),
-            self._previous(out), self.pairs, self.ends, self.used, self.numbers,
-            out.markers, out.marker_confidences, out.links, out.link_confidences, swaps, outliers,
+    def _merge(self, out: Frame, rows: Stamps, frames: Sequence[Frame]) -> None:
+        """Fill in ``out``; ``rows`` (P,) are the rows of its people in the past."""
+        most = sum(len(frame.ids) for frame in frames)
+        if most > self.room[0].shape[1]:
+            self.room = _room(2 * most, self.model)
+        room, past, carry = self.room, self.past, self.params.compensate_motion
+        n = 0
+        for camera, f in enumerate(frames):
+            n = self.kernels.load_views(
+                n, camera, f.stamp, out.stamp, carry, out.ids, f.ids, f.confidences, f.markers,
+                f.marker_confidences, f.links, f.link_confidences, *room,
+            )  # fmt: skip
+        counts = np.zeros((2, len(frames)), np.int64)
+        self.kernels.merge_views(
+            out.stamp, n, *room, rows, past.seen, past.positions, self.pairs, self.ends, self.used,
+            self.numbers, out.stamps, out.confidences, out.markers, out.marker_confidences,
+            out.links, out.link_confidences, counts,
         )  # fmt: skip
-        start = 0
-        for frame, n in zip(frames, counts, strict=True):
-            self.events.count("outlier", frame.source, int(outliers[start : start + n].sum()))
-            self.events.count("swap", frame.source, int(swaps[start : start + n].sum()))
-            start += n
-        summarize(out, person_of, stamps, frames, carried=self.params.compensate_motion)
+        for kind, numbers in zip(("outlier", "swap"), counts.tolist(), strict=True):
+            for frame, number in zip(frames, numbers, strict=True):
+                self.events.count(kind, frame.source, number)
 
-    def _previous(self, out: Frame) -> Floats:
-        """(P, M, 3) previous position of each joint, NaN where it is not to help."""
-        previous = np.full((out.n_people, self.model.n_markers, 3), np.nan)
-        if self.params.previous_helps:
-            self._forget(out.stamp)
-            for row, person in enumerate(out.ids.tolist()):
-                if person in self.last:
-                    previous[row] = self.last[person][1]
-        return previous
 
-    def _forget(self, stamp: int) -> None:
-        """Drop what is not previous to ``stamp``, or too long ago."""
-        oldest = stamp - self.params.memory * 1e9
-        self.last = {p: last for p, last in self.last.items() if oldest <= last[0] <= stamp}
-
-    def _remember(self, out: Frame) -> None:
-        for row, person in enumerate(out.ids.tolist()):
-            self.last[person] = (out.stamp, out.positions[row])
+def _room(
+    views: int, model: SkeletonModel
+) -> tuple[Stamps, Floats, Floats, Floats, Floats, Floats]:
+    """Arrays for the views of an instant, as load_views fills them; reused, for new ones cost."""
+    m, n = model.n_markers, model.n_links
+    return (
+        np.empty((3, views), np.int64), np.empty(views), np.empty((views, m, STATE)),
+        np.empty((views, m)), np.empty((views, n, STATE)), np.empty((views, n)),
+    )  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiros_mcap.events import Events
+from hiros_mcap.kernels.averaging import mean_people
 from hiros_mcap.skeletons import UNTRACKED, Frame, Stamps
 
 
@@ -94,14 +95,5 @@ def summarize(
     frames : that the views come from, in order.
     carried : every pose has been carried to the merged time, which so is the source time.
     """
-    n = out.n_people
-    if not carried:
-        late = np.bincount(person_of, stamps - out.stamp, n)
-        mean = late / np.maximum(np.bincount(person_of, minlength=n), 1)
-        out.stamps[:] = out.stamp + np.rint(mean).astype(np.int64)
     trust = np.concatenate([f.confidences for f in frames])
-    given = ~np.isnan(trust)
-    if given.any():
-        total = np.bincount(person_of[given], trust[given], n)
-        count = np.bincount(person_of[given], minlength=n)
-        np.divide(total, count, out=out.confidences, where=count > 0)
+    mean_people(out.stamp, person_of, stamps, trust, carried, out.stamps, out.confidences)

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import ACCELERATION, UNTRACKED, VELOCITY, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 STEP = 1 / 30
 """s: time step of Q, the period of the paper's cameras."""
@@ -102,15 +102,11 @@ class _Person:
         self.age = np.full(n, np.inf)
 
     def step(self, out: Frame, row: int, stamp: int) -> None:
-        """Replace the measured positions in a row of ``out`` by the filter's."""
+        """Replace what is measured in a row of ``out`` by what the filter knows."""
         params = self.params
         self.kernel(
-            out.markers, row, (stamp - self.stamp) * 1e-9 / STEP, params.process_noise,
+            out.markers, row, (stamp - self.stamp) * 1e-9 / STEP, STEP, params.process_noise,
             params.measurement_noise, params.max_gap / STEP, params.output == "corrected",
             self.state, self.covariance, self.age,
         )  # fmt: skip
         self.stamp = stamp
-        seen = self.age == 0.0
-        for order, columns in enumerate((VELOCITY, ACCELERATION), start=1):
-            if order < self.state.shape[1]:
-                out.markers[row, seen, columns] = self.state[seen, order] / STEP**order

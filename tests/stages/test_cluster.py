@@ -221,6 +221,25 @@ def test_l11_a_position_of_long_ago_is_not_the_previous_one() -> None:
     assert out.positions[0, WRIST, 0] == pytest.approx(1.02)
 
 
+def test_l11_nobody_has_the_previous_position_of_another() -> None:
+    """Many people come and go: each is merged as if alone."""
+    rng = np.random.default_rng(12)
+    frames = []
+    for k, present in enumerate(rng.random((40, 30)) < np.linspace(0.1, 0.9, 40)[:, None]):
+        ids = np.flatnonzero(present & (np.arange(30) // 3 != k // 4))  # some are away for long
+        for c in range(3):
+            poses = [person(0.0, 0.2 * i) + rng.normal(0, 0.06, (8, 3)) for i in ids]
+            frames.append(seen(poses, at(k), f"c{c}", ids=ids.tolist()))
+    together = list(cluster(frames, MODEL, ClusterParams(cameras=3)))
+    for number in range(30):
+        alone = [frame.select(frame.ids == number) for frame in frames]
+        for out, single in zip(
+            together, cluster(alone, MODEL, ClusterParams(cameras=3)), strict=True
+        ):
+            mine = out.select(out.ids == number)
+            assert np.array_equal(mine.markers, single.markers, equal_nan=True)
+
+
 def test_l12_largest_cluster_without_its_helpers() -> None:
     """Candidates at 0, 6 and 60 cm; the reference at 22 cm is alone and the first two win."""
     poses = [with_wrist(x, 0.0, 1.0) for x in (0.0, 0.06, 0.6)]
@@ -269,6 +288,22 @@ def test_views_are_carried_to_the_merged_time() -> None:
     assert out.stamp == out.stamps[0] == at(0) + 10_000_000
     assert out.positions[0] == pytest.approx(person(0.02))
     assert out.velocities[0, :, 0] == pytest.approx(2.0)
+
+
+def test_views_that_are_not_carried_are_of_their_mean_time() -> None:
+    """Person 2 is seen by the later two of three cameras, and one of them gives a confidence."""
+    frames = [seen([person()], at(0), "a", ids=[1])]
+    frames += [
+        seen([person(), person(1.0)], at(0) + late * 10_000_000, source, ids=[1, 2])
+        for late, source in ((1, "b"), (2, "c"))
+    ]
+    for frame, trust in zip(frames, (0.2, 0.4, 0.9), strict=True):
+        frame.confidences[0] = trust
+    frames[1].confidences[1] = 0.7
+    (out,) = cluster(frames, MODEL, ClusterParams(cameras=3, compensate_motion=False))
+    assert out.stamp == at(0) + 10_000_000
+    assert (out.stamps - at(0)).tolist() == [10_000_000, 15_000_000]
+    assert out.confidences == pytest.approx([0.5, 0.7])
 
 
 def test_l14_every_person_of_the_tracker_is_merged_alone() -> None:
