@@ -1,7 +1,8 @@
 """Kernels that every merger shares: views carried to one time, weighted means over views.
 
-A *view* is what one camera reports of one person. N views lie in arrays (N, M, 19); ``members``
-(K,) are the indices of one person's views, ``weights`` (K,) how much each counts.
+A *view* is what one camera reports of one person. N views lie in arrays (N, M, 19), which may have
+room for more; ``members`` (K,) are the indices of one person's views, ``weights`` (K,) how much
+each counts.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import numpy as np
 from numba import njit
 
 from hiros_mcap.kernels.tracking import exponential, multiply
-from hiros_mcap.kernels.unaligned import kernel
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.kernels.unaligned import copy, kernel
+from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 
 @kernel
@@ -41,6 +42,68 @@ def compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
 
 
 @kernel
+def _copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
+    """Copy all of a row of the first axis."""
+    size = 8
+    for length in to.shape[1:]:
+        size *= length
+    copy(to, at * size, source, row * size, size)
+
+
+@njit(
+    "int64(int64, int64, int64, int64, boolean, int32[::1], int32[::1], float64[::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1],"
+    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def load_views(
+    at: int,
+    camera: int,
+    stamp: int,
+    merged: int,
+    carry: bool,
+    people: Ints,
+    ids: Ints,
+    trust: Floats,
+    markers: Floats,
+    confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    whose: Stamps,
+    to_trust: Floats,
+    to_markers: Floats,
+    to_confidences: Floats,
+    to_links: Floats,
+    to_link_confidences: Floats,
+) -> int:
+    """Copy a camera's views to where they are merged, carried to the merged time; the next index.
+
+    Parameters
+    ----------
+    at : index of the first view to write. camera : its number.
+    stamp, merged : time of the message and of the merged frame, ns.
+    carry : by the views' own velocities from the one time to the other.
+    people : (P,) ids of the output rows. ids : (K,) of the views; others are left out.
+    trust, markers, confidences, links, link_confidences : (K, ...) of the message.
+    whose : (3, N) output row, camera and time of each view; ``to_...`` (N, ...); written.
+    """
+    for k in range(len(ids)):
+        for p in range(len(people)):
+            if ids[k] == people[p]:
+                whose[0, at], whose[1, at], whose[2, at] = p, camera, stamp
+                to_trust[at] = trust[k]
+                _copy_row(to_markers, at, markers, k)
+                _copy_row(to_confidences, at, confidences, k)
+                _copy_row(to_links, at, links, k)
+                _copy_row(to_link_confidences, at, link_confidences, k)
+                if carry:
+                    compensate(at, (merged - stamp) * 1e-9, to_markers, to_links)
+                at += 1
+    return at
+
+
+@kernel
 def mean_columns(
     views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats, p: int
 ) -> None:
@@ -58,6 +121,29 @@ def mean_columns(
     else:
         x = y = z = np.nan
     out[p, m, first], out[p, m, first + 1], out[p, m, first + 2] = x, y, z
+
+
+@kernel
+def mean_rates(
+    views: Floats, members: Stamps, m: int, weights: Floats, norms: Floats, out: Floats, p: int
+) -> None:
+    """Weighted means of the velocities and accelerations over the views that have them.
+
+    ``norms`` (12,) is scratch. Column by column, so that the compiler can take several at a time.
+    """
+    for c in range(12):
+        norms[c] = 0.0
+        out[p, m, 7 + c] = 0.0
+    for k in range(len(members)):
+        weight, v = weights[k], members[k]
+        if weight > 0.0:
+            for c in range(12):
+                x = views[v, m, 7 + c]
+                there = x == x
+                norms[c] += weight if there else 0.0
+                out[p, m, 7 + c] += weight * x if there else 0.0
+    for c in range(12):
+        out[p, m, 7 + c] = out[p, m, 7 + c] / norms[c] if norms[c] > 0.0 else np.nan
 
 
 @kernel

@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.averaging import compensate, mean_people
+from hiros_mcap.kernels.averaging import mean_people
 from hiros_mcap.kernels.tracking import norm3
-from hiros_mcap.kernels.unaligned import copy, kernel
+from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _EQUAL = 1e-9  # m: distances that differ by less are equal
@@ -263,15 +263,6 @@ def _rearrange(
 
 
 @kernel
-def _copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
-    """Copy all of a row of the first axis."""
-    size = 8
-    for length in to.shape[1:]:
-        size *= length
-    copy(to, at * size, source, row * size, size)
-
-
-@kernel
 def _mean_turn(states: Floats, picked: Stamps, n: int, m: int, p: int, out: Floats) -> None:
     """Mean of the orientations, signs aligned with the first one, then with the mean itself."""
     x = y = z = w = np.nan
@@ -405,59 +396,6 @@ def _pick_links(
                 picked[m, k] = members[k]
             n = len(members)
         sizes[m] = n
-
-
-@njit(
-    "int64(int64, int64, int64, int64, boolean, int32[::1], int32[::1], float64[::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1],"
-    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1])",
-    cache=True,
-    nogil=True,
-)
-def load_views(
-    at: int,
-    camera: int,
-    stamp: int,
-    merged: int,
-    carry: bool,
-    people: Ints,
-    ids: Ints,
-    trust: Floats,
-    markers: Floats,
-    confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    whose: Stamps,
-    to_trust: Floats,
-    to_markers: Floats,
-    to_confidences: Floats,
-    to_links: Floats,
-    to_link_confidences: Floats,
-) -> int:
-    """Copy a camera's views to where they are merged, carried to the merged time; the next index.
-
-    Parameters
-    ----------
-    at : index of the first view to write. camera : its number.
-    stamp, merged : time of the message and of the merged frame, ns.
-    carry : by the views' own velocities from the one time to the other.
-    people : (P,) ids of the output rows. ids : (K,) of the views; others are left out.
-    trust, markers, confidences, links, link_confidences : (K, ...) of the message.
-    whose : (3, N) output row, camera and time of each view; ``to_...`` (N, ...); written.
-    """
-    for k in range(len(ids)):
-        for p in range(len(people)):
-            if ids[k] == people[p]:
-                whose[0, at], whose[1, at], whose[2, at] = p, camera, stamp
-                to_trust[at] = trust[k]
-                _copy_row(to_markers, at, markers, k)
-                _copy_row(to_confidences, at, confidences, k)
-                _copy_row(to_links, at, links, k)
-                _copy_row(to_link_confidences, at, link_confidences, k)
-                if carry:
-                    compensate(at, (merged - stamp) * 1e-9, to_markers, to_links)
-                at += 1
-    return at
 
 
 @njit(

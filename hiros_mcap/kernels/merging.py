@@ -15,7 +15,13 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.averaging import compensate, mean_columns, mean_confidence, mean_turn
+from hiros_mcap.kernels.averaging import (
+    mean_columns,
+    mean_confidence,
+    mean_people,
+    mean_rates,
+    mean_turn,
+)
 from hiros_mcap.kernels.tracking import angle_of, norm3
 from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
@@ -50,7 +56,11 @@ def _lateral(poses: Floats, view: int, pairs: Ints, out: Floats, row: int) -> No
     out[row, 0], out[row, 1], out[row, 2] = x / length, y / length, z / length
 
 
-@njit("void(float64[:,::1], float64[:,::1], float64[:,::1])", cache=True, nogil=True)
+@njit(
+    "void(float64[:,::1], float64[:,::1], float64[:,::1])",
+    cache=True,
+    nogil=True,
+)
 def facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
     """(N, N) angles, rad, between the facing directions of N poses; NaN = unknown.
 
@@ -75,7 +85,11 @@ def facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
             out[a, b] = d
 
 
-@njit("int64(float64[:,::1], float64[::1], boolean, float64)", cache=True, nogil=True)
+@njit(
+    "int64(float64[:,::1], float64[::1], boolean, float64)",
+    cache=True,
+    nogil=True,
+)
 def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) -> int:
     """Index whose neighbours, at a distance below ``limit``, are the right views; -1 = no view.
 
@@ -115,18 +129,17 @@ def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) 
 
 
 @kernel
-def _raise(confidences: Floats, power: float, out: Floats) -> None:
+def _raise(members: Stamps, confidences: Floats, power: float, out: Floats) -> None:
     """Fill ``out`` with the weights of eq 12: confidences to a power, 1 where not given."""
-    known, known_power = 1.0, 1.0  # detectors give few distinct confidences, and pow is slow
-    for k in range(out.shape[0]):
+    for k in members:
         for m in range(out.shape[1]):
             c = confidences[k, m]
             if math.isnan(c):
                 out[k, m] = 1.0
-                continue
-            if c != known:
-                known, known_power = c, c**power
-            out[k, m] = known_power
+            elif power == 2.0:  # the power function takes twenty times as long
+                out[k, m] = c * c
+            else:
+                out[k, m] = c**power
 
 
 @kernel
@@ -235,7 +248,8 @@ def _merge_markers(
     members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
     bias: Floats, person: int, cameras: Stamps, limit: float, scale: float, learning: float,
     apart: Floats, alone: Floats, here: Floats, two_weights: Floats, two_flags: Flags,
-    two_points: Floats, p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+    two_points: Floats, norms: Floats, p: int, out: Floats, out_confidences: Floats,
+    outliers: Stamps,
 ) -> None:  # fmt: skip
     """Do the work of :func:`merge_markers` in the room that it gives."""
     n = len(members)
@@ -283,8 +297,7 @@ def _merge_markers(
             out[p, m, c] = mean[c]
         if not math.isnan(views[members[best], m, 6]):
             mean_turn(views, members, m, weights, best, out, p)
-        for first in (7, 10, 13, 16):
-            mean_columns(views, members, m, first, weights, out, p)
+        mean_rates(views, members, m, weights, norms, out, p)
         out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         heaviest = 0.0
         for k in range(n):
@@ -337,11 +350,12 @@ def merge_markers(
     """
     n = len(members)
     powers = np.empty_like(confidences)
-    _raise(confidences, power, powers)
+    _raise(members, confidences, power, powers)
     _merge_markers(
         members, views, confidences, powers, past, bias, person, cameras, limit, scale, learning,
         np.empty((n + 1, n + 1)), np.empty((n, n)), np.empty((n + 1, 3)), np.empty((2, n)),
-        np.empty((2, n), np.bool_), np.empty((2, 3)), p, out, out_confidences, outliers,
+        np.empty((2, n), np.bool_), np.empty((2, 3)), np.empty(12), p, out, out_confidences,
+        outliers,
     )  # fmt: skip
 
 
@@ -349,7 +363,7 @@ def merge_markers(
 def _merge_links(
     members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
     limit: float, apart: Floats, alone: Floats, turns: Floats, weights: Floats, two_flags: Flags,
-    p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+    norms: Floats, p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
 ) -> None:  # fmt: skip
     """Do the work of :func:`merge_links` in the room that it gives."""
     n = len(members)
@@ -386,8 +400,8 @@ def _merge_links(
                 best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
                 _weigh(members, powers, m, usable, weights)
             mean_turn(views, members, m, weights, best, out, p)
-        for first in (0, 7, 10, 13, 16):
-            mean_columns(views, members, m, first, weights, out, p)
+        mean_columns(views, members, m, 0, weights, out, p)
+        mean_rates(views, members, m, weights, norms, out, p)
         out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         for k in range(n):
             outliers[members[k]] += int(lost[k])
@@ -418,11 +432,11 @@ def merge_links(
     """
     n = len(members)
     powers = np.empty_like(confidences)
-    _raise(confidences, power, powers)
+    _raise(members, confidences, power, powers)
     _merge_links(
         members, views, confidences, powers, past, limit, np.empty((n + 1, n + 1)),
-        np.empty((n, n)), np.empty((n + 1, 4)), np.empty(n), np.empty((2, n), np.bool_), p, out,
-        out_confidences, outliers,
+        np.empty((n, n)), np.empty((n + 1, 4)), np.empty(n), np.empty((2, n), np.bool_),
+        np.empty(12), p, out, out_confidences, outliers,
     )  # fmt: skip
 
 
@@ -566,19 +580,19 @@ def _settle_flips(
 
 
 @njit(
-    "void(int64, float64[::1], int64[::1], int64[::1], float64[:,:,::1], float64[:,::1],"
+    "void(int64, int64, int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
     " float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64[:,:,::1],"
     " float64[:,:,::1], float64[:,:,::1], float64[:,:,:,::1], int32[::1], int32[:,::1],"
-    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
-    " int64[::1], int64[::1])",
+    " float64[::1], int64[::1], float64[::1], float64[:,:,::1], float64[:,::1],"
+    " float64[:,:,::1], float64[:,::1], int64[:,::1])",
     cache=True,
     nogil=True,
 )
 def fuse(
     stamp: int,
-    delays: Floats,
-    person_of: Stamps,
-    cameras: Stamps,
+    n: int,
+    whose: Stamps,
+    trust: Floats,
     markers: Floats,
     confidences: Floats,
     links: Floats,
@@ -593,36 +607,37 @@ def fuse(
     mirror: Ints,
     pairs: Ints,
     numbers: Floats,
+    out_stamps: Stamps,
+    out_trust: Floats,
     out: Floats,
     out_confidences: Floats,
     out_links: Floats,
     out_link_confidences: Floats,
-    verdicts: Stamps,
-    outliers: Stamps,
+    counts: Stamps,
 ) -> None:
-    """Merge a whole buffer: carry to the mean time, settle flips, vote, average (H25).
+    """Merge a whole buffer: settle flips, vote, average (H25).
 
     Parameters
     ----------
-    stamp : merged time, ns. delays : (N,) s from each view to it.
-    person_of, cameras : (N,) output row and camera of each view.
-    markers, confidences, links, link_confidences : the views; overwritten.
+    stamp : merged time, ns.
+    n, whose, trust, markers, confidences, links, link_confidences : the views, as
+        :func:`hiros_mcap.kernels.averaging.load_views` left them; overwritten.
     rows : (P,) bank row of each output row. The bank, by row: ``seen`` and ``facing_seen`` (S,)
         stamps, 0 = never; ``positions``, ``velocities``, ``turns``, ``bias``; brought to ``stamp``.
     mirror, pairs : of the skeleton's symmetry.
     numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
         pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
         stages/merge.py packs them).
-    out, out_confidences, out_links, out_link_confidences : (P, ...) rows without views untouched.
-    verdicts, outliers : (N,) KEPT, FLIPPED or RELABELLED, and votes lost, per view.
+    out_stamps, out_trust, out, out_confidences, out_links, out_link_confidences : (P, ...) rows
+        without views untouched.
+    counts : (2, C) votes lost and flips, by camera; added to.
     """
+    person_of, cameras = whose[0, :n], whose[1, :n]
+    verdicts, outliers = np.zeros(n, np.int64), np.zeros(n, np.int64)
     n_markers, n_links = markers.shape[1], links.shape[1]
     past = np.empty((n_markers, 3))
     past_turn = np.empty((n_links, 4))
     no_pairs = pairs[:0]
-    if numbers[11] > 0.0:
-        for k in range(len(delays)):
-            compensate(k, delays[k], markers, links)
     for p in range(len(rows)):
         members = np.nonzero(person_of == p)[0]
         if len(members) == 0:
@@ -674,3 +689,7 @@ def fuse(
         for k in range(n_links):
             for c in range(4):
                 turns[row, k, c] = out_links[p, k, 3 + c]
+    for k in range(n):
+        counts[0, cameras[k]] += outliers[k]
+        counts[1, cameras[k]] += verdicts[k] != KEPT
+    mean_people(stamp, person_of, whose[2, :n], trust[:n], numbers[11] > 0.0, out_stamps, out_trust)

@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 
 # Without numba's reference counts, which kernels that make no arrays have no use for, the code is
 # four times as fast.
-kernel: Any = partial(njit, cache=True, nogil=True, _nrt=False)
+kernel: Any = partial(njit, cache=True, nogil=True, error_model="numpy", _nrt=False)
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> Any:

@@ -16,8 +16,8 @@ from pydantic import Field
 
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import STATE, UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.instants import Instant, instants
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.stages.instants import Instant, Views, instants
 from hiros_mcap.symmetry import split_side, symmetry_of
 
 LEE_JOINTS = (
@@ -193,7 +193,7 @@ class _Clusterer:
         every = np.ones(model.n_markers, np.bool_)
         self.used = lee_joints(model) if params.joints == "lee16" else every
         self.past = _Past(model.n_markers, params.memory)
-        self.room = _room(16, model)
+        self.views = Views(model)
         self.numbers = np.array([
             params.medium_confidence, params.low_confidence, _SWAPS[params.rearrange],
             params.radius if params.method == "dbscan" else 0.0, params.min_neighbours,
@@ -217,33 +217,16 @@ class _Clusterer:
 
     def _merge(self, out: Frame, rows: Stamps, frames: Sequence[Frame]) -> None:
         """Fill in ``out``; ``rows`` (P,) are the rows of its people in the past."""
-        most = sum(len(frame.ids) for frame in frames)
-        if most > self.room[0].shape[1]:
-            self.room = _room(2 * most, self.model)
-        room, past, carry = self.room, self.past, self.params.compensate_motion
-        n = 0
-        for camera, f in enumerate(frames):
-            n = self.kernels.load_views(
-                n, camera, f.stamp, out.stamp, carry, out.ids, f.ids, f.confidences, f.markers,
-                f.marker_confidences, f.links, f.link_confidences, *room,
-            )  # fmt: skip
+        past = self.past
+        views = self.views.load(
+            out, frames, range(len(frames)), carry=self.params.compensate_motion
+        )
         counts = np.zeros((2, len(frames)), np.int64)
         self.kernels.merge_views(
-            out.stamp, n, *room, rows, past.seen, past.positions, self.pairs, self.ends, self.used,
+            out.stamp, *views, rows, past.seen, past.positions, self.pairs, self.ends, self.used,
             self.numbers, out.stamps, out.confidences, out.markers, out.marker_confidences,
             out.links, out.link_confidences, counts,
         )  # fmt: skip
         for kind, numbers in zip(("outlier", "swap"), counts.tolist(), strict=True):
             for frame, number in zip(frames, numbers, strict=True):
                 self.events.count(kind, frame.source, number)
-
-
-def _room(
-    views: int, model: SkeletonModel
-) -> tuple[Stamps, Floats, Floats, Floats, Floats, Floats]:
-    """Arrays for the views of an instant, as load_views fills them; reused, for new ones cost."""
-    m, n = model.n_markers, model.n_links
-    return (
-        np.empty((3, views), np.int64), np.empty(views), np.empty((views, m, STATE)),
-        np.empty((views, m)), np.empty((views, n, STATE)), np.empty((views, n)),
-    )  # fmt: skip

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.kernels.averaging import mean_people
-from hiros_mcap.skeletons import UNTRACKED, Frame, Stamps
+from hiros_mcap.kernels.averaging import load_views
+from hiros_mcap.skeletons import STATE, Floats, Frame, SkeletonModel, Stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,23 +77,43 @@ def _closes(buffer: dict[str, Frame], frame: Frame, max_delta_time: float) -> bo
     return span > max_delta_time * 1e9
 
 
-def tracked_only(frame: Frame) -> Frame:
-    """Return the frame without people who have no id."""
-    if UNTRACKED not in frame.ids.tolist():
-        return frame
-    return frame.select(frame.ids != UNTRACKED)
+class Views:
+    """The views of an instant in common arrays, which are reused, since new ones cost."""
 
+    def __init__(self, model: SkeletonModel) -> None:
+        self._model = model
+        self._room = self._make(16)
 
-def summarize(
-    out: Frame, person_of: Stamps, stamps: Stamps, frames: Sequence[Frame], *, carried: bool
-) -> None:
-    """Fill in source time and confidence of each merged person: the means over the views.
+    def _make(self, views: int) -> tuple[Stamps, Floats, Floats, Floats, Floats, Floats]:
+        m, n = self._model.n_markers, self._model.n_links
+        return (
+            np.empty((3, views), np.int64), np.empty(views), np.empty((views, m, STATE)),
+            np.empty((views, m)), np.empty((views, n, STATE)), np.empty((views, n)),
+        )  # fmt: skip
 
-    Parameters
-    ----------
-    out : merged frame. person_of, stamps : (N,) its row and the source time, ns, of each view.
-    frames : that the views come from, in order.
-    carried : every pose has been carried to the merged time, which so is the source time.
-    """
-    trust = np.concatenate([f.confidences for f in frames])
-    mean_people(out.stamp, person_of, stamps, trust, carried, out.stamps, out.confidences)
+    def load(
+        self, out: Frame, frames: Sequence[Frame], cameras: Sequence[int], *, carry: bool
+    ) -> tuple[int, Stamps, Floats, Floats, Floats, Floats, Floats]:
+        """Gather the views of the people of ``out``; valid until the next call.
+
+        Parameters
+        ----------
+        out : says whom, and the merged time. frames, cameras : messages, and a number of each.
+        carry : the views to the merged time, by their velocities.
+
+        Returns
+        -------
+        How many views, and arrays with room for them or more: (3, N) row in ``out``, camera and
+        time, ns, of each; confidences, markers, their confidences, links, their confidences.
+        """
+        most = sum(len(frame.ids) for frame in frames)
+        if most > len(self._room[1]):
+            self._room = self._make(2 * most)
+        n = 0
+        for frame, camera in zip(frames, cameras, strict=True):
+            n = load_views(
+                n, camera, frame.stamp, out.stamp, carry, out.ids, frame.ids, frame.confidences,
+                frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
+                *self._room,
+            )  # fmt: skip
+        return n, *self._room

@@ -9,7 +9,7 @@ thrown away; what is left is averaged robustly; a person between two sightings i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -20,14 +20,14 @@ from hiros_mcap.kernels import merging as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import (
     POSITION,
+    UNTRACKED,
     VELOCITY,
     Floats,
     Frame,
-    Ints,
     SkeletonModel,
     Stamps,
 )
-from hiros_mcap.stages.instants import Instant, instants, summarize, tracked_only
+from hiros_mcap.stages.instants import Instant, Views, instants
 from hiros_mcap.symmetry import symmetry_of
 
 
@@ -200,6 +200,7 @@ class _Merger:
         self.fixed_frame = fixed_frame
         self.symmetry = symmetry_of(model)
         self.bank = _Bank(model)
+        self.views = Views(model)
         self.last: dict[int, tuple[Frame, int]] = {}
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
@@ -212,10 +213,8 @@ class _Merger:
 
     def fuse(self, instant: Instant) -> Frame:
         """Merge the messages of an instant into one frame at its time (H20-H25)."""
-        frames = [tracked_only(frame) for frame in instant.frames]
-        stamp, log_time = instant.stamp, instant.log_time
-        ids = np.concatenate([f.ids for f in frames])
-        seen = set(ids.tolist())
+        frames, stamp, log_time = instant.frames, instant.stamp, instant.log_time
+        seen = {i for frame in frames for i in frame.ids.tolist()} - {UNTRACKED}
         people = sorted(seen | self._bridged(seen, stamp))
         fixed = self.fixed_frame or frames[0].frame_id
         out = Frame.empty(
@@ -223,7 +222,7 @@ class _Merger:
         )
         out.ids[:] = people
         if seen:
-            self._merge(out, ids, frames)
+            self._merge(out, people, frames)
         for row, person in enumerate(people):
             if person in seen:
                 self.last[person] = (out, row)
@@ -239,34 +238,23 @@ class _Merger:
         self.last = kept
         return {p for p, (f, _) in kept.items() if p not in seen and 0 <= stamp - f.stamp <= limit}
 
-    def _merge(self, out: Frame, ids: Ints, frames: list[Frame]) -> None:
-        """Fill the rows of the people whom the buffer shows; ``ids`` (N,) are its views'."""
-        bank, counts = self.bank, [f.n_people for f in frames]
-        stamps = np.repeat([f.stamp for f in frames], counts)
-        rows = np.array([bank.row(person) for person in out.ids.tolist()], np.int64)
-        cameras = np.repeat([bank.camera(f.source) for f in frames], counts)
-        person_of = np.searchsorted(out.ids, ids)
-        verdicts, outliers = np.zeros(len(ids), np.int64), np.zeros(len(ids), np.int64)
+    def _merge(self, out: Frame, people: list[int], frames: Sequence[Frame]) -> None:
+        """Fill the rows of the people whom the buffer shows."""
+        bank = self.bank
+        rows = np.array([bank.row(person) for person in people], np.int64)
+        cameras = [bank.camera(frame.source) for frame in frames]
+        views = self.views.load(out, frames, cameras, carry=self.params.compensate_motion)
+        counts = np.zeros((2, bank.bias.shape[1]), np.int64)
         kernels.fuse(
-            out.stamp, (out.stamp - stamps) * 1e-9, person_of, cameras,
-            np.concatenate([f.markers for f in frames]),
-            np.concatenate([f.marker_confidences for f in frames]),
-            np.concatenate([f.links for f in frames]),
-            np.concatenate([f.link_confidences for f in frames]),
-            rows, bank.seen, bank.facing_seen, bank.positions, bank.velocities, bank.turns,
-            bank.bias, self.symmetry.mirror, self.symmetry.lateral, self.numbers,
-            out.markers, out.marker_confidences, out.links, out.link_confidences,
-            verdicts, outliers,
+            out.stamp, *views, rows, bank.seen, bank.facing_seen, bank.positions, bank.velocities,
+            bank.turns, bank.bias, self.symmetry.mirror, self.symmetry.lateral, self.numbers,
+            out.stamps, out.confidences, out.markers, out.marker_confidences, out.links,
+            out.link_confidences, counts,
         )  # fmt: skip
-        if outliers.any() or verdicts.any():
-            start = 0
-            for frame, n in zip(frames, counts, strict=True):
-                views = slice(start, start + n)
-                flips = int(np.count_nonzero(verdicts[views] != kernels.KEPT))
-                self.events.count("outlier", frame.source, int(outliers[views].sum()))
-                self.events.count("flip", frame.source, flips)
-                start += n
-        summarize(out, person_of, stamps, frames, carried=self.params.compensate_motion)
+        for kind, numbers in zip(("outlier", "flip"), counts.tolist(), strict=True):
+            for frame, camera in zip(frames, cameras, strict=True):
+                if numbers[camera]:
+                    self.events.count(kind, frame.source, numbers[camera])
 
     def _carry(self, out: Frame, row: int, last: Frame, last_row: int) -> None:
         """Write a person who was seen a moment ago, carried on at constant velocity."""
