@@ -20,6 +20,7 @@ from hiros_mcap.rotations import Rigid
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.transforms import transform_to_fixed
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
+from hiros_viewer.columns import Poses
 from hiros_viewer.scene import STAGES, Scene
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def _replay_one(
             if window[0] <= frame.stamp <= window[1]:
                 drawn += 1
                 if kind == DETECTIONS:
-                    scene.detections(frame.replace(source=source.names[frame.source]))
+                    scene.detections(source.names[frame.source], frame)
                 else:
                     scene.stage(kind, frame)
         if not drawn:
@@ -160,23 +161,24 @@ def _events(log: Log) -> tuple[Event, ...]:
     return ()
 
 
-def in_time_order(log: Log) -> Iterator[tuple[str, Frame]]:
-    """Yield (stage or detections, frame in the fixed frame) by the frames' own time.
+def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
+    """Yield (stage or detections, poses in the fixed frame) by the frames' own time.
 
     A log is in the order of its messages, and what a stage that looks ahead says of an instant
     comes later; frames wait until nothing earlier can come.
     """
     topics: list[str] = []
+    kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
 
     def frames() -> Iterator[Frame]:
         for topic, frame in log.frames_by_topic():
             topics.append(topic)
             yield frame
 
-    waiting: list[tuple[int, int, str, Frame]] = []
+    waiting: list[tuple[int, int, str, Poses]] = []
     fixed = transform_to_fixed(frames(), log.transforms, log.fixed_frame)
     for k, frame in enumerate(fixed):
-        heapq.heappush(waiting, (frame.stamp, k, kind_of(topics.pop()), frame))
+        heapq.heappush(waiting, (frame.stamp, k, kinds[topics.pop()], Poses.of(frame)))
         while waiting and waiting[0][0] < frame.log_time - HORIZON_NS:
             yield heapq.heappop(waiting)[2:]
     while waiting:
