@@ -142,6 +142,22 @@ def test_labels_stand_above_the_head(recording: Path) -> None:
             assert np.allclose(label[0], [*middle, top], atol=1e-5)
 
 
+def test_residuals_are_those_of_the_frame_nearest_in_time(recording: Path, processed: Path) -> None:
+    """From the first second on, though the last stage is logged seconds later."""
+    filtered, _, _ = read_channel(processed, "/hiros/filtered")
+    stamps = np.array([frame.stamp for frame in filtered])
+    with open_log(processed) as log:
+        moved = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
+        detections = [frame for frame in moved if frame.source == "camera_0" and frame.n_people]
+    drawn = rows(recording, "/residual/camera_0", "Scalars:scalars")
+    assert len(drawn) == len(detections)
+    for frame in detections:
+        people = filtered[int(np.abs(stamps - frame.stamp).argmin())].positions
+        apart = np.linalg.norm(frame.positions[:, None] - people[None], axis=-1)
+        mean = np.nanmean(apart, axis=-1).min(axis=1)
+        assert np.allclose(drawn[frame.stamp], 1000 * mean[mean < 1].mean())
+
+
 def test_residual_is_the_distance_to_the_nearest_person() -> None:
     from hiros_mcap.kernels.nearest import nearest
 

@@ -63,7 +63,12 @@ def overview(content: Content) -> rrb.Container:
                 rrb.StateTimelineView(
                     origin="/", contents=_all(content, "/state/**"), name="People"
                 ),
-                rrb.TextLogView(origin="/", contents=_all(content, "/log"), name="Events"),
+                rrb.TextLogView(
+                    origin="/",
+                    contents=_all(content, "/log"),
+                    name="Events",
+                    columns=rrb.TextLogColumns(text_log_columns=["loglevel", "body"]),
+                ),
                 column_shares=[3, 2],
             ),
             row_shares=[4, 1],

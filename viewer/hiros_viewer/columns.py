@@ -54,15 +54,14 @@ class PoseBatch:
         """(N, M)."""
         return self._confidences[: self.size]
 
-    def add(self, frame: Frame | Poses) -> Floats:
-        """Append a frame's poses; return their positions, contiguous."""
+    def add(self, frame: Frame | Poses) -> None:
+        """Append a frame's poses."""
         start, self.size = self.size, self.size + len(frame.ids)
         if self.size > len(self._positions):
             self._positions = _grown(self._positions, 2 * self.size)
             self._confidences = _grown(self._confidences, 2 * self.size)
         self._positions[start : self.size] = frame.positions
         self._confidences[start : self.size] = frame.marker_confidences
-        return self._positions[start : self.size]
 
     def clear(self) -> None:
         """Forget the poses."""
@@ -88,13 +87,12 @@ class DetectionRows:
     last: int = 0
     started: bool = False
 
-    def add(self, frame: Frame | Poses) -> Floats:
-        """Append a row; return its positions, contiguous."""
-        positions = self.poses.add(frame)
+    def add(self, frame: Frame | Poses) -> None:
+        """Append a row."""
+        self.poses.add(frame)
         self.stamps.append(frame.stamp)
-        self.counts.append(len(positions))
-        self.shown, self.last = len(positions) > 0, frame.stamp
-        return positions
+        self.counts.append(len(frame.ids))
+        self.shown, self.last = len(frame.ids) > 0, frame.stamp
 
     def hide(self, stamp: int) -> None:
         """Append a row of nobody, unless nobody is shown."""
@@ -178,6 +176,7 @@ class TextRows:
     stamps: list[int] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
     levels: list[str] = field(default_factory=list)
+    started: bool = False
 
     def add(self, stamp: int, text: str, level: str = "INFO") -> None:
         """Append a row."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
 HORIZON_NS = 3_000_000_000
-"""Frames are put in the order of their own time; outputs are up to this much later in a log."""
+"""Frames are put in the order of their own time; most are at most this much later in a log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
     """Yield (stage or detections, poses in the fixed frame) by the frames' own time.
 
     A log is in the order of its messages, and what a stage that looks ahead says of an instant
-    comes later; frames wait until nothing earlier can come.
+    comes later; frames wait until little that is earlier can come.
     """
     topics: list[str] = []
     kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}

@@ -15,6 +15,7 @@ Rows are collected and sent in columns, a batch at a time, so that memory stays 
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,7 @@ _CLASSES_PER_CAMERA = 30
 _LABEL_ABOVE_M = 0.18
 _SAME_BODY_M = 1.0
 _MOST_BOUNDS = 2000
+_MOST_WAITING = 10_000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
@@ -72,7 +74,7 @@ _LIMBS = {
 
 @dataclass(slots=True)
 class _Reference:
-    """The last stage's people at its newest frames, to compare detections with."""
+    """The last stage's people at its newest frame, to compare detections with."""
 
     stamp: int = 0
     positions: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
@@ -113,12 +115,15 @@ class Scene:
         self._team = team
         self._batch = batch
         self._collected = 0
+        self._n_detections = 0
         self._detections: dict[str, DetectionRows] = {}
         self._stages: dict[str, StageRows] = {}
         self._scalars: dict[str, ScalarRows] = {}
         self._curves: dict[tuple[str, str], ScalarRows] = {}
         self._texts: dict[str, TextRows] = {}
         self._reference = _Reference()
+        self._waiting: list[tuple[int, int, str, Floats]] = []
+        """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
         self._alive: set[int] = set()
         self._root = _root_slot(model)
         self._bone_ends = model.links[(model.links >= 0).all(axis=1)]
@@ -220,17 +225,34 @@ class Scene:
         if rows is None:
             rows = self._detections[camera] = DetectionRows(PoseBatch(self.model.n_markers))
         self._hide_after_pause(rows, frame.stamp)
-        positions = rows.add(frame)
-        self._curve("/people", camera).add(frame.stamp, len(positions))
-        self._residual(camera, frame.stamp, positions)
+        rows.add(frame)
+        self._curve("/people", camera).add(frame.stamp, len(frame.ids))
+        if self.final:
+            positions = np.ascontiguousarray(frame.positions)
+            heapq.heappush(self._waiting, (frame.stamp, self._n_detections, camera, positions))
+            self._n_detections += 1
+            if len(self._waiting) > _MOST_WAITING:
+                heapq.heappop(self._waiting)
         self._count()
 
-    def _residual(self, camera: str, stamp: int, positions: Floats) -> None:
-        """Mean joint distance of each detection to the nearest person of the last stage."""
-        if abs(stamp - self._reference.stamp) > GONE_NS:
-            return
+    def _compare(self, newest: _Reference) -> None:
+        """Draw how far detections up to the last stage's newest frame are from its people.
+
+        Each is compared with the frame that is nearest in time. The last stage is seconds behind
+        the cameras: it looks ahead, and waits until it knows people's limbs.
+        """
+        while self._waiting and self._waiting[0][0] <= newest.stamp:
+            stamp, _, camera, positions = heapq.heappop(self._waiting)
+            is_newer = newest.stamp - stamp < stamp - self._reference.stamp
+            near = newest if is_newer else self._reference
+            if abs(near.stamp - stamp) <= GONE_NS:
+                self._residual(camera, stamp, positions, near.positions)
+        self._reference = newest
+
+    def _residual(self, camera: str, stamp: int, positions: Floats, people: Floats) -> None:
+        """Draw the mean joint distance of detections to the nearest person each."""
         apart = np.empty(len(positions))
-        nearest(positions, self._reference.positions, apart)
+        nearest(positions, people, apart)
         same = [distance for distance in apart.tolist() if distance < _SAME_BODY_M]
         if same:
             self._curve("/residual", camera).add(stamp, 1000 * sum(same) / len(same))
@@ -242,7 +264,7 @@ class Scene:
             rows = self._stages[name] = StageRows(PoseBatch(self.model.n_markers))
         self._end_before_pause(name, rows, frame.stamp)
         place = rows.poses.size
-        positions = rows.poses.add(frame)
+        rows.poses.add(frame)
         ids = frame.ids.tolist()
         for person in ids:
             if person != UNTRACKED:
@@ -257,7 +279,7 @@ class Scene:
         # The tracker's frames are of one camera each, which does not see everybody.
         self._hide_gone(rows, ids, frame.stamp, GONE_NS if name == "tracked" else 0)
         if name == self.final:
-            self._reference = _Reference(frame.stamp, positions)
+            self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
             self._states(ids, frame.stamp)
         self._count()
 
@@ -338,6 +360,7 @@ class Scene:
         for stage in self._stages.values():
             for body in stage.shown.values():
                 body.hide(body.last + GONE_NS)
+        self._compare(_Reference(self._reference.stamp + 2 * GONE_NS))
         final = self._stages.get(self.final)
         self._leave(self._alive, (final.last if final else 0) + GONE_NS)
         self.flush()
@@ -510,9 +533,23 @@ class Scene:
         if path.endswith("/log"):
             parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
         else:
+            if not rows.started:
+                rows.started = True
+                self.recording.log(path, self._lane(path), static=True)
             parts = rr.StateChange.columns(state=rows.texts)
         self.recording.send_columns(path, [times(rows.stamps)], parts)
         rows.stamps, rows.texts, rows.levels = [], [], []
+
+    def _lane(self, path: str) -> Any:
+        """Somebody's lane has their colour, and a gap where they are gone."""
+        import rerun as rr
+
+        colour = person_colour(int(path.split("/")[-1]))
+        return rr.StateConfiguration(
+            values=["tracked", "gone"],
+            colors=[_packed(colour), _packed(colour)],
+            visible=[True, False],
+        )
 
 
 def limb_links(model: SkeletonModel) -> dict[str, int]:
