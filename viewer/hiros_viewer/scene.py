@@ -209,7 +209,8 @@ class Scene:
             colour = pale(person_colour(number))
             classes.append(description(CLASSES + number, "", colour, joints(colour)))
         for camera in range(len(CAMERAS)):
-            colour = camera_colour(camera)
+            # Dim behind a result; without one, nothing else is there to be seen.
+            colour = camera_colour(camera) if self.final else curve_colour(camera)
             keypoints = joints(colour)
             classes += [
                 description(_camera_class(camera, row), "", colour, keypoints, bones)
@@ -405,6 +406,10 @@ class Scene:
             rr.Points3D.descriptor_keypoint_ids(): rr.components.KeypointIdBatch(keypoints),
         }
         self.recording.send_columns(path, [times(rows.stamps)], columns(parts, n_markers * counts))
+        if not self.final and len(self.bounds) < _MOST_BOUNDS:
+            highest = np.empty((len(places), 3))
+            tops(rows.poses.positions, places, highest)
+            self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
         rows.stamps, rows.counts = [], []
         rows.poses.clear()
 
@@ -525,6 +530,8 @@ class Scene:
         if path.startswith((f"{self._prefix}/speed", "/speed")) and last.isdigit():
             return [person_colour(int(last))]
         known = [_part(name) for name in self.cameras]
+        if path.startswith("/distance/"):
+            known = ["mean", "largest"]
         return [curve_colour(known.index(last) if last in known else 0)]
 
     def _send_texts(self, path: str, rows: TextRows) -> None:
