@@ -1,7 +1,8 @@
-"""The last stage as MarkerArray, JointState and Log, for RViz, Foxglove, Lichtblick and Rerun.
+"""The last stage as MarkerArray, JointState and Log, for RViz, Foxglove and Lichtblick.
 
-Bones are one LINE_STRIP per chain of limbs: that is what all of these draw, while Rerun joins the
-points of a LINE_LIST to a single line.
+Bones are one LINE_STRIP per chain of limbs, which all of these draw. Rerun (0.41) shows JointState
+and Log of an MCAP file, but draws a MarkerArray only where a blueprint maps its points to line
+strips; it would join those of a LINE_LIST to a single line.
 """
 
 from __future__ import annotations

@@ -90,6 +90,93 @@ def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Pat
     assert len(frames) == sum(len(table) for table in drawn.values()) - 3  # hidden at the end
 
 
+def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -> None:
+    need_rerun()
+    from hiros_viewer import show
+    from hiros_viewer.scene import Scene
+
+    frames, model, _ = read_channel(processed, "/hiros/merged")
+    frames = [frame.select(frame.ids == 0) for frame in frames]
+    rng = np.random.default_rng(1)
+    for frame in frames:
+        frame.markers[:, rng.choice(model.n_markers, 5)] = np.nan
+    frames[0].markers[:] = np.nan
+
+    def draw(recording: Any) -> None:
+        scene = Scene(recording, model, final="merged", batch=40)
+        for frame in frames:
+            scene.stage("merged", frame)
+        scene.finish()
+
+    target = tmp_path / "gaps.rrd"
+    show.save(target, "gaps", draw)
+    drawn = rows(target, "/merged/0/bones", "LineStrips3D:strips")
+    ends = model.links[(model.links >= 0).all(axis=1)]
+    for frame in frames:
+        bones = frame.positions[0][ends]
+        known = bones[~np.isnan(bones).any(axis=(1, 2))]
+        assert len(known) < len(ends)
+        assert np.allclose(drawn[frame.stamp].reshape(-1, 2, 3), known, atol=1e-5)
+    labels = rows(target, "/merged/0/name", "Points3D:positions")
+    assert [len(labels[frame.stamp]) for frame in frames] == [0, *[1] * (len(frames) - 1)]
+
+
+def test_bodies_of_a_detection_are_told_apart_by_their_classes(recording: Path) -> None:
+    keypoints = rows(recording, "/detections/camera_0", "Points3D:keypoint_ids")
+    classes = rows(recording, "/detections/camera_0", "Points3D:class_ids")
+    assert max(len(row) for row in classes.values()) == 2 * 32
+    for stamp, row in classes.items():
+        bodies = row.reshape(-1, 32)
+        assert (bodies == bodies[:, :1]).all()
+        assert (np.diff(bodies[:, 0]) == 1).all()
+        assert (keypoints[stamp].reshape(-1, 32) == np.arange(32)).all()
+
+
+def test_labels_stand_above_the_head(recording: Path) -> None:
+    joints = rows(recording, "/merged/1", "Points3D:positions")
+    labels = rows(recording, "/merged/1/name", "Points3D:positions")
+    for stamp, label in labels.items():
+        if len(label):
+            middle = np.nanmean(joints[stamp][:, :2], axis=0)
+            top = np.nanmax(joints[stamp][:, 2]) + 0.18
+            assert np.allclose(label[0], [*middle, top], atol=1e-5)
+
+
+def test_residuals_are_those_of_the_frame_nearest_in_time(recording: Path, processed: Path) -> None:
+    """From the first second on, though the last stage is logged seconds later."""
+    filtered, _, _ = read_channel(processed, "/hiros/filtered")
+    stamps = np.array([frame.stamp for frame in filtered])
+    with open_log(processed) as log:
+        moved = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
+        detections = [frame for frame in moved if frame.source == "camera_0" and frame.n_people]
+    drawn = rows(recording, "/residual/camera_0", "Scalars:scalars")
+    assert len(drawn) == len(detections)
+    for frame in detections:
+        people = filtered[int(np.abs(stamps - frame.stamp).argmin())].positions
+        apart = np.linalg.norm(frame.positions[:, None] - people[None], axis=-1)
+        mean = np.nanmean(apart, axis=-1).min(axis=1)
+        assert np.allclose(drawn[frame.stamp], 1000 * mean[mean < 1].mean())
+
+
+def test_residual_is_the_distance_to_the_nearest_person() -> None:
+    from hiros_mcap.kernels.nearest import nearest
+
+    rng = np.random.default_rng(1)
+    poses, others = rng.normal(size=(4, 9, 3)), rng.normal(size=(3, 9, 3))
+    poses[0, :4] = others[1, 7] = np.nan
+    poses[3] = np.nan
+    expected = [
+        min(np.nanmean(np.linalg.norm(pose - other, axis=-1)) for other in others)
+        for pose in poses[:3]
+    ]
+    found = np.empty(4)
+    nearest(poses, others, found)
+    assert np.allclose(found[:3], expected)
+    assert found[3] == np.inf
+    nearest(poses, others[:0], found)
+    assert np.isinf(found).all()
+
+
 def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
     frames, model, _ = read_channel(processed, "/hiros/filtered")
     angles = rows(recording, "/angles/0", "Scalars:scalars")
@@ -164,7 +251,8 @@ def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
         for kind, frame in in_time_order(log):
             if kind != "detections":
                 scene.stage(kind, frame)
-            longest = max(longest, *(len(rows.stamps) for rows in scene._bodies.values()), 0)
+            bodies = [body for rows in scene._stages.values() for body in rows.bodies.values()]
+            longest = max(longest, *(len(body.stamps) for body in bodies), 0)
     assert 0 < longest <= 50
 
 

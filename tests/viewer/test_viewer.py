@@ -31,6 +31,7 @@ from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import process
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import LAYOUTS
+from hiros_viewer.palette import curve_colour
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -67,6 +68,24 @@ def test_every_layout_opens_without_a_complaint(
             assert [report for view in views for report in view.reports] == []
     for person in (0, 1):
         assert pixels_like(image, person_colour(person)) > 300
+
+
+def test_a_raw_recording_has_bright_detections_and_no_empty_views(tmp_path: Path) -> None:
+    target = tmp_path / "raw.rrd"
+    with headless() as (url, _):
+        from rerun.experimental import ViewerClient
+
+        assert run(["view", str(CROSSING), "--save", str(target), "-q"]) == 0
+        with ViewerClient.connect(url) as client:
+            client.open(str(target))
+            wait_until_loaded(client)
+            client.set_time("stamp", timestamp=start_of(CROSSING) + 2.0, play_state="paused")
+            views = client.get_state().views
+            (room,) = [view for view in views if view.view_class == "3D"]
+            image = picture(settled_picture(client, room.view_id))
+    assert len(views) == 2
+    for camera in (0, 1, 2):
+        assert pixels_like(image, curve_colour(camera), apart=15) > 100
 
 
 def wait_until_loaded(client: object, seconds: float = 30.0) -> None:

@@ -42,11 +42,22 @@ class Content:
         real = [stage for stage in self.stages if stage != "truth"]
         return real[-1] if real else (self.stages[-1] if self.stages else "")
 
+    @property
+    def is_raw(self) -> bool:
+        """Whether there is nothing but detections, and perhaps the truth."""
+        return all(stage == "truth" for stage in self.stages)
+
 
 def overview(content: Content) -> rrb.Container:
     """Show the room with the result, and beside it all curves, who is there, and the events."""
     import rerun.blueprint as rrb
 
+    if content.is_raw:
+        return rrb.Vertical(
+            _room(content, "Room", shown=[content.final]),
+            _series("People per camera", "/people"),
+            row_shares=[4, 1],
+        )
     curves = rrb.Tabs(
         *(_angles(content, person) for person in content.people[:4]),
         _limbs(content, content.people),
@@ -63,7 +74,12 @@ def overview(content: Content) -> rrb.Container:
                 rrb.StateTimelineView(
                     origin="/", contents=_all(content, "/state/**"), name="People"
                 ),
-                rrb.TextLogView(origin="/", contents=_all(content, "/log"), name="Events"),
+                rrb.TextLogView(
+                    origin="/",
+                    contents=_all(content, "/log"),
+                    name="Events",
+                    columns=rrb.TextLogColumns(text_log_columns=["loglevel", "body"]),
+                ),
                 column_shares=[3, 2],
             ),
             row_shares=[4, 1],
@@ -102,7 +118,7 @@ def person(content: Content) -> rrb.Container:
         )
         for who in content.people[:8]
     ]
-    if not tabs:
+    if not tabs or content.is_raw:
         return overview(content)
     return rrb.Horizontal(
         _room(content, "Room", shown=[content.final]), rrb.Tabs(*tabs), column_shares=[1, 1]
@@ -117,10 +133,10 @@ def cameras(content: Content) -> rrb.Container:
         _room(content, camera, shown=[content.final], cameras=[camera])
         for camera in content.cameras
     ]
-    below = rrb.Horizontal(
-        _series("Distance to the result, mm", "/residual"), _series("People", "/people")
-    )
-    return rrb.Vertical(rrb.Grid(*rooms), below, row_shares=[3, 1])
+    below = [_series("People", "/people")]
+    if not content.is_raw:
+        below.insert(0, _series("Distance to the result, mm", "/residual"))
+    return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
 
 
 LAYOUTS: dict[str, Callable[[Content], Any]] = {
@@ -153,6 +169,7 @@ def _room(
     what = ["+ /world/**"]
     seen = content.cameras if cameras is None else cameras
     what += [f"+ /detections/{camera}/**" for camera in seen]
+    shown = [stage for stage in shown if stage]
     what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]
     trail = rrb.VisibleTimeRanges(
         [

@@ -2,53 +2,104 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Frame, Ints, Stamps
 
 TIMELINE = "stamp"
+HIDDEN = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """What is drawn of a Frame: a tenth of it, where thousands have to wait."""
+
+    stamp: int
+    source: str
+    ids: Ints
+    """(P,)"""
+    positions: Floats
+    """(P, M, 3) m"""
+    marker_confidences: Floats
+    """(P, M)"""
+
+    @classmethod
+    def of(cls, frame: Frame) -> Poses:
+        """Copy what is drawn."""
+        positions = frame.positions.copy()
+        return cls(frame.stamp, frame.source, frame.ids, positions, frame.marker_confidences)
+
+
+class PoseBatch:
+    """Poses of several frames in one array, which is used again for the next ones."""
+
+    def __init__(self, n_markers: int) -> None:
+        self.size = 0
+        """Poses in it, N."""
+        self._positions = np.empty((64, n_markers, 3))
+        self._confidences = np.empty((64, n_markers))
+
+    @property
+    def positions(self) -> Floats:
+        """(N, M, 3), m."""
+        return self._positions[: self.size]
+
+    @property
+    def confidences(self) -> Floats:
+        """(N, M)."""
+        return self._confidences[: self.size]
+
+    def add(self, frame: Frame | Poses) -> None:
+        """Append a frame's poses."""
+        start, self.size = self.size, self.size + len(frame.ids)
+        if self.size > len(self._positions):
+            self._positions = _grown(self._positions, 2 * self.size)
+            self._confidences = _grown(self._confidences, 2 * self.size)
+        self._positions[start : self.size] = frame.positions
+        self._confidences[start : self.size] = frame.marker_confidences
+
+    def clear(self) -> None:
+        """Forget the poses."""
+        self.size = 0
+
+
+def _grown(array: Floats, rows: int) -> Floats:
+    """Return an array of so many rows that begins with the given ones."""
+    larger = np.empty((rows, *array.shape[1:]))
+    larger[: len(array)] = array
+    return larger
 
 
 @dataclass(slots=True)
-class PointRows:
-    """Points of one entity over time; a row without points hides it."""
+class DetectionRows:
+    """A camera's detections over time; a row of nobody hides them."""
 
+    poses: PoseBatch
     stamps: list[int] = field(default_factory=list)
-    points: list[Floats] = field(default_factory=list)
-    """(K, 3) each."""
-    radii: list[Floats] = field(default_factory=list)
-    """(K,) each, m."""
-    classes: list[list[int]] = field(default_factory=list)
-    """K each; empty if the entity has one class for good."""
-    keypoints: list[list[int]] = field(default_factory=list)
-    """K each; empty if points are no joints."""
+    counts: list[int] = field(default_factory=list)
+    """People in each row."""
     shown: bool = False
     last: int = 0
+    started: bool = False
 
-    def add(
-        self,
-        stamp: int,
-        points: Floats,
-        radii: Floats,
-        classes: list[int] | None = None,
-        keypoints: list[int] | None = None,
-    ) -> None:
+    def add(self, frame: Frame | Poses) -> None:
         """Append a row."""
-        self.stamps.append(stamp)
-        self.points.append(points)
-        self.radii.append(radii)
-        self.classes.append(classes or [])
-        self.keypoints.append(keypoints or [])
-        self.shown, self.last = len(points) > 0, stamp
+        self.poses.add(frame)
+        self.stamps.append(frame.stamp)
+        self.counts.append(len(frame.ids))
+        self.shown, self.last = len(frame.ids) > 0, frame.stamp
 
     def hide(self, stamp: int) -> None:
-        """Append an empty row, unless nothing is shown."""
+        """Append a row of nobody, unless nobody is shown."""
         if self.shown:
-            last = self.last
-            self.add(stamp, np.zeros((0, 3)), np.zeros(0))
-            self.last = last
+            self.stamps.append(stamp)
+            self.counts.append(0)
+            self.shown = False
 
 
 @dataclass(slots=True)
@@ -56,28 +107,45 @@ class BodyRows:
     """One body over time; all that is drawn of it is derived from its joints when it is sent."""
 
     stamps: list[int] = field(default_factory=list)
-    poses: list[Floats | None] = field(default_factory=list)
-    """(M, 3) m each; None hides the body."""
-    confidences: list[Floats] = field(default_factory=list)
-    """(M,) of each pose."""
+    places: list[int] = field(default_factory=list)
+    """Which of its stage's collected poses each row is, or HIDDEN."""
     shown: bool = False
     last: int = 0
     last_root: tuple[int, Floats] | None = None
     """Stamp and place of the root in the last row that was sent."""
+    started: bool = False
 
-    def add(self, stamp: int, pose: Floats, confidences: Floats) -> None:
+    def add(self, stamp: int, place: int) -> None:
         """Append a row."""
         self.stamps.append(stamp)
-        self.poses.append(pose)
-        self.confidences.append(confidences)
+        self.places.append(place)
         self.shown, self.last = True, stamp
 
     def hide(self, stamp: int) -> None:
         """Append an empty row, unless nothing is shown."""
         if self.shown:
             self.stamps.append(stamp)
-            self.poses.append(None)
+            self.places.append(HIDDEN)
             self.shown = False
+
+
+@dataclass(slots=True)
+class StageRows:
+    """Everybody of one stage over time."""
+
+    poses: PoseBatch
+    bodies: dict[int, BodyRows] = field(default_factory=dict)
+    """By the person's id."""
+    shown: dict[int, BodyRows] = field(default_factory=dict)
+    """Those of them that are not hidden."""
+    last: int = 0
+    """Stamp of the newest frame; 0 before there is one."""
+
+    def hide_all(self, stamp: int) -> None:
+        """Hide everybody."""
+        for body in self.shown.values():
+            body.hide(stamp)
+        self.shown.clear()
 
 
 @dataclass(slots=True)
@@ -86,19 +154,19 @@ class ScalarRows:
 
     names: tuple[str, ...]
     stamps: list[int] = field(default_factory=list)
-    values: list[Floats] = field(default_factory=list)
-    """(len(names),) each."""
+    values: list[float] = field(default_factory=list)
+    """len(names) of each row, row by row."""
     started: bool = False
 
-    def add(self, stamp: int, values: Floats) -> None:
-        """Append a row."""
+    def add(self, stamp: int, value: float) -> None:
+        """Append a row of the only curve."""
         self.stamps.append(stamp)
-        self.values.append(values)
+        self.values.append(value)
 
-    def extend(self, stamps: list[int], values: Floats) -> None:
+    def extend(self, stamps: Stamps, values: Floats) -> None:
         """Append rows (T, len(names))."""
-        self.stamps += stamps
-        self.values += list(values)
+        self.stamps += stamps.tolist()
+        self.values += values.ravel().tolist()
 
 
 @dataclass(slots=True)
@@ -108,9 +176,38 @@ class TextRows:
     stamps: list[int] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
     levels: list[str] = field(default_factory=list)
+    started: bool = False
 
     def add(self, stamp: int, text: str, level: str = "INFO") -> None:
         """Append a row."""
         self.stamps.append(stamp)
         self.texts.append(text)
         self.levels.append(level)
+
+
+def times(stamps: list[int]) -> Any:
+    """Return the column of the rows' times."""
+    import rerun as rr
+
+    return rr.TimeColumn(TIMELINE, timestamp=np.array(stamps, np.int64).view("datetime64[ns]"))
+
+
+def columns(batches: Mapping[Any, Any], counts: npt.NDArray[np.integer[Any]]) -> list[Any]:
+    """Return columns of components (descriptor -> batch), each row of so many instances."""
+    import rerun as rr
+
+    offsets = np.zeros(len(counts) + 1, np.int32)
+    np.cumsum(counts, out=offsets[1:])
+    return [rr.ComponentColumn(kind, batch, offsets=offsets) for kind, batch in batches.items()]
+
+
+def strips(ends: npt.NDArray[np.float32]) -> Any:
+    """Return lines (N, 2, 3), m, as a batch; rerun itself would loop over them in Python."""
+    import pyarrow as pa
+    import rerun as rr
+
+    kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+    points = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel()), type=kind.value_type)
+    offsets = pa.array(np.arange(0, 2 * len(ends) + 1, 2, dtype=np.int32))
+    lines = pa.ListArray.from_arrays(offsets, points, type=kind)
+    return rr.components.LineStrip3DBatch(lines)

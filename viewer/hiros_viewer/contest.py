@@ -117,7 +117,7 @@ def _draw_one(
             scene.begin(source.cameras)
         for kind, frame in in_time_order(opened):
             if kind == DETECTIONS and team[0] == 0:
-                scene.detections(frame.replace(source=source.names[frame.source]))
+                scene.detections(source.names[frame.source], frame)
             elif kind == final:
                 scene.stage("filtered", frame)
         scene.finish()

@@ -60,7 +60,7 @@ class LiveView:
         if scene is None:
             return
         if channel == DETECTIONS:
-            scene.detections(frame.replace(source=self._names[frame.source]))
+            scene.detections(self._names[frame.source], frame)
         else:
             scene.stage(channel, frame)
         self._count += 1

@@ -17,15 +17,16 @@ from hiros_mcap.events import Event, events_from_json
 from hiros_mcap.log import Camera, Log, open_log
 from hiros_mcap.pipeline import DETECTIONS, EVENTS_ATTACHMENT
 from hiros_mcap.rotations import Rigid
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
+from hiros_viewer.columns import Poses
 from hiros_viewer.scene import STAGES, Scene
 
 if TYPE_CHECKING:
     import rerun as rr
 
 HORIZON_NS = 3_000_000_000
-"""Frames are put in the order of their own time; outputs are up to this much later in a log."""
+"""Frames are put in the order of their own time; most are at most this much later in a log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,7 @@ def _replay_one(
             if window[0] <= frame.stamp <= window[1]:
                 drawn += 1
                 if kind == DETECTIONS:
-                    scene.detections(frame.replace(source=source.names[frame.source]))
+                    scene.detections(source.names[frame.source], frame)
                 else:
                     scene.stage(kind, frame)
         if not drawn:
@@ -159,15 +160,16 @@ def _events(log: Log) -> tuple[Event, ...]:
     return ()
 
 
-def in_time_order(log: Log) -> Iterator[tuple[str, Frame]]:
-    """Yield (stage or detections, frame in the fixed frame) by the frames' own time.
+def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
+    """Yield (stage or detections, poses in the fixed frame) by the frames' own time.
 
     A log is in the order of its messages, and what a stage that looks ahead says of an instant
-    comes later; frames wait until nothing earlier can come.
+    comes later; frames wait until little that is earlier can come.
     """
-    waiting: list[tuple[int, int, str, Frame]] = []
+    kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
+    waiting: list[tuple[int, int, str, Poses]] = []
     for k, (topic, frame) in enumerate(log.detections_by_topic()):
-        heapq.heappush(waiting, (frame.stamp, k, kind_of(topic), frame))
+        heapq.heappush(waiting, (frame.stamp, k, kinds[topic], Poses.of(frame)))
         while waiting and waiting[0][0] < frame.log_time - HORIZON_NS:
             yield heapq.heappop(waiting)[2:]
     while waiting:

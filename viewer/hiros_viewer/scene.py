@@ -15,7 +15,8 @@ Rows are collected and sent in columns, a batch at a time, so that memory stays 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +26,24 @@ from hiros_mcap.angles import ANGLES, flexions
 from hiros_mcap.colours import RGB, person_colour
 from hiros_mcap.evaluate.motion import lengths_of
 from hiros_mcap.events import Event
+from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
+from hiros_mcap.kernels.nearest import nearest
 from hiros_mcap.rotations import Rigid
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_mcap.symmetry import split_side
-from hiros_viewer.columns import TIMELINE, BodyRows, PointRows, ScalarRows, TextRows
+from hiros_viewer.columns import (
+    HIDDEN,
+    BodyRows,
+    DetectionRows,
+    PoseBatch,
+    Poses,
+    ScalarRows,
+    StageRows,
+    TextRows,
+    columns,
+    strips,
+    times,
+)
 from hiros_viewer.palette import CAMERAS, CLASSES, camera_colour, curve_colour, pale
 
 if TYPE_CHECKING:
@@ -45,7 +60,9 @@ _DETECTION_M = 0.008
 _FIRST_CAMERA_CLASS = 2 * CLASSES
 _CLASSES_PER_CAMERA = 30
 _LABEL_ABOVE_M = 0.18
+_SAME_BODY_M = 1.0
 _MOST_BOUNDS = 2000
+_MOST_WAITING = 10_000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
@@ -57,7 +74,7 @@ _LIMBS = {
 
 @dataclass(slots=True)
 class _Reference:
-    """The last stage's people at its newest frames, to compare detections with."""
+    """The last stage's people at its newest frame, to compare detections with."""
 
     stamp: int = 0
     positions: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
@@ -91,8 +108,6 @@ class Scene:
         self.model = model
         self.final = final
         self.people: set[int] = set()
-        self.cameras: list[str] = []
-        self.stages: list[str] = []
         self.bounds: list[Floats] = []
         self.camera_centre: Floats | None = None
         self._prefix = prefix
@@ -100,18 +115,29 @@ class Scene:
         self._team = team
         self._batch = batch
         self._collected = 0
-        self._points: dict[str, PointRows] = {}
+        self._n_detections = 0
+        self._detections: dict[str, DetectionRows] = {}
+        self._stages: dict[str, StageRows] = {}
         self._scalars: dict[str, ScalarRows] = {}
+        self._curves: dict[tuple[str, str], ScalarRows] = {}
         self._texts: dict[str, TextRows] = {}
-        self._bodies: dict[str, BodyRows] = {}
-        self._started: set[str] = set()
-        self._nowhere = np.full((model.n_markers, 3), np.nan)
         self._reference = _Reference()
+        self._waiting: list[tuple[int, int, str, Floats]] = []
+        """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
         self._alive: set[int] = set()
-        self._last: dict[str, int] = {}
         self._root = _root_slot(model)
         self._bone_ends = model.links[(model.links >= 0).all(axis=1)]
         self._limbs = limb_links(model)
+
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the cameras, in the order of their colours."""
+        return list(self._detections)
+
+    @property
+    def stages(self) -> list[str]:
+        """Names of the stages that were drawn."""
+        return list(self._stages)
 
     # -- what does not change ------------------------------------------------------------------
 
@@ -126,8 +152,8 @@ class Scene:
         self.recording.log("/", self._annotations(), static=True)
         if cameras:
             self.camera_centre = np.mean([pose.translation for pose in cameras.values()], axis=0)
-        for name, pose in cameras.items():
-            self._camera(name)
+        for number, (name, pose) in enumerate(cameras.items()):
+            self._detections[name] = DetectionRows(PoseBatch(self.model.n_markers))
             path = f"/world/cameras/{_part(name)}"
             self.recording.log(
                 path,
@@ -146,7 +172,7 @@ class Scene:
                     height=float(2 * focal * half[1]),
                     image_plane_distance=0.35,
                     camera_xyz=rr.ViewCoordinates.RDF,
-                    color=camera_colour(self.cameras.index(name)),
+                    color=camera_colour(number),
                     line_width=0.004,
                 ),
                 static=True,
@@ -157,123 +183,142 @@ class Scene:
         import rerun as rr
 
         bones = [(int(parent), int(child)) for parent, child in self._bone_ends]
-        joints = [(k, name) for k, name in enumerate(self.model.marker_names)]
+
+        def joints(colour: RGB) -> list[Any]:
+            names = enumerate(self.model.marker_names)
+            return [rr.AnnotationInfo(k, name, _packed(colour)) for k, name in names]
 
         def description(
-            number: int, name: str, colour: RGB, links: Sequence[tuple[int, int]] = ()
+            number: int,
+            name: str,
+            colour: RGB,
+            keypoints: Sequence[Any],
+            links: Sequence[tuple[int, int]] = (),
         ) -> Any:
             return rr.ClassDescription(
-                info=(number, name, colour),
-                keypoint_annotations=[(k, joint, colour) for k, joint in joints],
+                info=(number, name, _packed(colour)),
+                keypoint_annotations=keypoints,
                 keypoint_connections=links,
             )
 
-        people = [description(k, f"person {k}", person_colour(k)) for k in range(CLASSES)]
-        other = [description(CLASSES + k, "", pale(person_colour(k))) for k in range(CLASSES)]
-        dim = [
-            description(
-                _FIRST_CAMERA_CLASS + c * _CLASSES_PER_CAMERA + k, "", camera_colour(c), bones
-            )
-            for c in range(len(CAMERAS))
-            for k in range(_CLASSES_PER_CAMERA)
-        ]
-        return rr.AnnotationContext([*people, *other, *dim])
+        classes = []
+        for number in range(CLASSES):
+            colour = person_colour(number)
+            classes.append(description(number, f"person {number}", colour, joints(colour)))
+        for number in range(CLASSES):
+            colour = pale(person_colour(number))
+            classes.append(description(CLASSES + number, "", colour, joints(colour)))
+        for camera in range(len(CAMERAS)):
+            # Dim behind a result; without one, nothing else is there to be seen.
+            colour = camera_colour(camera) if self.final else curve_colour(camera)
+            keypoints = joints(colour)
+            classes += [
+                description(_camera_class(camera, row), "", colour, keypoints, bones)
+                for row in range(_CLASSES_PER_CAMERA)
+            ]
+        return rr.AnnotationContext(classes)
 
     # -- frames --------------------------------------------------------------------------------
 
-    def detections(self, frame: Frame) -> None:
+    def detections(self, camera: str, frame: Frame | Poses) -> None:
         """Draw what a camera reports; the frame is in the fixed frame."""
-        self._camera(frame.source)
-        index = self.cameras.index(frame.source) % len(CAMERAS)
-        path = f"/detections/{_part(frame.source)}"
-        rows = self._points.setdefault(path, PointRows())
+        rows = self._detections.get(camera)
+        if rows is None:
+            rows = self._detections[camera] = DetectionRows(PoseBatch(self.model.n_markers))
         self._hide_after_pause(rows, frame.stamp)
-        n, m = frame.n_people, self.model.n_markers
-        classes = [_camera_class(index, k) for k in range(n) for _ in range(m)]
-        radii = _DETECTION_M * _sure(frame.marker_confidences).reshape(-1)
-        rows.add(frame.stamp, frame.positions.reshape(-1, 3), radii, classes, list(range(m)) * n)
-        self._curve(f"/people/{_part(frame.source)}", (frame.source,), frame.stamp, np.array([n]))
-        self._residual(frame)
+        rows.add(frame)
+        self._curve("/people", camera).add(frame.stamp, len(frame.ids))
+        if self.final:
+            positions = np.ascontiguousarray(frame.positions)
+            heapq.heappush(self._waiting, (frame.stamp, self._n_detections, camera, positions))
+            self._n_detections += 1
+            if len(self._waiting) > _MOST_WAITING:
+                heapq.heappop(self._waiting)
         self._count()
 
-    def _residual(self, frame: Frame) -> None:
-        """Mean joint distance of each detection to the nearest person of the last stage."""
-        if abs(frame.stamp - self._reference.stamp) > GONE_NS or not frame.n_people:
-            return
-        distance = np.linalg.norm(
-            frame.positions[:, None] - self._reference.positions[None], axis=-1
-        )
-        known = ~np.isnan(distance)
-        mean = np.where(known, distance, 0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
-        mean[~known.any(axis=-1)] = np.inf
-        nearest = mean.min(axis=1, initial=np.inf)
-        nearest = nearest[nearest < 1.0]
-        if nearest.size:
-            self._curve(
-                f"/residual/{_part(frame.source)}",
-                (frame.source,),
-                frame.stamp,
-                np.array([1000 * nearest.mean()]),
-            )
+    def _compare(self, newest: _Reference) -> None:
+        """Draw how far detections up to the last stage's newest frame are from its people.
 
-    def stage(self, name: str, frame: Frame) -> None:
+        Each is compared with the frame that is nearest in time. The last stage is seconds behind
+        the cameras: it looks ahead, and waits until it knows people's limbs.
+        """
+        while self._waiting and self._waiting[0][0] <= newest.stamp:
+            stamp, _, camera, positions = heapq.heappop(self._waiting)
+            is_newer = newest.stamp - stamp < stamp - self._reference.stamp
+            near = newest if is_newer else self._reference
+            if abs(near.stamp - stamp) <= GONE_NS:
+                self._residual(camera, stamp, positions, near.positions)
+        self._reference = newest
+
+    def _residual(self, camera: str, stamp: int, positions: Floats, people: Floats) -> None:
+        """Draw the mean joint distance of detections to the nearest person each."""
+        apart = np.empty(len(positions))
+        nearest(positions, people, apart)
+        same = [distance for distance in apart.tolist() if distance < _SAME_BODY_M]
+        if same:
+            self._curve("/residual", camera).add(stamp, 1000 * sum(same) / len(same))
+
+    def stage(self, name: str, frame: Frame | Poses) -> None:
         """Draw a stage's people."""
-        if name not in self.stages:
-            self.stages.append(name)
-        final = name == self.final
-        self._end_before_pause(name, frame.stamp)
-        for row, person in enumerate(frame.ids.tolist()):
-            if person == UNTRACKED:
-                continue
-            self.people.add(person)
-            self._body(name, person, frame, row)
-        self._hide_gone(name, frame)
-        if final:
-            self._reference = _Reference(frame.stamp, frame.positions)
-            self._states(frame)
+        rows = self._stages.get(name)
+        if rows is None:
+            rows = self._stages[name] = StageRows(PoseBatch(self.model.n_markers))
+        self._end_before_pause(name, rows, frame.stamp)
+        place = rows.poses.size
+        rows.poses.add(frame)
+        ids = frame.ids.tolist()
+        for person in ids:
+            if person != UNTRACKED:
+                body = rows.bodies.get(person)
+                if body is None:
+                    body = rows.bodies[person] = BodyRows()
+                    self.people.add(person)
+                self._hide_after_pause(body, frame.stamp)
+                body.add(frame.stamp, place)
+                rows.shown[person] = body
+            place += 1
+        # The tracker's frames are of one camera each, which does not see everybody.
+        self._hide_gone(rows, ids, frame.stamp, GONE_NS if name == "tracked" else 0)
+        if name == self.final:
+            self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
+            self._states(ids, frame.stamp)
         self._count()
 
-    def _body(self, stage: str, person: int, frame: Frame, row: int) -> None:
-        rows = self._bodies.setdefault(f"{self._prefix}/{stage}/{person}", BodyRows())
-        self._hide_after_pause(rows, frame.stamp)
-        rows.add(frame.stamp, frame.positions[row], frame.marker_confidences[row])
+    def _hide_gone(self, rows: StageRows, ids: list[int], stamp: int, patience: int) -> None:
+        """Hide people whom this frame lacks."""
+        gone = [
+            person
+            for person, body in rows.shown.items()
+            if person not in ids and stamp - body.last >= patience
+        ]
+        for person in gone:
+            rows.shown.pop(person).hide(stamp)
 
-    def _hide_gone(self, stage: str, frame: Frame) -> None:
-        """Hide people whom this frame lacks; the tracker's frames are of one camera each."""
-        patience = GONE_NS if stage == "tracked" else 0
-        start = f"{self._prefix}/{stage}/"
-        present = {f"{start}{person}" for person in frame.ids.tolist()}
-        for path, rows in self._bodies.items():
-            is_gone = rows.shown and path.startswith(start) and path not in present
-            if is_gone and frame.stamp - rows.last >= patience:
-                rows.hide(frame.stamp)
-
-    def _end_before_pause(self, stage: str, stamp: int) -> None:
+    def _end_before_pause(self, stage: str, rows: StageRows, stamp: int) -> None:
         """Hide a stage's people during a pause of its channel: nobody knows where they are."""
-        last = self._last.get(stage, stamp)
-        self._last[stage] = stamp
+        last = rows.last or stamp
+        rows.last = stamp
         if stamp - last <= 2 * GONE_NS:
             return
-        for path, rows in self._bodies.items():
-            if path.startswith(f"{self._prefix}/{stage}/"):
-                rows.hide(last + GONE_NS)
+        rows.hide_all(last + GONE_NS)
         if stage == self.final:
             self._leave(self._alive, last + GONE_NS)
             self._alive = set()
 
-    def _hide_after_pause(self, rows: PointRows | BodyRows, stamp: int) -> None:
+    def _hide_after_pause(self, rows: DetectionRows | BodyRows, stamp: int) -> None:
         """Hide what was last shown before a pause of the channel."""
         if rows.shown and stamp - rows.last > 2 * GONE_NS:
             rows.hide(rows.last + GONE_NS)
 
-    def _states(self, frame: Frame) -> None:
+    def _states(self, ids: list[int], stamp: int) -> None:
         """Note when somebody comes and goes."""
-        here = {person for person in frame.ids.tolist() if person != UNTRACKED}
+        here = set(ids) - {UNTRACKED}
+        if here == self._alive:
+            return
         for person in sorted(here - self._alive):
-            self._texts.setdefault(f"{self._prefix}/state/{person}", TextRows()).add(
-                frame.stamp, "tracked"
-            )
-        self._leave(self._alive - here, frame.stamp)
+            rows = self._texts.setdefault(f"{self._prefix}/state/{person}", TextRows())
+            rows.add(stamp, "tracked")
+        self._leave(self._alive - here, stamp)
         self._alive = here
 
     def _leave(self, people: set[int], stamp: int) -> None:
@@ -292,14 +337,15 @@ class Scene:
 
     def distance(self, stamp: int, name: str, millimetres: float) -> None:
         """Add to the curve of joint distances between two logs, mm."""
-        self._curve(f"/distance/{name}", (name,), stamp, np.array([millimetres]))
+        self._curve("/distance", name).add(stamp, millimetres)
 
-    def _curve(self, path: str, names: Sequence[str], stamp: int, values: Floats) -> None:
-        self._scalars.setdefault(path, ScalarRows(tuple(names))).add(stamp, values)
-
-    def _camera(self, name: str) -> None:
-        if name not in self.cameras:
-            self.cameras.append(name)
+    def _curve(self, kind: str, name: str) -> ScalarRows:
+        """Return the rows of a single curve, made when it is first asked for."""
+        rows = self._curves.get((kind, name))
+        if rows is None:
+            rows = self._curves[kind, name] = ScalarRows((name,))
+            self._scalars[f"{kind}/{_part(name)}"] = rows
+        return rows
 
     # -- sending -------------------------------------------------------------------------------
 
@@ -310,22 +356,24 @@ class Scene:
 
     def finish(self) -> None:
         """Send what is left, and hide everybody after the last frame."""
-        for rows in self._points.values():
+        for rows in self._detections.values():
             rows.hide(rows.last + GONE_NS)
-        for body in self._bodies.values():
-            body.hide(body.last + GONE_NS)
-        self._leave(self._alive, self._last.get(self.final, 0) + GONE_NS)
+        for stage in self._stages.values():
+            for body in stage.shown.values():
+                body.hide(body.last + GONE_NS)
+        self._compare(_Reference(self._reference.stamp + 2 * GONE_NS))
+        final = self._stages.get(self.final)
+        self._leave(self._alive, (final.last if final else 0) + GONE_NS)
         self.flush()
 
     def flush(self) -> None:
         """Send what was collected so far."""
         self._collected = 0
-        for path, rows in self._points.items():
+        for number, (camera, rows) in enumerate(self._detections.items()):
             if rows.stamps:
-                self._send_points(path, rows)
-        for path, body in self._bodies.items():
-            if body.stamps:
-                self._send_body(path, body)
+                self._send_detections(f"/detections/{_part(camera)}", number, rows)
+        for name, stage in self._stages.items():
+            self._send_stage(name, stage)
         for path, curve in self._scalars.items():
             if curve.stamps:
                 self._send_scalars(path, curve)
@@ -333,64 +381,91 @@ class Scene:
             if lines.stamps:
                 self._send_texts(path, lines)
 
-    def _send_points(self, path: str, rows: PointRows) -> None:
+    def _send_detections(self, path: str, number: int, rows: DetectionRows) -> None:
         """Send a camera's detections: several bodies in one batch, told apart by their classes."""
         import rerun as rr
 
-        parts = rr.Points3D.columns(
-            positions=np.concatenate(rows.points),
-            radii=np.concatenate(rows.radii),
-            class_ids=np.array([c for row in rows.classes for c in row], np.uint16),
-            keypoint_ids=np.array([k for row in rows.keypoints for k in row], np.uint16),
-        ).partition([len(points) for points in rows.points])
-        if path not in self._started:
-            self._started.add(path)
+        if not rows.started:
+            rows.started = True
             look = rr.Points3D.from_fields(show_labels=False)
             self.recording.log(path, look, static=True)
-        self.recording.send_columns(path, [_times(rows.stamps)], parts)
-        rows.stamps, rows.points, rows.radii = [], [], []
-        rows.classes, rows.keypoints = [], []
+        n_markers = self.model.n_markers
+        counts = np.array(rows.counts)
+        # Each pose's row in its own frame: its place in the batch less that of its frame's first.
+        places = np.arange(rows.poses.size)
+        order = places - np.repeat(np.cumsum(counts) - counts, counts)
+        joints, radii = self._joints(rows.poses, places, _DETECTION_M)
+        classes = _camera_class(number % len(CAMERAS), order).astype(np.uint16)
+        keypoints = np.tile(np.arange(n_markers, dtype=np.uint16), len(places))
+        parts = {
+            rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(joints),
+            rr.Points3D.descriptor_radii(): rr.components.RadiusBatch(radii),
+            rr.Points3D.descriptor_class_ids(): rr.components.ClassIdBatch(
+                np.repeat(classes, n_markers)
+            ),
+            rr.Points3D.descriptor_keypoint_ids(): rr.components.KeypointIdBatch(keypoints),
+        }
+        self.recording.send_columns(path, [times(rows.stamps)], columns(parts, n_markers * counts))
+        if not self.final and len(self.bounds) < _MOST_BOUNDS:
+            highest = np.empty((len(places), 3))
+            tops(rows.poses.positions, places, highest)
+            self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
+        rows.stamps, rows.counts = [], []
+        rows.poses.clear()
 
-    def _send_body(self, path: str, rows: BodyRows) -> None:
-        """Send joints, bones, label and trail of one person, derived for all rows at once."""
+    def _joints(self, poses: PoseBatch, places: Stamps, largest: float) -> tuple[Singles, Singles]:
+        """Return joints (R, M, 3) and radii (R, M), m, of the poses at these places."""
+        joints = np.empty((len(places), self.model.n_markers, 3), np.float32)
+        radii = np.empty(joints.shape[:2], np.float32)
+        draw_joints(poses.positions, poses.confidences, places, largest, joints, radii)
+        return joints, radii
+
+    def _send_stage(self, stage: str, rows: StageRows) -> None:
+        """Send everybody of a stage."""
+        for person, body in rows.bodies.items():
+            if body.stamps:
+                self._send_body(stage, person, body, rows.poses)
+        rows.poses.clear()
+
+    def _send_body(self, stage: str, person: int, rows: BodyRows, poses: PoseBatch) -> None:
+        """Send joints, bones, label and trail of one person, all rows at once."""
+        path = f"{self._prefix}/{stage}/{person}"
+        if not rows.started:
+            rows.started = True
+            self._send_looks(path)
+        when, places = times(rows.stamps), np.array(rows.places)
+        shown = places != HIDDEN
+        mine = places[shown]
+        joints, radii = self._joints(poses, mine, _JOINT_M)
+        highest = np.empty((len(mine), 3))
+        tops(poses.positions, mine, highest)
+        for part, batches, per_pose in self._parts(joints, radii, highest):
+            counts = np.zeros(len(places), np.int32)
+            counts[shown] = per_pose
+            self.recording.send_columns(f"{path}{part}", [when], columns(batches, counts))
+        if len(self.bounds) < _MOST_BOUNDS:
+            self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
+        if stage == self.final and len(mine):
+            self._derive_curves(person, rows, np.array(rows.stamps)[shown], poses.positions[mine])
+        rows.stamps, rows.places = [], []
+
+    def _parts(
+        self, joints: Singles, radii: Singles, highest: Floats
+    ) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
+        """Yield a person's entities: path below theirs, batches, how many of it in each pose."""
         import rerun as rr
 
-        if path not in self._started:
-            self._started.add(path)
-            self._send_looks(path)
-        times = _times(rows.stamps)
-        shown = np.array([pose is not None for pose in rows.poses])
-        poses = np.stack([pose for pose in rows.poses if pose is not None] or [self._nowhere])
-        poses = poses[: int(shown.sum())]
-        confidences = np.array(rows.confidences).reshape(len(poses), self.model.n_markers)
-        counts = np.where(shown, self.model.n_markers, 0)
-        joints = rr.Points3D.columns(
-            positions=poses.reshape(-1, 3), radii=(_JOINT_M * _sure(confidences)).reshape(-1)
-        )
-        self.recording.send_columns(path, [times], joints.partition(counts))
-
-        bones = poses[:, self._bone_ends]
-        whole = ~np.isnan(bones).any(axis=(2, 3))
-        per_row = np.zeros(len(shown), int)
-        per_row[shown] = whole.sum(axis=1)
-        strips = rr.LineStrips3D.columns(strips=bones[whole].astype(np.float32))
-        self.recording.send_columns(f"{path}/bones", [times], strips.partition(per_row))
-
-        known = ~np.isnan(poses[:, :, 0])
-        there = known.any(axis=1)
-        tops = np.empty((len(poses), 3))
-        places = np.where(known[:, :, np.newaxis], poses, 0.0).sum(axis=1)
-        tops[:, :2] = (places / np.maximum(known.sum(axis=1), 1)[:, np.newaxis])[:, :2]
-        tops[:, 2] = np.where(known, poses[:, :, 2], -np.inf).max(axis=1) + _LABEL_ABOVE_M
-        singles = np.zeros(len(shown), int)
-        singles[shown] = there
-        for part, spots in (("name", tops), ("trail", poses[:, self._root])):
-            column = rr.Points3D.columns(positions=spots[there])
-            self.recording.send_columns(f"{path}/{part}", [times], column.partition(singles))
-        if len(self.bounds) < _MOST_BOUNDS:
-            self.bounds += list((tops - [0, 0, _LABEL_ABOVE_M])[there][::10])
-        self._derive_curves(path, rows, poses, shown)
-        rows.stamps, rows.poses, rows.confidences = [], [], []
+        where, size = rr.Points3D.descriptor_positions(), rr.Points3D.descriptor_radii()
+        points = rr.components.Position3DBatch
+        yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
+        bones = np.empty((len(joints) * len(self._bone_ends), 2, 3), np.float32)
+        per_pose = np.empty(len(joints), np.int32)
+        n_bones = draw_bones(joints, self._bone_ends, bones, per_pose)
+        yield "/bones", {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
+        there = ~np.isnan(highest[:, 0])
+        labels = highest[there] + np.array([0, 0, _LABEL_ABOVE_M])
+        yield "/name", {where: points(labels)}, there
+        yield "/trail", {where: points(joints[there, self._root])}, there
 
     def _send_looks(self, path: str) -> None:
         """Say once how a person's entities look."""
@@ -414,30 +489,25 @@ class Scene:
         ):  # fmt: skip
             self.recording.log(f"{path}{part}", look, static=True)
 
-    def _derive_curves(self, path: str, rows: BodyRows, poses: Floats, shown: Flags) -> None:
+    def _derive_curves(self, person: int, rows: BodyRows, stamps: Stamps, poses: Floats) -> None:
         """Angles, limb lengths and speed of the last stage."""
-        stage, person = path.rsplit("/", 2)[-2:]
-        if stage != self.final or not len(poses):
-            return
-        stamps = [stamp for stamp, yes in zip(rows.stamps, shown, strict=True) if yes]
         angles = np.degrees(flexions(self.model, poses))
         self._extend(f"{self._prefix}/angles/{person}", ANGLES, stamps, angles)
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
             self._extend(f"{self._prefix}/limbs/{person}", tuple(self._limbs), stamps, lengths)
-        times, roots = np.array(stamps), poses[:, self._root]
+        moments, roots = stamps, poses[:, self._root]
         if rows.last_root is not None:
-            times = np.insert(times, 0, rows.last_root[0])
+            moments = np.insert(moments, 0, rows.last_root[0])
             roots = np.insert(roots, 0, rows.last_root[1], axis=0)
-        rows.last_root = (stamps[-1], poses[-1, self._root])
-        steps = np.diff(times)
+        rows.last_root = (int(stamps[-1]), poses[-1, self._root])
+        steps = np.diff(moments)
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        moments = times[1:][steady].tolist()
         name = (f"person {person}",)
-        self._extend(f"{self._prefix}/speed/{person}", name, moments, speeds[:, np.newaxis])
+        self._extend(f"{self._prefix}/speed/{person}", name, moments[1:][steady], speeds)
 
-    def _extend(self, path: str, names: Sequence[str], stamps: list[int], values: Floats) -> None:
+    def _extend(self, path: str, names: Sequence[str], stamps: Stamps, values: Floats) -> None:
         self._scalars.setdefault(path, ScalarRows(tuple(names))).extend(stamps, values)
 
     def _send_scalars(self, path: str, rows: ScalarRows) -> None:
@@ -447,9 +517,9 @@ class Scene:
             rows.started = True
             lines = rr.SeriesLines(names=list(rows.names), colors=self._line_colours(path, rows))
             self.recording.log(path, lines, static=True)
-        values = np.concatenate(rows.values)
-        parts = rr.Scalars.columns(scalars=values).partition([len(rows.names)] * len(rows.stamps))
-        self.recording.send_columns(path, [_times(rows.stamps)], parts)
+        parts = rr.Scalars.columns(scalars=np.array(rows.values))
+        counts = np.full(len(rows.stamps), len(rows.names))
+        self.recording.send_columns(path, [times(rows.stamps)], parts.partition(counts))
         rows.stamps, rows.values = [], []
 
     def _line_colours(self, path: str, rows: ScalarRows) -> list[tuple[int, int, int]]:
@@ -460,6 +530,8 @@ class Scene:
         if path.startswith((f"{self._prefix}/speed", "/speed")) and last.isdigit():
             return [person_colour(int(last))]
         known = [_part(name) for name in self.cameras]
+        if path.startswith("/distance/"):
+            known = ["mean", "largest"]
         return [curve_colour(known.index(last) if last in known else 0)]
 
     def _send_texts(self, path: str, rows: TextRows) -> None:
@@ -468,9 +540,23 @@ class Scene:
         if path.endswith("/log"):
             parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
         else:
+            if not rows.started:
+                rows.started = True
+                self.recording.log(path, self._lane(path), static=True)
             parts = rr.StateChange.columns(state=rows.texts)
-        self.recording.send_columns(path, [_times(rows.stamps)], parts)
+        self.recording.send_columns(path, [times(rows.stamps)], parts)
         rows.stamps, rows.texts, rows.levels = [], [], []
+
+    def _lane(self, path: str) -> Any:
+        """Somebody's lane has their colour, and a gap where they are gone."""
+        import rerun as rr
+
+        colour = person_colour(int(path.split("/")[-1]))
+        return rr.StateConfiguration(
+            values=["tracked", "gone"],
+            colors=[_packed(colour), _packed(colour)],
+            visible=[True, False],
+        )
 
 
 def limb_links(model: SkeletonModel) -> dict[str, int]:
@@ -491,22 +577,17 @@ def _root_slot(model: SkeletonModel) -> int:
     return next((names.index(root) for root in _ROOTS if root in names), 0)
 
 
-def _sure(confidences: Floats) -> Floats:
-    """Size of a joint by its confidence: half for a guess, full if sure or unknown."""
-    return np.asarray(0.5 + 0.5 * np.clip(np.nan_to_num(confidences, nan=1.0), 0, 1))
-
-
-def _camera_class(camera: int, row: int) -> int:
+def _camera_class(camera: int, row: Any) -> Any:
     """Class of a camera's detection; bones join joints of one class, so each body has its own."""
     return _FIRST_CAMERA_CLASS + camera * _CLASSES_PER_CAMERA + row % _CLASSES_PER_CAMERA
+
+
+def _packed(colour: RGB) -> int:
+    """Return a colour as the 32 bits that rerun makes of it."""
+    red, green, blue = colour
+    return red << 24 | green << 16 | blue << 8 | 0xFF
 
 
 def _part(name: str) -> str:
     """Return a name as one part of an entity path."""
     return name.strip("/").replace("/", "_") or "_"
-
-
-def _times(stamps: Sequence[int]) -> Any:
-    import rerun as rr
-
-    return rr.TimeColumn(TIMELINE, timestamp=np.array(stamps, "datetime64[ns]"))

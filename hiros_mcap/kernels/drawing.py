@@ -1,0 +1,85 @@
+"""What a viewer draws of bodies, in its precision: joints, bones, label and root in one pass."""
+
+from __future__ import annotations
+
+from math import isnan
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hiros_mcap.skeletons import Floats, Ints, Stamps
+
+Singles = npt.NDArray[np.float32]
+
+
+@njit(cache=True, nogil=True)
+def _size(largest: float, confidence: float) -> Any:
+    """Size of a joint by its confidence: half for a guess, full if sure or unknown."""
+    sure = 1.0 if isnan(confidence) else min(max(confidence, 0.0), 1.0)
+    return np.float32(largest * (0.5 + 0.5 * sure))
+
+
+@njit(
+    "void(float64[:,:,::1], float64[:,::1], int64[::1], float64, float32[:,:,::1], float32[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def draw_joints(
+    poses: Floats,
+    confidences: Floats,
+    rows: Stamps,
+    largest: float,
+    joints: Singles,
+    radii: Singles,
+) -> None:
+    """Write the joints (R, M, 3) and their radii (R, M), m, of some poses (N, M, 3)."""
+    for r in range(rows.shape[0]):
+        n = rows[r]
+        for m in range(poses.shape[1]):
+            for k in range(3):
+                joints[r, m, k] = poses[n, m, k]
+            radii[r, m] = _size(largest, confidences[n, m])
+
+
+@njit(
+    "int64(float32[:,:,::1], int32[:,::1], float32[:,:,::1], int32[::1])",
+    cache=True,
+    nogil=True,
+)
+def draw_bones(joints: Singles, ends: Ints, bones: Singles, counts: Ints) -> int:
+    """Write the bones that have both ends, and how many each body has; return how many in all.
+
+    ``joints`` (R, M, 3), ``ends`` (B, 2) slots, ``bones`` (at least R B, 2, 3), ``counts`` (R,).
+    """
+    total = 0
+    for r in range(joints.shape[0]):
+        before = total
+        for b in range(ends.shape[0]):
+            parent, child = ends[b, 0], ends[b, 1]
+            if isnan(joints[r, parent, 0]) or isnan(joints[r, child, 0]):
+                continue
+            for k in range(3):
+                bones[total, 0, k] = joints[r, parent, k]
+                bones[total, 1, k] = joints[r, child, k]
+            total += 1
+        counts[r] = total - before
+    return total
+
+
+@njit("void(float64[:,:,::1], int64[::1], float64[:,::1])", cache=True, nogil=True)
+def tops(poses: Floats, rows: Stamps, out: Floats) -> None:
+    """Write the highest point above the middle of each body (R, 3), m; NaN if it has no joint."""
+    for r in range(rows.shape[0]):
+        n, known = rows[r], 0
+        x, y, z = 0.0, 0.0, -np.inf
+        for m in range(poses.shape[1]):
+            if not isnan(poses[n, m, 0]):
+                x += poses[n, m, 0]
+                y += poses[n, m, 1]
+                z = max(z, poses[n, m, 2])
+                known += 1
+        out[r, 0] = x / known if known else np.nan
+        out[r, 1] = y / known if known else np.nan
+        out[r, 2] = z if known else np.nan
