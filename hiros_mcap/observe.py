@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -51,11 +51,15 @@ class Stopwatch:
         finally:
             self._switch(before)
 
-    def timed(self, name: str, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Yield ``frames``, charging the making of each to ``name``."""
+    def timed(
+        self, name: str, frames: Iterable[Frame], sink: Callable[[Frame], None]
+    ) -> Iterator[Frame]:
+        """Yield ``frames``, charging the making of each to ``name`` and its sink to "write"."""
         switch = self._switch
         before = switch(name)
         for frame in frames:
+            switch("write")
+            sink(frame)
             switch(before)
             yield frame
             before = switch(name)
@@ -102,25 +106,20 @@ class Observer:
         self._written: Counter[str] = Counter()
         self._lag: dict[str, list[int]] = {}
 
-    def watch_input(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Yield ``frames``, noting the rhythm of each camera."""
-        for frame in frames:
-            self._rhythms.setdefault(frame.source, _Rhythm()).beat(frame.stamp)
-            lag = self._lag.setdefault(frame.source, [])
-            if len(lag) < 500:
-                lag.append(frame.log_time - frame.stamp)
-            yield frame
+    def see_input(self, frame: Frame) -> None:
+        """Note the rhythm of the camera."""
+        self._rhythms.setdefault(frame.source, _Rhythm()).beat(frame.stamp)
+        lag = self._lag.setdefault(frame.source, [])
+        if len(lag) < 500:
+            lag.append(frame.log_time - frame.stamp)
 
-    def watch_output(self, channel: str, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Yield ``frames`` of a stage, noting who is in them."""
-        final, tracked = channel == self._chain[-1], channel == "tracked"
-        for frame in frames:
-            self._written[channel] += 1
-            if tracked:
-                self._seen_by.setdefault(frame.source, set()).add(frame.ids.tobytes())
-            if final:
-                self._note(frame)
-            yield frame
+    def see_output(self, channel: str, frame: Frame) -> None:
+        """Note who is in a frame of a stage."""
+        self._written[channel] += 1
+        if channel == "tracked":
+            self._seen_by.setdefault(frame.source, set()).add(frame.ids.tobytes())
+        if channel == self._chain[-1]:
+            self._note(frame)
 
     def _note(self, frame: Frame) -> None:
         """Note the people of a frame of the last stage."""

@@ -194,19 +194,20 @@ def _frames(
     log: Log, run: Run, chain: Sequence[str], observer: Observer, sink: Sink
 ) -> Iterator[Frame]:
     """Join the stages: each pulls from the one before; every output is observed and written."""
-    watch = observer.watch
-    frames: Iterable[Frame] = observer.watch_input(watch.timed("read", log.detections()))
-    frames = watch.timed("write", _tap(frames, partial(sink, DETECTIONS)))
+
+    def detected(frame: Frame) -> None:
+        observer.see_input(frame)
+        sink(DETECTIONS, frame)
+
+    def made(name: str, frame: Frame) -> None:
+        observer.see_output(name, frame)
+        sink(name, frame)
+
+    timed = observer.watch.timed
+    frames = timed("read", log.detections(), detected)
     for name, stage in _stages(run, chain).items():
-        frames = observer.watch_output(name, watch.timed(name, stage(frames)))
-        frames = watch.timed("write", _tap(frames, partial(sink, name)))
+        frames = timed(name, stage(frames), partial(made, name))
     yield from frames
-
-
-def _tap(frames: Iterable[Frame], sink: Callable[[Frame], None]) -> Iterator[Frame]:
-    for frame in frames:
-        sink(frame)
-        yield frame
 
 
 def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
