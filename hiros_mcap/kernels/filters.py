@@ -21,6 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from hiros_mcap.kernels.unaligned import kernel
+
 Floats = npt.NDArray[np.float64]
 Links = npt.NDArray[np.int32]
 
@@ -46,7 +48,7 @@ STATE = 18
 DIFFUSE = 1e6  # initial variance over that of a measurement
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def log_between(q: Any, p: Any, out: Any) -> None:
     """Rotation vector of ``q * conj(p)``, the shorter way round, into ``out`` (3)."""
     w = q[3] * p[3] + q[0] * p[0] + q[1] * p[1] + q[2] * p[2]
@@ -60,7 +62,7 @@ def log_between(q: Any, p: Any, out: Any) -> None:
     out[0], out[1], out[2] = factor * x, factor * y, factor * z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def exp_times(v: Any, q: Any, out: Any) -> None:
     """Write the unit quaternion ``exp(v) * q`` into ``out`` (4), which may be ``q`` itself."""
     angle = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -74,7 +76,7 @@ def exp_times(v: Any, q: Any, out: Any) -> None:
     out[0], out[1], out[2], out[3] = x * scale, y * scale, z * scale, w * scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def difference(z: Any, pose: Any, turning: bool, out: Any) -> None:
     """``z - pose`` in the track's tangent space."""
     if turning:
@@ -84,7 +86,7 @@ def difference(z: Any, pose: Any, turning: bool, out: Any) -> None:
             out[c] = z[c] - pose[c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def displace(v: Any, pose: Any, turning: bool, out: Any) -> None:
     """``pose + v`` in the track's tangent space."""
     if turning:
@@ -94,7 +96,7 @@ def displace(v: Any, pose: Any, turning: bool, out: Any) -> None:
             out[c] = pose[c] + v[c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def block_of(block: int, n_markers: int, n_links: int) -> tuple[bool, bool, int, int]:
     """Of block 0 to 3: whether it is the markers', whether it turns, its first track, its size."""
     if block == 0:
@@ -106,7 +108,7 @@ def block_of(block: int, n_markers: int, n_links: int) -> tuple[bool, bool, int,
     return True, True, n_markers + 2 * n_links, n_markers
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def measure(elements: Any, k: int, turning: bool, z: Any) -> bool:
     """Copy a KinematicState's position or normalised orientation to ``z``; False if absent."""
     if not turning:
@@ -126,7 +128,7 @@ def measure(elements: Any, k: int, turning: bool, z: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def predict_covariance(p: Any, dt: float, noise: float, order: int) -> None:
     """``F P F' + Q`` of integrated white noise in place, for ``p`` = 00 01 02 11 12 22."""
     a, b = dt, 0.5 * dt * dt
@@ -149,7 +151,7 @@ def predict_covariance(p: Any, dt: float, noise: float, order: int) -> None:
     p[5] += noise * dt
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def update_covariance(p: Any, gain: Any) -> float:
     """Gain into ``gain`` (3), ``(I - K H) P`` into ``p``; returns 1 / innovation variance."""
     information = 1.0 / (p[0] + 1.0)
@@ -164,7 +166,7 @@ def update_covariance(p: Any, gain: Any) -> float:
     return float(information)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve(a: Any, b: Any) -> None:
     """Solve the small complex system ``a x = b`` in place (``b`` becomes ``x``), pivoting."""
     n = b.shape[0]
@@ -248,7 +250,7 @@ def state_space_noise(order: int, cutoff: float, dt: float, ahead: int) -> float
     return float(np.exp(0.5 * (low + high)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def start_covariance(p: Any, noise: float, order: int) -> None:
     """Diffuse prior: nothing is known of the first pose, its velocity and its acceleration."""
     rate = noise ** (1.0 / (2 * order - 1))
@@ -259,7 +261,7 @@ def start_covariance(p: Any, noise: float, order: int) -> None:
     p[5] = DIFFUSE * rate**4 if order == 3 else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def clear(slot: Any, t: int) -> None:
     """Say that a slot has no track ``t``."""
     if slot[t, AGE] < np.inf:
@@ -268,7 +270,7 @@ def clear(slot: Any, t: int) -> None:
         slot[t, AGE] = np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def predict_state(
     now: Any, t: int, dt: float, turning: bool, step: Any, pose: Any, slot: Any
 ) -> None:
@@ -285,7 +287,7 @@ def predict_state(
     displace(step, pose, turning, pose)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def covariance_step(work: Any, dt: float, noise: float, order: int, case: int) -> None:
     """Fill rows 1 to 3 of ``work`` (4, 6) from row 0: predicted, gain and information, filtered.
 
@@ -305,7 +307,7 @@ def covariance_step(work: Any, dt: float, noise: float, order: int, case: int) -
         gain[3] = update_covariance(p, gain)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def update_state(
     now: Any, t: int, error: Any, pose: Any, turning: bool, work: Any, slot: Any
 ) -> None:
@@ -404,7 +406,7 @@ def state_space_push(
             slot[t, CONFIDENCE] = now[t, NOW_CONFIDENCE]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def is_present(ring: Any, times: Any, first: int, end: int, t: int, bridge: float) -> bool:
     """Whether track ``t`` is seen at step ``first``, or in a gap no longer than ``bridge`` s.
 
@@ -424,7 +426,7 @@ def is_present(ring: Any, times: Any, first: int, end: int, t: int, bridge: floa
     return bool(age + times[last & mask] - times[first & mask] <= bridge)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def write(elements: Any, k: int, pose: Any, motion: Any, turning: bool) -> None:
     """Pose, velocity and acceleration (``motion``, 6) into a KinematicState."""
     at = 3 if turning else 0
@@ -435,7 +437,7 @@ def write(elements: Any, k: int, pose: Any, motion: Any, turning: bool) -> None:
         elements[k, 13 + at + c] = motion[3 + c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def erase(elements: Any, k: int, turning: bool) -> None:
     """Make a position or orientation, its velocity and its acceleration absent."""
     at = 3 if turning else 0
@@ -445,7 +447,7 @@ def erase(elements: Any, k: int, turning: bool) -> None:
         elements[k, 7 + at + c] = elements[k, 13 + at + c] = np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def adjoint(ring: Any, times: Any, first: int, end: int, t: int, out: Any) -> None:
     """Adjoint of a track's innovations of the steps from ``first`` to ``end``, excluded.
 
@@ -475,7 +477,7 @@ def adjoint(ring: Any, times: Any, first: int, end: int, t: int, out: Any) -> No
             out[2, c] = m2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def apply_adjoint(slot: Any, t: int, carried: Any, shift: Any, motion: Any) -> None:
     """``covariance @ adjoint`` of track ``t``: the shift of its pose, and its motion with it."""
     p00, p01, p02 = slot[t, COVARIANCE], slot[t, COVARIANCE + 1], slot[t, COVARIANCE + 2]

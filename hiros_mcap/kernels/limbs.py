@@ -16,6 +16,7 @@ from math import atan2, pi, sqrt, tan
 import numpy as np
 from numba import njit
 
+from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 # Weights of an outlier's position and of its links' directions: just enough to make its place
@@ -31,7 +32,7 @@ _DOUBT_ROUNDS = 5  # ... in so many rounds of weighing and solving.
 _PATIENCE = 6
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance(a: Floats, b: Floats) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return sqrt(x * x + y * y + z * z)
@@ -67,7 +68,7 @@ def measure(
             weights[i, k] = 2.0 * a * b / (a + b) if a > 0.0 and b > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _certainty(confidence: float) -> float:
     """Weight of a position: its confidence, 1 if not given; never 0, which would set it free."""
     return 1.0 if np.isnan(confidence) else min(max(confidence, 0.01), 1.0)
@@ -155,7 +156,7 @@ def weigh(
                 w[0], w[3] = max(w[0], 1.0), _DOUBT_DIRECTION
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _aim(start: Floats, links: Ints, weights: Floats, aims: Floats) -> None:
     """Write each link's direction at the start (L, 3); zeros where it has none or no weight."""
     for k in range(links.shape[0]):
@@ -165,7 +166,7 @@ def _aim(start: Floats, links: Ints, weights: Floats, aims: Floats) -> None:
             aims[k, j] = (start[c, j] - start[p, j]) / length if length > 1e-9 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _look(x: Floats, p: int, c: int, aims: Floats, k: int, geometry: Floats) -> None:
     """Write |d|, the unit d, phi, and the unit tangent that leads from d to its aim (8 numbers)."""
     dx, dy, dz = x[c, 0] - x[p, 0], x[c, 1] - x[p, 1], x[c, 2] - x[p, 2]
@@ -203,7 +204,7 @@ def energy(x: Floats, start: Floats, nominal: Floats, links: Ints, weights: Floa
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _phi_cot_phi(phi: float) -> float:
     """Curvature of half the squared angle across the motion, 1 at 0, cut off below 0."""
     if phi < 0.01:
@@ -211,7 +212,7 @@ def _phi_cot_phi(phi: float) -> float:
     return phi / tan(phi) if phi < 0.5 * pi else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _assemble(
     x: Floats,
     start: Floats,
@@ -246,8 +247,9 @@ def _assemble(
         total += w0 * stretch * stretch + w3 * phi * phi
         pull, twist, turn = w0 * stretch, w3 * phi / length, w3 / (length * length)
         hold = 0.95 * w1 * w2 / (w1 + w2) if w1 + w2 > 0.0 else 0.0
-        across = max(tension[k] / length, -hold) + turn * _phi_cot_phi(phi)
-        along, toward = w0 - across, turn - turn * _phi_cot_phi(phi)
+        bend = turn * _phi_cot_phi(phi)
+        across = max(tension[k] / length, -hold) + bend
+        along, toward = w0 - across, turn - bend
         for i in range(3):
             ui, ti = geometry[k, 1 + i], geometry[k, 5 + i]
             force = pull * ui - twist * ti
@@ -266,7 +268,7 @@ def _assemble(
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _predict_tension(
     step: Floats, nominal: Floats, links: Ints, weights: Floats, geometry: Floats, tension: Floats
 ) -> None:
@@ -286,7 +288,7 @@ def _predict_tension(
         tension[k] = weights[k, 0] * stretch
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _invert(a: Floats, m: int, damping: float, out: Floats) -> None:
     """Invert the symmetric block ``m``, (1 + damping) on its diagonal; identity for zeros."""
     scale = a[m, 0, 0] + a[m, 1, 1] + a[m, 2, 2]
@@ -304,7 +306,7 @@ def _invert(a: Floats, m: int, damping: float, out: Floats) -> None:
     out[m, 1, 2] = out[m, 2, 1] = c12 * share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scale(blocks: Floats, inverse: Floats, s: int, m: int, out: Floats) -> None:
     """``out[s] = blocks[s] inverse[m]``, 3x3."""
     for i in range(3):
@@ -315,7 +317,7 @@ def _scale(blocks: Floats, inverse: Floats, s: int, m: int, out: Floats) -> None
             out[s, i, j] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _subtract(a: Floats, b: Floats, s: int, t: int, out: Floats, r: int) -> None:
     """``out[r] -= a[s] b[t]^T``, 3x3."""
     for i in range(3):
@@ -326,7 +328,7 @@ def _subtract(a: Floats, b: Floats, s: int, t: int, out: Floats, r: int) -> None
             out[r, i, j] -= total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _eliminate(
     order: Ints,
     first: Ints,
@@ -475,7 +477,7 @@ def solve(
     return failed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _suspect(points: Floats, nominal: Floats, links: Ints, max_error: float) -> bool:
     """Whether a link's length is off by more than ``max_error``."""
     for k in range(links.shape[0]):
@@ -485,7 +487,7 @@ def _suspect(points: Floats, nominal: Floats, links: Ints, max_error: float) -> 
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _doubt(x: Floats, start: Floats, links: Ints, trusted: Floats, weights: Floats) -> None:
     """Weigh down what had to move far (Geman and McClure's estimator, one round)."""
     for k in range(links.shape[0]):
@@ -552,7 +554,7 @@ def relocate(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn(state: Floats, u: Floats, v: Floats, dot: float) -> None:
     """Multiply the orientation in ``state[3:7]`` from the left by the least rotation u -> v."""
     w = 1.0 + dot
@@ -568,7 +570,7 @@ def _turn(state: Floats, u: Floats, v: Floats, dot: float) -> None:
     state[6] = w * qw - x * qx - y * qy - z * qz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _move(
     state: Floats, p: Floats, c: Floats, new_p: Floats, new_c: Floats, turning: bool, work: Floats
 ) -> None:

@@ -214,14 +214,7 @@ def _link_distance(
     return cost / common**exponent if common else 0.0
 
 
-@njit(
-    "void(float64[:,:,::1], float64[:,:,::1], int64[::1], float64[:,:,:,::1], float64[:,:,:,::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
-    " int32[::1], boolean, boolean, float64, float64, float64, float64, float64,"
-    " float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1])",
-    cache=True,
-    nogil=True,
-)
+@kernel
 def distances(
     positions: Floats,
     turns: Floats,
@@ -240,6 +233,8 @@ def distances(
     angular_velocity_weight: float,
     exponent: float,
     gate: float,
+    marker_weights: Floats,
+    link_weights: Floats,
     linear: Floats,
     angular: Floats,
     gap: Floats,
@@ -253,8 +248,6 @@ def distances(
     and right swapped. Without a common marker all four are infinite (eq 8 has no value there).
     """
     n_tracks, n_people = positions.shape[0], markers.shape[0]
-    marker_weights = np.ones(positions.shape[1])
-    link_weights = np.ones(turns.shape[1])
     for i in range(n_tracks):
         row = rows[i]
         if by_velocity:
@@ -388,7 +381,8 @@ def associate(
     distances(
         positions, turns, rows, motion, spin, markers, marker_confidences, links,
         link_confidences, mirror, numbers[3] > 0.0, numbers[4] > 0.0, numbers[5], numbers[6],
-        numbers[7], numbers[8], numbers[1], linear, angular, gap, mirrored,
+        numbers[7], numbers[8], numbers[1], np.ones(motion.shape[1]), np.ones(turn.shape[1]),
+        linear, angular, gap, mirrored,
     )  # fmt: skip
     turned = np.zeros((n_tracks, n_people), np.bool_)
     for i in range(n_tracks):

@@ -39,7 +39,7 @@ def distances(
         track_at[None].copy(), np.full((1, 0, 4), np.nan), np.zeros(1, np.int64), motion,
         np.zeros((1, 0, 2, 3)), markers, np.full((1, m), confidence), np.full((1, 0, 19), np.nan),
         np.empty((1, 0)), np.arange(m, dtype=np.int32), True, decay > 0, decay, velocity_weight,
-        0.0, exponent, 10.0, *out,
+        0.0, exponent, 10.0, np.ones(m), np.ones(0), *out,
     )  # fmt: skip
     return float(out[0][0, 0]), float(out[2][0, 0])
 
@@ -294,7 +294,7 @@ def table(
     tracking.distances(
         tracks, turns, np.arange(t), motion, spins, markers, np.ones((p, m)), states,
         np.full((p, n), confidence), np.arange(m, dtype=np.int32), True, True, gamma, 0.0,
-        omega_weight, exponent, 10.0, linear, angular, gap, mirrored,
+        omega_weight, exponent, 10.0, np.ones(m), np.ones(n), linear, angular, gap, mirrored,
     )  # fmt: skip
     return linear, angular, gap
 
