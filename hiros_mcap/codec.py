@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from itertools import count
+from itertools import count, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -319,6 +319,14 @@ class Batch:
         self.frame_ids = [""] * n
         """The frame that a message's people were moved to; "" = they are as they were measured."""
 
+    def seal(self) -> None:
+        """Prepare the handing out of frames, now that the kernel has filled the arrays."""
+        first = self.first.tolist()
+        changed = (self.cleaned.max(axis=1) > 0).tolist()
+        self._rows = list(
+            zip(self.codes.tolist(), self.reports.tolist(), changed, pairwise(first), strict=True)
+        )
+
     def frame(
         self, row: int, data: Bytes, log_time: int, topic: str
     ) -> tuple[Frame, Mapping[str, int]] | None:
@@ -326,21 +334,19 @@ class Batch:
 
         None = the message holds several cameras' skeletons. Raises LogError as they do.
         """
-        code, report = int(self.codes[row]), self.reports[row]
+        code, report, changed, (begin, stop) = self._rows[row]
         if code != cdr.OK:
-            raise _fault(code, report, data, topic)
-        if report[cdr.MIXED]:
+            raise _fault(code, self.reports[row], data, topic)
+        *_, stamp, header, header_end, first, end, mixed = report
+        if mixed:
             return None
-        *_, header, header_end, first, end, _ = report.tolist()
         frame_id = _text(data, header, header_end, topic)
         common = _text(data, first, end, topic)
         source = common or frame_id
-        people = slice(*self.first[row : row + 2].tolist())
-        arrays = [array[people] for array in self.arrays]
+        arrays = [array[begin:stop] for array in self.arrays]
         frame_id = self.frame_ids[row] or frame_id or common
-        frame = Frame(report[cdr.HEADER_STAMP].item(), log_time, source, frame_id, *arrays)
-        counts = self.cleaned[row].tolist()
-        return frame, _by_kind(counts) if any(counts) else _NOTHING
+        frame = Frame(stamp, log_time, source, frame_id, *arrays)
+        return frame, _by_kind(self.cleaned[row].tolist()) if changed else _NOTHING
 
 
 class Poses:
@@ -422,6 +428,7 @@ class BatchDecoder:
             buffer, places, *self._tables, self._scratch, batch.reports, batch.cleaned,
             batch.codes, first, sources, *arrays, pose_of, *poses.arrays,
         )  # fmt: skip
+        batch.seal()
         return batch
 
 

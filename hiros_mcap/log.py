@@ -177,6 +177,9 @@ class Log:
         fixed = self.fixed_frame
         mover = Mover(self.transforms, fixed)
         for topic, frame in self._frames_by_topic(_Digest(self, fixed)):
+            if frame.frame_id == fixed:
+                yield topic, frame
+                continue
             with _named(self.path):
                 moved = mover(frame)
             yield topic, moved

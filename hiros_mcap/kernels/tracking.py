@@ -400,6 +400,19 @@ def associate(
         flipped[j] = found[j] >= 0 and turned[found[j], j]
 
 
+@kernel("void(float64[:,:,:,::1], int64[:,::1], int64, float64[::1])", nogil=False)
+def centre(motion: Floats, seen: Stamps, row: int, out: Floats) -> None:
+    """Write the mean position (3,) of a track's markers, m; NaN before any was seen."""
+    count = x = y = z = 0.0
+    for m in range(motion.shape[1]):
+        if seen[row, m] > 0:
+            count += 1.0
+            x += motion[row, m, 0, 0]
+            y += motion[row, m, 0, 1]
+            z += motion[row, m, 0, 2]
+    out[0], out[1], out[2] = x / count, y / count, z / count
+
+
 @kernel
 def _grow(spread: Floats, row: int, m: int, dt: float, jerk: float) -> None:
     """Covariance prediction of a constant-acceleration state driven by white jerk."""

@@ -535,8 +535,8 @@ class _Tracker:
         return self.coverage.sees(source, self._centre(body), others)
 
     def _centre(self, body: _Track) -> Floats:
-        known = self.bank.seen[body.row] > 0
-        centre: Floats = self.bank.motion[body.row, known, 0].mean(axis=0)
+        centre = np.empty(3)
+        kernels.centre(self.bank.motion, self.bank.seen, body.row, centre)
         return centre
 
     def _forget(self, stamp: int) -> None:
