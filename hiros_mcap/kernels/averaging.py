@@ -124,29 +124,6 @@ def mean_columns(
 
 
 @kernel
-def mean_rates(
-    views: Floats, members: Stamps, m: int, weights: Floats, norms: Floats, out: Floats, p: int
-) -> None:
-    """Weighted means of the velocities and accelerations over the views that have them.
-
-    ``norms`` (12,) is scratch. Column by column, so that the compiler can take several at a time.
-    """
-    for c in range(12):
-        norms[c] = 0.0
-        out[p, m, 7 + c] = 0.0
-    for k in range(len(members)):
-        weight, v = weights[k], members[k]
-        if weight > 0.0:
-            for c in range(12):
-                x = views[v, m, 7 + c]
-                there = x == x
-                norms[c] += weight if there else 0.0
-                out[p, m, 7 + c] += weight * x if there else 0.0
-    for c in range(12):
-        out[p, m, 7 + c] = out[p, m, 7 + c] / norms[c] if norms[c] > 0.0 else np.nan
-
-
-@kernel
 def mean_turn(
     views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats, p: int
 ) -> None:

@@ -34,9 +34,9 @@ from hiros_mcap.kernels.filters import (
     erase,
     is_present,
     measure,
-    solve,
     write,
 )
+from hiros_mcap.kernels.unaligned import kernel
 
 # Columns of what butterworth_push carries on, (T, STATE + 3 * (order - 1)).
 NOW_POSE = 0
@@ -47,6 +47,28 @@ STATE = 10  # then the derivatives 1 to order - 1, the i-th divided by rate^i
 
 COLUMNS = 16  # of a ring: POSE to CONFIDENCE
 CACHED = 8  # sample times whose matrices are kept during one push
+
+
+@kernel
+def solve(a: Any, b: Any) -> None:
+    """Solve the small complex system ``a x = b`` in place (``b`` becomes ``x``), pivoting."""
+    n = b.shape[0]
+    for i in range(n):
+        pivot = i
+        for r in range(i + 1, n):
+            if abs(a[r, i]) > abs(a[pivot, i]):
+                pivot = r
+        for c in range(n):
+            a[i, c], a[pivot, c] = a[pivot, c], a[i, c]
+        b[i], b[pivot] = b[pivot], b[i]
+        for r in range(n):
+            if r != i:
+                factor = a[r, i] / a[i, i]
+                for c in range(i, n):
+                    a[r, c] -= factor * a[i, c]
+                b[r] -= factor * b[i]
+    for i in range(n):
+        b[i] /= a[i, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -166,28 +166,6 @@ def update_covariance(p: Any, gain: Any) -> float:
     return float(information)
 
 
-@kernel
-def solve(a: Any, b: Any) -> None:
-    """Solve the small complex system ``a x = b`` in place (``b`` becomes ``x``), pivoting."""
-    n = b.shape[0]
-    for i in range(n):
-        pivot = i
-        for r in range(i + 1, n):
-            if abs(a[r, i]) > abs(a[pivot, i]):
-                pivot = r
-        for c in range(n):
-            a[i, c], a[pivot, c] = a[pivot, c], a[i, c]
-        b[i], b[pivot] = b[pivot], b[i]
-        for r in range(n):
-            if r != i:
-                factor = a[r, i] / a[i, i]
-                for c in range(i, n):
-                    a[r, c] -= factor * a[i, c]
-                b[r] -= factor * b[i]
-    for i in range(n):
-        b[i] /= a[i, i]
-
-
 @njit("float64(int64, float64, float64, int64, float64)", cache=True, nogil=True)
 def state_space_gain(order: int, noise: float, dt: float, ahead: int, frequency: float) -> float:
     """Magnitude response of the steady filter (``ahead`` = 0) or fixed-lag smoother.
@@ -209,27 +187,20 @@ def state_space_gain(order: int, noise: float, dt: float, ahead: int, frequency:
         if abs(gain[0] + gain[order - 1] / rate ** (order - 1) - last) < 1e-13:
             break
     z = np.exp(2j * np.pi * frequency * dt)
-    f = np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-    system, state = np.zeros((order, order), np.complex128), np.zeros(order, np.complex128)
-    for r in range(order):  # (z I - F (I - K H)) x = F K
-        for c in range(order):
-            system[r, c] = (z if r == c else 0.0) - f[r, c]
-            state[r] += f[r, c] * gain[c]
-    for r in range(order):
-        system[r, 0] += state[r]
-    solve(system, state)
-    innovation = information * (1.0 - state[0])
-    adjoint = np.zeros(3, np.complex128)
+    # (z I - F (I - K H)) x = F K: F is triangular, so x0 = y0 / (1 + y0) with (z I - F) y = F K.
+    y2 = gain[2] / (z - 1.0)
+    y1 = (gain[1] + dt * (gain[2] + y2)) / (z - 1.0)
+    y0 = (gain[0] + dt * (gain[1] + y1) + 0.5 * dt * dt * (gain[2] + y2)) / (z - 1.0)
+    state = y0 / (1.0 + y0)
+    innovation = information * (1.0 - state)
+    a0 = a1 = a2 = 0j
     for _ in range(ahead + 1):
-        m0 = z * adjoint[0]
-        m1 = z * (dt * adjoint[0] + adjoint[1])
-        m2 = z * (0.5 * dt * dt * adjoint[0] + dt * adjoint[1] + adjoint[2])
-        adjoint[0] = innovation + m0 - gain[0] * m0 - gain[1] * m1 - gain[2] * m2
-        adjoint[1], adjoint[2] = m1, m2
-    out = state[0]
-    for c in range(order):
-        out += before[c] * adjoint[c]
-    return float(abs(out))
+        m0 = z * a0
+        m1 = z * (dt * a0 + a1)
+        m2 = z * (0.5 * dt * dt * a0 + dt * a1 + a2)
+        a0 = innovation + m0 - gain[0] * m0 - gain[1] * m1 - gain[2] * m2
+        a1, a2 = m1, m2
+    return float(abs(state + before[0] * a0 + before[1] * a1 + before[2] * a2))
 
 
 @njit("float64(int64, float64, float64, int64)", cache=True, nogil=True)

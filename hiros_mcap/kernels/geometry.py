@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hiros_mcap.kernels.unaligned import kernel
 
 if TYPE_CHECKING:
@@ -75,6 +77,6 @@ def move(
             _move_state(xyzw, matrix, translation, markers, moved_markers, p, m)
         for n in range(links.shape[1]):
             _move_state(xyzw, matrix, translation, links, moved_links, p, n)
-        _move_state(xyzw, matrix, translation, box, moved_box, p, 0)
+        _move_state(xyzw, matrix, translation, box, moved_box, p, np.int64(0))
         for k in range(_STATE, boxes.shape[1]):
             moved_boxes[p, k] = boxes[p, k]

@@ -12,6 +12,7 @@ no part. Loops, not slices: numba compiles them several times faster.
 from __future__ import annotations
 
 from math import atan2, pi, sqrt, tan
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -182,11 +183,7 @@ def _look(x: Floats, p: int, c: int, aims: Floats, k: int, geometry: Floats) -> 
     geometry[k, 5], geometry[k, 6], geometry[k, 7] = ax * share, ay * share, az * share
 
 
-@njit(
-    "float64(float64[:,::1], float64[:,::1], float64[::1], int32[:,::1], float64[:,::1])",
-    cache=True,
-    nogil=True,
-)
+@njit(cache=True, nogil=True)
 def energy(x: Floats, start: Floats, nominal: Floats, links: Ints, weights: Floats) -> float:
     """Energy of one skeleton at ``x`` (M, 3), eq. 14 to 19."""
     total = 0.0
@@ -530,6 +527,7 @@ def relocate(
     is an outlier. Returns how many.
     """
     found = 0
+    steps: Any = np.int64(30)  # a literal would make a second version of the solver
     x, weights = np.empty(points.shape[1:]), np.empty(trusted.shape[1:])
     for i in range(points.shape[0]):
         for m in range(points.shape[1]):
@@ -542,7 +540,7 @@ def relocate(
         for _ in range(_DOUBT_ROUNDS):
             _solve_one(
                 points[i], nominal[i], weights, links, order, first, row, first_pair, target,
-                link_slot, 1e-4, 30, x,
+                link_slot, 1e-4, steps, x,
             )  # fmt: skip
             _doubt(x, points[i], links, trusted[i], weights)
         for m in range(points.shape[1]):

@@ -19,7 +19,6 @@ from hiros_mcap.kernels.averaging import (
     mean_columns,
     mean_confidence,
     mean_people,
-    mean_rates,
     mean_turn,
 )
 from hiros_mcap.kernels.tracking import angle_of, norm3
@@ -248,10 +247,23 @@ def _merge_markers(
     members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
     bias: Floats, person: int, cameras: Stamps, limit: float, scale: float, learning: float,
     apart: Floats, alone: Floats, here: Floats, two_weights: Floats, two_flags: Flags,
-    two_points: Floats, norms: Floats, p: int, out: Floats, out_confidences: Floats,
-    outliers: Stamps,
+    two_points: Floats, p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
 ) -> None:  # fmt: skip
-    """Do the work of :func:`merge_markers` in the room that it gives."""
+    """Merge the markers of one person's views (outlier vote, then eq 12).
+
+    Parameters
+    ----------
+    members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
+    powers : (N, M) the confidences to a power. past : (M, 3) previous pose; NaN = no vote.
+    bias, person, cameras : (S, C, M, 3), the person's row in it, (N,) the camera of each view.
+    limit : m, views closer than this agree; <= 0 turns the vote off.
+    scale : m, of the robust mean; <= 0 = plain eq 12.
+    learning : fraction by which a camera's bias follows its offset; 0 = no bias.
+    apart, alone, here, two_weights, two_flags, two_points : scratch, (K + 1, K + 1), (K, K),
+        (K + 1, 3), (2, K), (2, K), (2, 3).
+    p, out, out_confidences : row of the outputs (P, M, 19), (P, M) to fill.
+    outliers : (N,) votes lost per view, added to.
+    """
     n = len(members)
     weights, robust = two_weights[0], two_weights[1]
     usable, lost = two_flags[0], two_flags[1]
@@ -297,7 +309,8 @@ def _merge_markers(
             out[p, m, c] = mean[c]
         if not math.isnan(views[members[best], m, 6]):
             mean_turn(views, members, m, weights, best, out, p)
-        mean_rates(views, members, m, weights, norms, out, p)
+        for first in (7, 10, 13, 16):
+            mean_columns(views, members, m, first, weights, out, p)
         out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         heaviest = 0.0
         for k in range(n):
@@ -311,61 +324,18 @@ def _merge_markers(
                     bias[person, cameras[members[k]], m, c] += rate * (here[k, c] - mean[c])
 
 
-@njit(
-    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1], float64[:,:,:,::1],"
-    " int64, int64[::1], float64, float64, float64, float64, int64, float64[:,:,::1],"
-    " float64[:,::1], int64[::1])",
-    cache=True,
-    nogil=True,
-)
-def merge_markers(
-    members: Stamps,
-    views: Floats,
-    confidences: Floats,
-    past: Floats,
-    bias: Floats,
-    person: int,
-    cameras: Stamps,
-    limit: float,
-    power: float,
-    scale: float,
-    learning: float,
-    p: int,
-    out: Floats,
-    out_confidences: Floats,
-    outliers: Stamps,
-) -> None:
-    """Merge the markers of one person's views (outlier vote, then eq 12).
-
-    Parameters
-    ----------
-    members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
-    past : (M, 3) previous merged pose at the merged time; NaN = no vote.
-    bias, person, cameras : (S, C, M, 3), the person's row in it, (N,) the camera of each view.
-    limit : m, views closer than this agree; <= 0 turns the vote off.
-    power : exponent of the confidences. scale : m, of the robust mean; <= 0 = plain eq 12.
-    learning : fraction by which a camera's bias follows its offset; 0 = no bias.
-    p, out, out_confidences : row of the outputs (P, M, 19), (P, M) to fill.
-    outliers : (N,) votes lost per view, added to.
-    """
-    n = len(members)
-    powers = np.empty_like(confidences)
-    _raise(members, confidences, power, powers)
-    _merge_markers(
-        members, views, confidences, powers, past, bias, person, cameras, limit, scale, learning,
-        np.empty((n + 1, n + 1)), np.empty((n, n)), np.empty((n + 1, 3)), np.empty((2, n)),
-        np.empty((2, n), np.bool_), np.empty((2, 3)), np.empty(12), p, out, out_confidences,
-        outliers,
-    )  # fmt: skip
-
-
 @kernel
 def _merge_links(
     members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
     limit: float, apart: Floats, alone: Floats, turns: Floats, weights: Floats, two_flags: Flags,
-    norms: Floats, p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+    p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
 ) -> None:  # fmt: skip
-    """Do the work of :func:`merge_links` in the room that it gives."""
+    """Merge the links of one person's views as :func:`_merge_markers` does, by orientation.
+
+    ``past`` is (L, 4), ``limit`` in rad (eq 10); ``apart``, ``alone``, ``turns`` (K + 1, 4),
+    ``weights`` (K,) and ``two_flags`` are scratch. A link without orientation is averaged without
+    a vote.
+    """
     n = len(members)
     usable, lost = two_flags[0], two_flags[1]
     near = math.cos(0.25 * max(limit, 0.0))  # of half the angle between two quaternions
@@ -400,44 +370,11 @@ def _merge_links(
                 best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
                 _weigh(members, powers, m, usable, weights)
             mean_turn(views, members, m, weights, best, out, p)
-        mean_columns(views, members, m, 0, weights, out, p)
-        mean_rates(views, members, m, weights, norms, out, p)
+        for first in (0, 7, 10, 13, 16):
+            mean_columns(views, members, m, first, weights, out, p)
         out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         for k in range(n):
             outliers[members[k]] += int(lost[k])
-
-
-@njit(
-    "void(int64[::1], float64[:,:,::1], float64[:,::1], float64[:,::1],"
-    " float64, float64, int64, float64[:,:,::1], float64[:,::1], int64[::1])",
-    cache=True,
-    nogil=True,
-)
-def merge_links(
-    members: Stamps,
-    views: Floats,
-    confidences: Floats,
-    past: Floats,
-    limit: float,
-    power: float,
-    p: int,
-    out: Floats,
-    out_confidences: Floats,
-    outliers: Stamps,
-) -> None:
-    """Merge the links of one person's views as :func:`merge_markers` does, by orientation.
-
-    ``past`` is (L, 4), ``limit`` in rad (eq 10). A link without orientation is averaged without a
-    vote.
-    """
-    n = len(members)
-    powers = np.empty_like(confidences)
-    _raise(members, confidences, power, powers)
-    _merge_links(
-        members, views, confidences, powers, past, limit, np.empty((n + 1, n + 1)),
-        np.empty((n, n)), np.empty((n + 1, 4)), np.empty(n), np.empty((2, n), np.bool_),
-        np.empty(12), p, out, out_confidences, outliers,
-    )  # fmt: skip
 
 
 @kernel
@@ -542,7 +479,7 @@ def _settle_flips(
         for m in range(confidences.shape[1]):
             trust[k] += 1.0 if math.isnan(confidences[view, m]) else confidences[view, m]
     if has_past:
-        _lateral(past.reshape((1, past.shape[0], 3)), 0, pairs, sides, n)
+        _lateral(past.reshape((1, past.shape[0], 3)), np.int64(0), pairs, sides, n)
         if pelvis >= 0:
             for c in range(4):
                 turns[n, c] = past_turn[pelvis, c]
@@ -637,6 +574,8 @@ def fuse(
     n_markers, n_links = markers.shape[1], links.shape[1]
     past = np.empty((n_markers, 3))
     past_turn = np.empty((n_links, 4))
+    powers, link_powers = np.empty_like(confidences), np.empty_like(link_confidences)
+    points = np.empty((2, 3))
     no_pairs = pairs[:0]
     for p in range(len(rows)):
         members = np.nonzero(person_of == p)[0]
@@ -672,13 +611,19 @@ def fuse(
         learning = 0.0
         if numbers[12] > 0.0 and fresh:
             learning = 1.0 - math.exp(-max(age, 0.0) / numbers[12])
-        merge_markers(
-            members, markers, confidences, past, bias, row, cameras, numbers[1], numbers[4],
-            numbers[5], learning, p, out, out_confidences, outliers,
+        k = len(members)
+        apart, alone = np.empty((k + 1, k + 1)), np.empty((k, k))
+        room, weights, flags = np.empty((k + 1, 3)), np.empty((2, k)), np.empty((2, k), np.bool_)
+        _raise(members, confidences, numbers[4], powers)
+        _merge_markers(
+            members, markers, confidences, powers, past, bias, row, cameras, numbers[1],
+            numbers[5], learning, apart, alone, room, weights, flags, points, p, out,
+            out_confidences, outliers,
         )  # fmt: skip
-        merge_links(
-            members, links, link_confidences, past_turn, numbers[2], numbers[4], p, out_links,
-            out_link_confidences, outliers,
+        _raise(members, link_confidences, numbers[4], link_powers)
+        _merge_links(
+            members, links, link_confidences, link_powers, past_turn, numbers[2], apart, alone,
+            np.empty((k + 1, 4)), weights[0], flags, p, out_links, out_link_confidences, outliers,
         )  # fmt: skip
         seen[row] = stamp
         for m in range(n_markers):
