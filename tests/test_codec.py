@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 
 import hiros_schemas
-from hiros_mcap.codec import PUBLISHED, Decoder, Encoder, ModelBuilder, check_schema, clean
+from hiros_mcap.codec import (
+    PUBLISHED,
+    BatchDecoder,
+    Decoder,
+    Encoder,
+    ModelBuilder,
+    Poses,
+    check_schema,
+    clean,
+)
 from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.rotations import Rigid
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 NAME = hiros_schemas.SKELETON_GROUP
@@ -661,3 +671,95 @@ def test_generic_reader_of_the_tests_is_independent_of_the_codec() -> None:
     message = gen.generic_reader()(Encoder(stick()).encode(full(stick())))
     assert isinstance(message, SimpleNamespace)
     assert message.skeletons[0].markers[1].name == "m1"
+
+
+# --- all messages of a chunk at once ---------------------------------------------------------
+
+
+def in_one(messages: list[bytes]) -> tuple[bytes, np.ndarray]:
+    """Messages in one run of bytes with something in between, and where they lie."""
+    data, places = b"", []
+    for message in messages:
+        data += b"junk!"
+        places.append((len(data), len(data) + len(message)))
+        data += message
+    return data + b"end", np.array(places, np.int64).reshape(-1, 2)
+
+
+def one_by_one(model: SkeletonModel, message: bytes) -> object:
+    """The frame and what was cleaned, or the fault, as the decoder of single messages gives it."""
+    try:
+        return clean(Decoder(model, topic="/t").decode(message, 7))
+    except LogError as error:
+        return str(error)
+
+
+def test_a_batch_says_of_every_message_what_the_decoder_says() -> None:
+    """Whole messages, truncated, damaged and big-endian ones, and some with impossible numbers."""
+    model, rng = stick(4), np.random.default_rng(5)
+    messages = []
+    for seed in range(60):
+        frame = full(model, seed % 4, seed)
+        if seed % 5 == 1 and frame.n_people:
+            frame.markers[0, 1, 0], frame.confidences[0] = np.inf, 3.0
+        if seed % 5 == 2:
+            frame.links[:, 0] = np.nan
+        data = bytearray(Encoder(model).encode(frame))
+        if seed % 3 == 1:
+            data = data[: rng.integers(len(data))]
+        elif seed % 3 == 2:
+            data[rng.integers(min(len(data), 300))] ^= int(rng.integers(1, 256))
+        messages.append(bytes(data))
+    messages.append(gen.big_endian(Encoder(model).encode(full(model, 2))))
+    data, places = in_one(messages)
+    batch = BatchDecoder(model).decode(data, places)
+    assert batch is not None
+    faults = 0
+    for row, message in enumerate(messages):
+        expected = one_by_one(model, message)
+        if isinstance(expected, str):
+            faults += 1
+            with pytest.raises(LogError) as caught:
+                batch.frame(row, memoryview(message), 7, "/t")
+            assert str(caught.value) == expected
+        else:
+            found = batch.frame(row, memoryview(message), 7, "/t")
+            assert found is not None
+            assert gen.same(found[0], expected[0])
+            assert dict(found[1]) == dict(expected[1])
+    assert 10 < faults < len(messages) - 10
+
+
+def test_a_batch_leaves_messages_of_several_cameras_to_the_decoder() -> None:
+    data, places = in_one([mixed()])
+    batch = BatchDecoder(stick()).decode(data, places)
+    assert batch is not None
+    assert batch.frame(0, memoryview(mixed()), 0, "/t") is None
+
+
+def test_a_batch_may_be_empty() -> None:
+    assert BatchDecoder(stick()).decode(b"", np.empty((0, 2), np.int64)) is not None
+
+
+def test_a_batch_that_claims_too_many_people_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BatchDecoder, "_MOST", 1000)
+    data, places = in_one([Encoder(stick()).encode(full(stick(), 3))])
+    assert BatchDecoder(stick()).decode(data, places) is None
+
+
+def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
+    turn = Rigid(np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]), np.array([1.0, 2.0, 3.0]))
+    frames = [full(stick(), 2).replace(frame_id=name) for name in ("map", "/map", "other", "hall")]
+    messages = [Encoder(stick()).encode(frame) for frame in frames]
+    poses = Poses("hall", {"map": turn, "hall": turn}.get)
+    batch = BatchDecoder(stick()).decode(*in_one(messages), poses)
+    assert batch is not None
+    found = [batch.frame(k, memoryview(m), 0, "/t") for k, m in enumerate(messages)]
+    moved = [pair[0] for pair in found if pair]
+    assert [frame.frame_id for frame in moved] == ["hall", "hall", "other", "hall"]
+    x, y, z = np.moveaxis(frames[0].positions, -1, 0)
+    expected = np.stack([1 - y, 2 + x, 3 + z], axis=-1)
+    for frame in moved[:2]:
+        np.testing.assert_allclose(frame.positions, expected, atol=1e-12)
+    for frame in moved[2:]:
+        np.testing.assert_array_equal(frame.positions, frames[0].positions)

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from generators import generic_writer
+from generators import generic_writer, same
 from mcap_logs import write_log
 from test_transforms import tf_bytes
 
@@ -97,6 +97,27 @@ def test_transforms_that_come_late_hold_for_the_whole_log(two_cameras):
         first, second, *_ = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
     np.testing.assert_allclose(first.positions[0, 0], [2, 1, 1])
     np.testing.assert_allclose(second.positions[0, 0], [1.03, 3.03, 1.03])
+
+
+def test_detections_are_the_frames_in_the_fixed_frame(two_cameras):
+    with open_log(two_cameras) as log:
+        moved = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+        detections = list(log.detections())
+    assert len(moved) == len(detections) == 10
+    for a, b in zip(moved, detections, strict=True):
+        assert same(a, b)
+
+
+def test_detections_of_a_camera_that_moves_follow_it(path):
+    with Maker(path) as log:
+        log.transforms((0, "world", "camera_0", (0, 0, 0), NONE), topic="/tf")
+        log.add(seen(0, 1000))
+        log.transforms((1000, "world", "camera_0", (1, 0, 0), NONE), topic="/tf")
+        log.add(seen(0, 500))
+    with open_log(path) as log:
+        first, second = log.detections()
+    np.testing.assert_allclose(first.positions[0, 0], [2, 1, 1])
+    np.testing.assert_allclose(second.positions[0, 0], [1, 0.5, 0.5])
 
 
 def test_every_message_is_accounted_for(path):

@@ -123,6 +123,29 @@ def test_the_speed_of_the_background_thread_changes_no_byte(tmp_path, out, monke
     assert write(tmp_path / "other.mcap").read_bytes() == usual
 
 
+def test_messages_larger_than_a_chunk_and_empty_ones_are_written(out):
+    sizes = [0, 1, 70_000, 499, 0, 200_000, 3]
+    write(out, [(1, k, bytes([k]) * n) for k, n in enumerate(sizes)])
+    assert [(len(m[2]), set(m[2])) for m in by_library(out)] == [
+        (n, {k} if n else set()) for k, n in enumerate(sizes)
+    ]
+
+
+def test_a_message_can_be_written_where_it_is_to_lie(out):
+    def fill(space):
+        if len(space) < 100_000:
+            return -100_000
+        space[:5] = list(b"hello")
+        return 5
+
+    with McapWriter(out, chunk_size=500) as writer:
+        channel = writer.add_channel("/a", 0)
+        for time in range(3):
+            writer.write_into(channel, time, fill)
+        writer.commit()
+    assert [m[2] for m in by_library(out)] == [b"hello"] * 3
+
+
 def test_an_empty_log_is_a_valid_log(out):
     with McapWriter(out) as writer:
         writer.commit()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import pytest
@@ -157,6 +157,66 @@ def test_a_frame_too_late_to_sort_is_used_all_the_same() -> None:
     frames.append(seen([person()], at(2, 1), "b"))
     assert len(list(in_time_order(frames, 0.1))) == 31
     assert all(i == [0] for i in ids(track(frames, MODEL)))
+
+
+def order_of(arrivals: list[tuple[int, str]], delay: float) -> list[tuple[int, str, int]]:
+    """(stamp, camera, latest stamp that arrived before it was let go), ms, of such frames."""
+
+    def frames() -> Iterator[Frame]:
+        for stamp, camera in arrivals:
+            now.append(stamp)
+            yield seen([person()], stamp * 1_000_000, camera)
+
+    now: list[int] = []
+    found = in_time_order(frames(), delay)
+    return [(frame.stamp // 1_000_000, frame.source, max(now)) for frame in found]
+
+
+def every(period: int, start: int, end: int, camera: str) -> list[tuple[int, str]]:
+    return [(stamp, camera) for stamp in range(start, end, period)]
+
+
+def test_frames_wait_for_every_camera_but_no_longer() -> None:
+    """Camera b lags by a third of a second: the frames of a wait for it, and go in order."""
+    frames = every(33, 1000, 4000, "a") + every(33, 1001, 4000, "b")
+    arrivals = sorted(frames, key=lambda f: f[0] + (330 if f[1] == "b" else 0))
+    order = order_of(arrivals, 1.0)
+    assert [frame[:2] for frame in order] == sorted(frames)
+    assert all(290 < now - stamp < 450 for stamp, _, now in order if 2500 < stamp < 3500)
+
+
+def test_a_camera_that_stalls_is_waited_for_up_to_the_delay() -> None:
+    """What b saw from 3 s on arrives 0.9 s late, all at once; from 3.9 s on it is silent."""
+    a, b = every(33, 1000, 7000, "a"), every(33, 1001, 3900, "b")
+    arrivals = sorted(a + b, key=lambda f: max(f[0], 3900) if f[1] == "b" and f[0] > 3000 else f[0])
+    order = order_of(arrivals, 1.0)
+    assert [frame[:2] for frame in order] == sorted(a + b)
+    assert all(now - stamp < 1034 for stamp, _, now in order)
+
+
+def test_a_camera_that_fell_silent_is_not_waited_for_any_more() -> None:
+    frames = every(33, 1000, 10000, "a") + every(33, 1001, 3000, "b")
+    order = order_of(sorted(frames), 1.0)
+    assert all(now - stamp < 200 for stamp, _, now in order if 5000 < stamp < 9500)
+
+
+def test_frames_in_which_nothing_can_change_are_not_held() -> None:
+    """Two cameras see somebody: once that is settled, the look-ahead has nothing to wait for."""
+    params = TrackParams(reorder=0.0)
+    arrived, waits = 0, []
+
+    def frames() -> Iterator[Frame]:
+        nonlocal arrived
+        for k, camera in itertools.product(range(90), "ab"):
+            arrived = at(k)
+            yield seen([person()], at(k), camera)
+
+    for frame in track(frames(), MODEL, params):
+        assert frame.ids.tolist() == [0]
+        waits.append(arrived - frame.stamp)
+    assert max(waits[20:]) == 0
+    alone = [seen([person()], at(k)) for k in range(90)]
+    assert len(list(itertools.takewhile(lambda f: f.stamp < at(30), track(alone, MODEL)))) == 30
 
 
 def test_equal_times_and_no_ids_keep_everybody() -> None:
