@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -187,9 +186,10 @@ class _Fit:
     def _fit(self, frame: Frame, nominal: Floats) -> None:
         """Optimize everybody in the frame, in place."""
         points = frame.markers[:, :, POSITION].copy()
-        outlier = self._find_outliers(points, nominal, frame.marker_confidences)
-        stiffness = STIFFNESS if self._params.lengths == "exact" else 0.0
-        weights = self._weigh(points, nominal, frame.marker_confidences, outlier, stiffness)
+        outlier, weights = self._find_outliers(points, nominal, frame.marker_confidences)
+        if weights is None:
+            stiffness = STIFFNESS if self._params.lengths == "exact" else 0.0
+            weights = self._weigh(points, nominal, frame.marker_confidences, outlier, stiffness)
         solved, failed = self._solve(points, nominal, weights)
         self._events.count("optimizer not converged", n=failed)
         kernels.apply(
@@ -198,18 +198,24 @@ class _Fit:
             self._params.turn_links,
         )  # fmt: skip
 
-    def _find_outliers(self, points: Floats, nominal: Floats, confidences: Floats) -> Ints:
-        """(P, M) 1 for outliers; ``points`` has them relocated or absent."""
+    def _find_outliers(
+        self, points: Floats, nominal: Floats, confidences: Floats
+    ) -> tuple[Ints, Floats | None]:
+        """(P, M) 1 for outliers; ``points`` has them relocated or absent.
+
+        Also the solver's weights, if the search had to find them and they still hold.
+        """
         outlier = np.zeros(points.shape[:2], np.int32)
         limit = self._params.max_length_error
         if self._params.outliers == "remove":
             found = kernels.judge(points, nominal, self._links, self._outward, limit, outlier)
+            trusted = None
         else:
             trusted = self._weigh(points, nominal, confidences, outlier, STIFFNESS)
             found = kernels.relocate(points, nominal, trusted, *self._topology, limit, outlier)
         if found:
             self._count(outlier)
-        return outlier
+        return outlier, None if found or self._params.lengths != "exact" else trusted
 
     def _weigh(
         self, points: Floats, nominal: Floats, confidences: Floats, outlier: Ints, stiffness: float
@@ -227,8 +233,7 @@ class _Fit:
 
 
 def _copied(frame: Frame) -> Frame:
-    return replace(
-        frame,
+    return frame.replace(
         markers=frame.markers.copy(),
         marker_confidences=frame.marker_confidences.copy(),
         links=frame.links.copy(),
