@@ -140,15 +140,10 @@ class Log:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
 
-    @property
+    @cached_property
     def span(self) -> tuple[int, int]:
-        """Log times, ns, between which the file's messages lie."""
-        statistics = self.reader.contents.statistics
-        chunks = self.reader.contents.chunks
-        if statistics is not None and statistics.end_time:
-            return statistics.start_time, statistics.end_time
-        starts = [chunk.start_time for chunk in chunks if chunk.end_time]
-        return min(starts, default=0), max((chunk.end_time for chunk in chunks), default=0)
+        """Log times, ns, between which the skeletons lie; see :func:`span_of`."""
+        return span_of(self.reader)
 
     def frames(self) -> Iterator[Frame]:
         """Yield the detections of all cameras in the order of their log times.
@@ -337,6 +332,21 @@ def open_log(
     except BaseException:
         reader.close()
         raise
+
+
+def span_of(reader: McapReader) -> tuple[int, int]:
+    """Return the log times, ns, between which a file's skeletons lie, without results of hiros.
+
+    Not those of all messages: /tf_static and other messages that are kept for late listeners may
+    be logged with a time of 0. A file with nothing else is what all its messages are.
+    """
+    skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    wanted = {i.id for i in skeletons if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")}
+    chunks = [chunk for chunk in reader.contents.chunks if not wanted or chunk.holds(wanted)]
+    first = next(reader.messages(wanted or None), None)
+    if first is None:
+        return 0, 0
+    return first.log_time, max(chunk.end_time for chunk in chunks)
 
 
 def _mcap(path: Path) -> Path:
