@@ -249,7 +249,8 @@ def _write(
         copier = ChunkCopier(log.reader, writer, _kept(log, options))
         channels = {name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain}
 
-        export = _marker_export(writer, log, run) if options.markers else None
+        by_stamp = run.config.output.log_time == "stamp"
+        export = _marker_export(writer, log, run, by_stamp=by_stamp) if options.markers else None
 
         def sink(channel: str, frame: Frame) -> None:
             watcher.frame(channel, frame)
@@ -257,7 +258,7 @@ def _write(
                 copier.until(frame.log_time)
                 writer.write_into(
                     channels[channel],
-                    frame.log_time,
+                    frame.stamp if by_stamp else frame.log_time,
                     lambda space: encoder.encode_into(space, frame),
                 )
             if export is not None and channel == chain[-1]:
@@ -271,10 +272,10 @@ def _write(
             writer.commit()
 
 
-def _marker_export(writer: McapWriter, log: Log, run: Run) -> MarkerExport:
+def _marker_export(writer: McapWriter, log: Log, run: Run, *, by_stamp: bool) -> MarkerExport:
     from hiros_mcap.export.markers import MarkerExport
 
-    return MarkerExport(writer, log.model, run.events)
+    return MarkerExport(writer, log.model, run.events, by_stamp=by_stamp)
 
 
 def _kept(log: Log, options: ProcessOptions) -> list[int]:
