@@ -337,16 +337,16 @@ def open_log(
 def span_of(reader: McapReader) -> tuple[int, int]:
     """Return the log times, ns, between which a file's skeletons lie, without results of hiros.
 
-    Not those of all messages: /tf_static and other messages that are kept for late listeners may
-    be logged with a time of 0. A file with nothing else is what all its messages are.
+    Not those of all messages: /tf_static and whatever else is kept for late listeners may be
+    logged with a time of 0. In a file with nothing else, all messages count.
     """
     skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
-    wanted = {i.id for i in skeletons if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")}
-    chunks = [chunk for chunk in reader.contents.chunks if not wanted or chunk.holds(wanted)]
-    first = next(reader.messages(wanted or None), None)
+    found = [i.id for i in skeletons if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")]
+    wanted = found or list(reader.channels)
+    first = next(reader.messages(wanted), None)
     if first is None:
         return 0, 0
-    return first.log_time, max(chunk.end_time for chunk in chunks)
+    return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
 
 
 def _mcap(path: Path) -> Path:
