@@ -25,7 +25,7 @@ from hiros_mcap.container import ChunkCopier, McapWriter
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
-from hiros_mcap.log import Log, open_log
+from hiros_mcap.log import DAMAGED, Log, open_log
 from hiros_mcap.observe import Observer, Stopwatch
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
@@ -162,7 +162,7 @@ def process(
         else:
             _write(log, run, chain, observer, Path(target), options, progress, watcher)
         watcher.end(run.events)
-        _refuse_skipped(log, options.strict)
+        _refuse_skipped(log, observer, options.strict)
         if options.limbs_out:
             limbs.save(options.limbs_out)
         return observer.summary(None if target is None else str(target))
@@ -267,7 +267,7 @@ def _write(
         _consume(_frames(log, run, chain, observer, sink), log, progress)
         with observer.watch.timing("write"):
             copier.finish()
-            _refuse_skipped(log, options.strict)
+            _refuse_skipped(log, observer, options.strict)
             _add_provenance(writer, log, run, chain, observer)
             writer.commit()
 
@@ -320,9 +320,12 @@ def _add_provenance(
     writer.add_attachment("hiros/report.json", report.encode(), "application/json")
 
 
-def _refuse_skipped(log: Log, strict: bool) -> None:
+def _refuse_skipped(log: Log, observer: Observer, strict: bool) -> None:
     """With ``strict``, a message that was skipped is an error."""
-    for topic, account in log.accounts.items() if strict else ():
-        for reason, n in account.skipped.items():
-            detail = f" ({account.first_error})" if account.first_error else ""
-            raise LogError(f"{n} messages skipped: {reason}{detail}", path=log.path, topic=topic)
+    for camera in observer.cameras() if strict else ():
+        for reason, n in camera.skipped.items():
+            error = log.accounts[camera.topic].first_error
+            detail = f" ({error})" if error and reason == DAMAGED else ""
+            raise LogError(
+                f"{n} messages skipped: {reason}{detail}", path=log.path, topic=camera.topic
+            )

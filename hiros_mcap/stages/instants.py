@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.events import Events
+from hiros_mcap.events import TOO_LATE, Events
 from hiros_mcap.kernels.averaging import load_views
 from hiros_mcap.skeletons import STATE, Floats, Frame, SkeletonModel, Stamps
 
@@ -54,7 +54,7 @@ def instants(
     for frame in frames:
         known.add(frame.source)
         if frame.stamp < newest:
-            events.count("too late to be merged", frame.source)
+            events.count(TOO_LATE, frame.source)
             continue
         if buffer and _closes(buffer, frame, max_delta_time):
             instant = Instant.of(buffer, frame.log_time)
