@@ -150,6 +150,7 @@ upstream: the same with workable launch values of the published code; its defect
 
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
+    "hiros-realtime": PRESETS["realtime"],
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
     "openptrack": {
         "kalman": {

@@ -30,7 +30,7 @@ from hiros_mcap.observe import Observer, Stopwatch
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, system
+from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, hiros, system
 
 if TYPE_CHECKING:
     from hiros_mcap.export.markers import MarkerExport
@@ -212,7 +212,8 @@ def _tap(frames: Iterable[Frame], sink: Callable[[Frame], None]) -> Iterator[Fra
 def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
     """Whether limbs are measured on the whole log first; other systems measure on the way."""
     wanted = run.config.optimize.calibration == "two-pass"
-    return wanted and run.system == "hiros" and "optimized" in chain and not run.limbs.people
+    is_hiros = system(run.system).stages is hiros
+    return wanted and is_hiros and "optimized" in chain and not run.limbs.people
 
 
 def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
