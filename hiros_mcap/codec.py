@@ -58,8 +58,9 @@ _CLEANED = (
     "incomplete vector",
     "quaternion of length 0",
     "quaternion normalised",
-    "confidence out of range",
+    "confidence above 1",
 )
+_NEGATIVE = "negative confidence"
 _NOTHING: Mapping[str, int] = {}
 
 
@@ -71,7 +72,8 @@ def clean(frame: Frame) -> tuple[Frame, Mapping[str, int]]:
     - "quaternion of length 0": becomes NaN;
     - "quaternion normalised": its length was off by more than 1e-3 (smaller errors, beyond the
       rounding of float32, are put right without a word);
-    - "confidence out of range": clamped to 0..1; an infinite one is an absurd number.
+    - "confidence above 1": becomes 1; an infinite one is an absurd number;
+    - "negative confidence": becomes NaN, since detectors mean by -1 that they give none.
 
     A frame in which nothing is wrong is returned itself; the given frame never changes.
     """
@@ -86,8 +88,20 @@ def clean(frame: Frame) -> tuple[Frame, Mapping[str, int]]:
         link_confidences=frame.link_confidences.copy(),
         boxes=frame.boxes.copy(),
     )
+    negative = _drop_negative(fixed) if counts[cleaning.CONFIDENCE] else 0
     cleaning.clean(counts, True, *_measured(fixed))
-    return fixed, _by_kind(counts.tolist())
+    found = _by_kind(counts.tolist())
+    return fixed, {**found, _NEGATIVE: negative} if negative else found
+
+
+def _drop_negative(frame: Frame) -> int:
+    """Make negative confidences NaN, in place; return how many."""
+    total = 0
+    for confidences in (frame.confidences, frame.marker_confidences, frame.link_confidences):
+        negative = (confidences < 0) & np.isfinite(confidences)
+        confidences[negative] = np.nan
+        total += int(negative.sum())
+    return total
 
 
 def _by_kind(counts: Iterable[int]) -> Mapping[str, int]:
@@ -332,13 +346,14 @@ class Batch:
     ) -> tuple[Frame, Mapping[str, int]] | None:
         """Return what :meth:`Decoder.decode` and :func:`clean` would of a message, in that order.
 
-        None = the message holds several cameras' skeletons. Raises LogError as they do.
+        None = the message holds several cameras' skeletons, or confidences out of range, of which
+        :func:`clean` tells the negative ones apart. Raises LogError as they do.
         """
         code, report, changed, (begin, stop) = self._rows[row]
         if code != cdr.OK:
             raise _fault(code, self.reports[row], data, topic)
         *_, stamp, header, header_end, first, end, mixed = report
-        if mixed:
+        if mixed or (changed and self.cleaned[row, cleaning.CONFIDENCE]):
             return None
         frame_id = _text(data, header, header_end, topic)
         common = _text(data, first, end, topic)

@@ -12,7 +12,7 @@ import textwrap
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tomli_w
 from pydantic import Field, ValidationError
@@ -47,10 +47,24 @@ class InputParams(Params):
     )
 
 
+class OutputParams(Params):
+    """How results are written."""
+
+    log_time: Literal["causal", "stamp"] = Field(
+        "causal",
+        description="Log time of what is written, by which players and ros2 bag play go. causal: "
+        "that of the message which let a result be known, so that a replay shows what a live "
+        "system would have known by then; with the default look-ahead this is seconds after the "
+        "data. stamp: the time of the data, as in the header, so that Foxglove, Lichtblick and "
+        "RViz show results beside the recording.",
+    )
+
+
 class Config(Params):
     """Every parameter of a run, one section per step."""
 
     input: InputParams = Field(InputParams(), description="Reading the cameras.")
+    output: OutputParams = Field(OutputParams(), description="Writing the results.")
     track: TrackParams = Field(TrackParams(), description="Who is who (Hi-ROS 3.1).")
     merge: MergeParams = Field(MergeParams(), description="One skeleton per person (Hi-ROS 3.2).")
     optimize: OptimizeParams = Field(
@@ -136,6 +150,7 @@ upstream: the same with workable launch values of the published code; its defect
 
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
+    "hiros-realtime": PRESETS["realtime"],
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
     "openptrack": {
         "kalman": {

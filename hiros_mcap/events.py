@@ -6,6 +6,9 @@ import json
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 
+TOO_LATE = "too late to be merged"
+"""Counts whole messages, by source, that no result is made of: the merged time is past theirs."""
+
 
 @dataclass(frozen=True, slots=True)
 class Event:

@@ -64,6 +64,8 @@ class Account:
     """Skeletons left out because the camera had sent exactly them before."""
     cleaned: Counter[str] = field(default_factory=Counter)
     """Numbers taken out because they cannot be true, by kind (see codec.clean)."""
+    untimed: int = 0
+    """Frames without a time of their own, to which the log time was given."""
     first_error: str = ""
     """What was wrong with the first message that could not be decoded."""
 
@@ -140,23 +142,31 @@ class Log:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
 
-    @property
+    @cached_property
     def span(self) -> tuple[int, int]:
-        """Log times, ns, between which the file's messages lie."""
-        statistics = self.reader.contents.statistics
-        chunks = self.reader.contents.chunks
-        if statistics is not None and statistics.end_time:
-            return statistics.start_time, statistics.end_time
-        starts = [chunk.start_time for chunk in chunks if chunk.end_time]
-        return min(starts, default=0), max((chunk.end_time for chunk in chunks), default=0)
+        """Log times, ns, between which the skeletons lie; see :func:`span_of`."""
+        return span_of(self.reader)
+
+    @property
+    def nameless(self) -> str:
+        """What is to be said of channels that name no coordinate frame; "" if all do."""
+        topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
+        if not topics:
+            return ""
+        unused = " and the log's transforms are not used" if len(self.transforms) else ""
+        return (
+            f"{len(topics)} channels name no coordinate frame ({', '.join(topics)}): their "
+            f"skeletons are taken to be in one frame already{unused}"
+        )
 
     def frames(self) -> Iterator[Frame]:
         """Yield the detections of all cameras in the order of their log times.
 
         They are in the coordinates of the camera; ``frame_id`` says which. ``stamp`` is the
         latest source time of the people in it, or header.stamp where the detector gives none, or
-        the log time. A skeleton that repeats one of the camera's previous message in every number
-        and in its source time is left out; a message of nothing else gives no frame.
+        the log time; a time of 0 or before 1970 is none. A skeleton that repeats one of the
+        camera's previous message in every number and in its source time is left out; a message of
+        nothing else gives no frame.
 
         Raises LogError where the file is damaged. A message that cannot be decoded is counted in
         ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
@@ -271,8 +281,14 @@ class _Stream:
     def _fresh(self, frame: Frame) -> Frame:
         """Return the frame named, stamped and without what was said before."""
         source = frame.source if frame.n_people else self._only or frame.source
+        times = frame.stamps.tolist()
+        stamp = max([0, *times]) or max(0, frame.stamp)
+        if not stamp:
+            self._account.untimed += 1
+        if times and min(times) < 0:
+            frame = frame.replace(stamps=np.maximum(frame.stamps, 0))
         frame = frame.replace(
-            stamp=max([0, *frame.stamps.tolist()]) or frame.stamp or frame.log_time,
+            stamp=stamp or frame.log_time,
             source=self._names.get(source, source or self._account.topic),
             frame_id=frame.frame_id.lstrip("/"),
         )
@@ -340,6 +356,21 @@ def open_log(
     except BaseException:
         reader.close()
         raise
+
+
+def span_of(reader: McapReader) -> tuple[int, int]:
+    """Return the log times, ns, between which a file's skeletons lie, without results of hiros.
+
+    Not those of all messages: /tf_static and whatever else is kept for late listeners may be
+    logged with a time of 0. In a file with nothing else, all messages count.
+    """
+    skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    found = [i.id for i in skeletons if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")]
+    wanted = found or list(reader.channels)
+    first = next(reader.messages(wanted), None)
+    if first is None:
+        return 0, 0
+    return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
 
 
 def _mcap(path: Path) -> Path:

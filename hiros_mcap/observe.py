@@ -7,10 +7,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap import notes
+from hiros_mcap.events import TOO_LATE
 from hiros_mcap.log import Log
 from hiros_mcap.skeletons import UNTRACKED, Frame
 from hiros_mcap.summary import (
@@ -23,6 +25,9 @@ from hiros_mcap.summary import (
 from hiros_mcap.systems import Run
 
 _GAP = 1_000_000_000  # ns: a pause of a camera that does not count for its rate
+_JUMP = 10_000_000_000  # ns: no recorder delays a message by so much more than the one before
+_LOOKED_AT = 20  # frames of each camera in which people are looked at
+_LARGE_M = 50.0  # no room is so large
 
 
 class Stopwatch:
@@ -73,8 +78,16 @@ class _Rhythm:
     last: int = 0
     intervals: int = 0
     time: int = 0
+    lag: int = 0
+    jumps: int = 0
+    farthest: int = 0
 
-    def beat(self, stamp: int) -> None:
+    def beat(self, stamp: int, log_time: int) -> None:
+        jump = abs(log_time - stamp - self.lag)
+        if self.last and jump > _JUMP:
+            self.jumps += 1
+            self.farthest = max(self.farthest, jump)
+        self.lag = log_time - stamp
         if self.last and 0 < stamp - self.last < _GAP:
             self.intervals += 1
             self.time += stamp - self.last
@@ -83,6 +96,39 @@ class _Rhythm:
     @property
     def rate(self) -> float:
         return self.intervals / self.time * 1e9 if self.time else float("nan")
+
+
+@dataclass(slots=True)
+class _Looks:
+    """What the first people of every camera look like, to tell why nobody is found."""
+
+    frames: Counter[str] = field(default_factory=Counter)
+    sizes: list[float] = field(default_factory=list)
+    """Typical absolute coordinate of each frame, m."""
+    doubted: bool = True
+    """Whether every marker has the confidence 0."""
+
+    def look(self, frame: Frame) -> None:
+        if frame.n_people and self.frames[frame.source] < _LOOKED_AT:
+            self.frames[frame.source] += 1
+            known = frame.positions[~np.isnan(frame.positions)]
+            if known.size:
+                self.sizes.append(float(np.median(np.abs(known))))
+                self.doubted &= bool((frame.marker_confidences == 0).all())
+
+    def reasons(self) -> Iterator[str]:
+        """Say why nobody was found, where that can be seen."""
+        size = float(np.median(self.sizes)) if self.sizes else 0.0
+        if size > _LARGE_M:
+            yield (
+                f"coordinates are typically {size:.0f}, which looks like millimetres; skeletons "
+                "and transforms have to be in metres"
+            )
+        if self.sizes and self.doubted:
+            yield (
+                "every marker has the confidence 0, so nobody can be believed; a detector that "
+                "gives no confidences has to say NaN or -1"
+            )
 
 
 @dataclass(slots=True)
@@ -105,10 +151,12 @@ class Observer:
         self._seen_by: dict[str, set[bytes]] = {}
         self._written: Counter[str] = Counter()
         self._lag: dict[str, list[int]] = {}
+        self._looks = _Looks()
 
     def see_input(self, frame: Frame) -> None:
-        """Note the rhythm of the camera."""
-        self._rhythms.setdefault(frame.source, _Rhythm()).beat(frame.stamp)
+        """Note the rhythm of the camera, and how its frames look."""
+        self._rhythms.setdefault(frame.source, _Rhythm()).beat(frame.stamp, frame.log_time)
+        self._looks.look(frame)
         lag = self._lag.setdefault(frame.source, [])
         if len(lag) < 500:
             lag.append(frame.log_time - frame.stamp)
@@ -146,7 +194,7 @@ class Observer:
             target=target,
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - self.watch.started,
-            cameras=tuple(self._cameras()),
+            cameras=tuple(self.cameras()),
             people=tuple(self._person(i, self._people[i]) for i in sorted(self._people)),
             stages=tuple(
                 StageTime(name, self.watch.wall[name])
@@ -157,19 +205,22 @@ class Observer:
             notes=tuple(self._notes()),
         )
 
-    def _cameras(self) -> Iterator[CameraSummary]:
+    def cameras(self) -> Iterator[CameraSummary]:
+        """Tell what became of every camera's messages."""
         counts = self._run.events.counts
         for camera in self._log.cameras:
             account = self._log.accounts[camera.channel.topic]
             sources = sorted(camera.sources.values())
             rates = [self._rhythms[s].rate for s in sources if s in self._rhythms]
+            # Of cameras that share messages, the one that lost most: a part of each was left out.
+            late = max(counts[TOO_LATE, source] for source in sources)
             yield CameraSummary(
                 name=", ".join(sources),
                 topic=camera.channel.topic,
                 rate_hz=sum(rates) / len(rates) if rates else float("nan"),
                 messages=account.read,
-                used=account.used,
-                skipped=dict(account.skipped),
+                used=account.used - late,
+                skipped={**account.skipped, **({TOO_LATE: late} if late else {})},
                 flips=sum(counts["flip", source] for source in sources),
                 outliers=sum(counts["outlier", source] for source in sources),
             )
@@ -199,23 +250,39 @@ class Observer:
 
     def _notes(self) -> Iterator[str]:
         """Tell what nobody asked for but should know."""
+        if self._log.nameless:
+            yield self._log.nameless
+        if not self._people:
+            yield from self._looks.reasons()
         for account in self._log.accounts.values():
             if account.stale:
                 yield f"{account.topic}: {account.stale} stale repeats of a skeleton left out"
             for kind, n in sorted(account.cleaned.items()):
-                yield f"{account.topic}: {n} x {kind} taken out"
+                yield f"{account.topic}: {notes.cleaned(kind, n)}"
+            if account.untimed:
+                yield (
+                    f"{account.topic}: {account.untimed} messages have no time, or one before "
+                    "1970; the time at which they were logged is taken"
+                )
             if account.first_error:
                 yield f"{account.topic}: first fault of a message: {account.first_error}"
-        shown = {"flip", "outlier", "optimizer outlier"}
+        shown = {"flip", "outlier", "optimizer outlier", TOO_LATE}
         totals: Counter[str] = Counter()
         for (kind, _), n in self._run.events.counts.items():
             totals[kind] += n
         for kind in sorted(totals.keys() - shown):
-            yield f"{kind}: {totals[kind]}"
+            yield notes.counted(kind, totals[kind])
         yield from self._clock_notes()
 
     def _clock_notes(self) -> Iterator[str]:
-        """Cameras whose clocks plainly differ: nothing downstream can mend that."""
+        """Cameras whose clocks plainly differ or jump: nothing downstream can mend that."""
+        for source, rhythm in sorted(self._rhythms.items()):
+            if rhythm.jumps:
+                yield (
+                    f"the clock of {source} jumps ({rhythm.jumps} times, by up to "
+                    f"{notes.duration(rhythm.farthest * 1e-9)}): it was set, or a message has a "
+                    "wrong time"
+                )
         lags = {s: sorted(lag)[len(lag) // 2] for s, lag in self._lag.items() if lag}
         if len(lags) > 1:
             early, late = min(lags, key=lambda s: lags[s]), max(lags, key=lambda s: lags[s])

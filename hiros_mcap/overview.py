@@ -64,6 +64,8 @@ class Overview:
     """Frame that results would be in, "" if there is none."""
     fault: str
     """Why there is no fixed frame, "" if there is."""
+    nameless: str
+    """What is to be said of cameras that name no frame, "" if all do."""
     skipped: Mapping[str, Mapping[str, int]]
     """Messages that give nothing, by topic and reason."""
 
@@ -132,6 +134,7 @@ def look(
             links=log.model.link_names,
             fixed_frame=fixed,
             fault=fault,
+            nameless=log.nameless,
             skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
         )
 
@@ -149,7 +152,7 @@ def _unresolved(log: Log, frame: str, fixed: str) -> str:
         log.transforms.lookup(frame, fixed or log.transforms.root(frame), 0)
     except LogError as error:
         return error.fault
-    return "" if fixed else "no fixed frame"
+    return "" if fixed or not frame else "no fixed frame"
 
 
 def _tallies(log: Log) -> dict[str, _Tally]:

@@ -25,12 +25,12 @@ from hiros_mcap.container import ChunkCopier, McapWriter
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
-from hiros_mcap.log import Log, open_log
+from hiros_mcap.log import DAMAGED, Log, open_log
 from hiros_mcap.observe import Observer, Stopwatch
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, system
+from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, hiros, system
 
 if TYPE_CHECKING:
     from hiros_mcap.export.markers import MarkerExport
@@ -162,7 +162,7 @@ def process(
         else:
             _write(log, run, chain, observer, Path(target), options, progress, watcher)
         watcher.end(run.events)
-        _refuse_skipped(log, options.strict)
+        _refuse_skipped(log, observer, options.strict)
         if options.limbs_out:
             limbs.save(options.limbs_out)
         return observer.summary(None if target is None else str(target))
@@ -213,7 +213,8 @@ def _frames(
 def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
     """Whether limbs are measured on the whole log first; other systems measure on the way."""
     wanted = run.config.optimize.calibration == "two-pass"
-    return wanted and run.system == "hiros" and "optimized" in chain and not run.limbs.people
+    is_hiros = system(run.system).stages is hiros
+    return wanted and is_hiros and "optimized" in chain and not run.limbs.people
 
 
 def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
@@ -250,7 +251,8 @@ def _write(
         copier = ChunkCopier(log.reader, writer, _kept(log, options))
         channels = {name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain}
 
-        export = _marker_export(writer, log, run) if options.markers else None
+        by_stamp = run.config.output.log_time == "stamp"
+        export = _marker_export(writer, log, run, by_stamp=by_stamp) if options.markers else None
 
         def sink(channel: str, frame: Frame) -> None:
             watcher.frame(channel, frame)
@@ -258,7 +260,7 @@ def _write(
                 copier.until(frame.log_time)
                 writer.write_into(
                     channels[channel],
-                    frame.log_time,
+                    frame.stamp if by_stamp else frame.log_time,
                     lambda space: encoder.encode_into(space, frame),
                 )
             if export is not None and channel == chain[-1]:
@@ -267,15 +269,15 @@ def _write(
         _consume(_frames(log, run, chain, observer, sink), log, progress)
         with observer.watch.timing("write"):
             copier.finish()
-            _refuse_skipped(log, options.strict)
+            _refuse_skipped(log, observer, options.strict)
             _add_provenance(writer, log, run, chain, observer)
             writer.commit()
 
 
-def _marker_export(writer: McapWriter, log: Log, run: Run) -> MarkerExport:
+def _marker_export(writer: McapWriter, log: Log, run: Run, *, by_stamp: bool) -> MarkerExport:
     from hiros_mcap.export.markers import MarkerExport
 
-    return MarkerExport(writer, log.model, run.events)
+    return MarkerExport(writer, log.model, run.events, by_stamp=by_stamp)
 
 
 def _kept(log: Log, options: ProcessOptions) -> list[int]:
@@ -320,9 +322,12 @@ def _add_provenance(
     writer.add_attachment("hiros/report.json", report.encode(), "application/json")
 
 
-def _refuse_skipped(log: Log, strict: bool) -> None:
+def _refuse_skipped(log: Log, observer: Observer, strict: bool) -> None:
     """With ``strict``, a message that was skipped is an error."""
-    for topic, account in log.accounts.items() if strict else ():
-        for reason, n in account.skipped.items():
-            detail = f" ({account.first_error})" if account.first_error else ""
-            raise LogError(f"{n} messages skipped: {reason}{detail}", path=log.path, topic=topic)
+    for camera in observer.cameras() if strict else ():
+        for reason, n in camera.skipped.items():
+            error = log.accounts[camera.topic].first_error
+            detail = f" ({error})" if error and reason == DAMAGED else ""
+            raise LogError(
+                f"{n} messages skipped: {reason}{detail}", path=log.path, topic=camera.topic
+            )

@@ -23,9 +23,9 @@ class CameraSummary:
     messages: int
     """Messages read from the channel."""
     used: int
-    """Messages that went into the first stage."""
+    """Messages that results are made of."""
     skipped: Mapping[str, int] = field(default_factory=dict)
-    """Messages that did not, by reason."""
+    """Messages that were left out, by reason: not read, or read and not merged."""
     flips: int = 0
     """Detections set aside because left and right were swapped."""
     outliers: int = 0
@@ -108,7 +108,7 @@ class Summary:
 
     @property
     def skipped(self) -> int:
-        """Messages of all cameras that no stage got to see."""
+        """Messages of all cameras that were left out."""
         return sum(sum(camera.skipped.values()) for camera in self.cameras)
 
     def to_dict(self) -> dict[str, Any]:

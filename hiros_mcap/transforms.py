@@ -145,7 +145,10 @@ class TransformTree:
             by_root.setdefault(self.root(frame), []).append(frame)
         if len(by_root) == 1:
             return next(iter(by_root))
-        groups = "; ".join(f"{', '.join(sorted(by_root[root]))} in {root}" for root in by_root)
+        groups = "; ".join(
+            f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
+            for root, names in by_root.items()
+        )
         raise LogError(
             f"no transforms join the cameras' frames ({groups}); the log has transforms of "
             f"{_listing(self.frames)}. Give the missing ones with --extrinsics FILE, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -31,6 +32,8 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
         assert set(printed[section]) == set(type(params).model_fields)
         for name, field in type(params).model_fields.items():
             assert field.description, f"{section}.{name} has no description"
+            # What it cites, a user must be able to look up: a paper's section, an equation.
+            assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
 
 
 def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:

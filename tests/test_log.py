@@ -78,6 +78,28 @@ def two_cameras(path):
     return path
 
 
+def test_the_span_is_that_of_the_skeletons_and_not_of_a_latched_transform(path):
+    first = 5_000_000_000
+    with Maker(path, chunk_size=1) as log:
+        log.time = itertools.chain([0], itertools.count(first, 10))
+        log.transforms((0, "world", "camera_0", (1, 0, 0), NONE))
+        for stamp in range(1000, 1500, 100):
+            log.add(seen(0, stamp))
+        log.add(seen(0, 1500), topic="/hiros/filtered")
+    with open_log(path) as log:
+        assert log.span == (first, first + 40)
+    with open_log(path, topics=["/hiros/*"], output_prefix="/none") as log:
+        assert log.span == (first, first + 40)
+
+
+def test_the_span_of_a_file_of_results_alone_is_theirs(path):
+    with Maker(path) as log:
+        log.add(seen(0, 1000), topic="/hiros/filtered")
+        log.add(seen(0, 1500), topic="/hiros/filtered")
+    with open_log(path, topics=["/hiros/*"], output_prefix="/none") as log:
+        assert log.span == (10, 20)
+
+
 def frames_of(path, **options):
     with open_log(path, **options) as log:
         return list(log.frames()), log

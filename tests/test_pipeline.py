@@ -6,11 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import same
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 from hiros_mcap.config import load_config
 from hiros_mcap.container import McapReader
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Truth, evaluate
+from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import ProcessOptions, process
 from hiros_mcap.systems import LETTERS, SYSTEMS
@@ -19,6 +23,7 @@ from hiros_mcap.transforms import transform_to_fixed
 SAMPLES = Path(__file__).parent.parent / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
 WALKING = SAMPLES / "one_person_walking.mcap"
+PLAYED = ("/hiros/filtered", "/hiros/markers", "/hiros/joint_states")
 
 
 def truth_of(path: Path) -> Truth:
@@ -122,6 +127,36 @@ def test_replay_of_the_output_is_causal(tmp_path: Path) -> None:
         assert all(frame.log_time >= frame.stamp for frame in frames)
         stamps = [frame.stamp for frame in frames]
         assert stamps == sorted(stamps)
+
+
+def test_an_output_may_be_logged_at_the_time_of_its_data(tmp_path: Path) -> None:
+    by_stamp = load_config(None, ["output.log_time=stamp"])
+    process(CROSSING, tmp_path / "causal", options=ProcessOptions(markers=True))
+    process(CROSSING, tmp_path / "stamp", config=by_stamp, options=ProcessOptions(markers=True))
+    for channel in LETTERS.values():
+        causal, stamped = (
+            read_channel(tmp_path / name, f"/hiros/{channel}")[0] for name in ("causal", "stamp")
+        )
+        assert all(frame.log_time == frame.stamp for frame in stamped)
+        assert all(
+            same(a.replace(log_time=a.stamp), b) for a, b in zip(causal, stamped, strict=True)
+        )
+    with (tmp_path / "stamp").open("rb") as file:
+        decoded = list(
+            make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        )
+    shown = [(c.topic, m.log_time, d) for _, c, m, d in decoded if c.topic in PLAYED]
+    for _, log_time, data in shown:
+        header = data.markers[0].header if hasattr(data, "markers") else data.header
+        assert header.stamp.sec * 1_000_000_000 + header.stamp.nanosec == log_time
+    assert {topic for topic, _, _ in shown} == set(PLAYED)
+    assert all(m.log_time == d.stamp.sec * 10**9 + d.stamp.nanosec for _, c, m, d in decoded
+               if c.topic == "/hiros/log")  # fmt: skip
+    scores = [
+        evaluate_log(tmp_path / name, truth_of(CROSSING))["/hiros/filtered"].scores.mean
+        for name in ("causal", "stamp")
+    ]
+    assert scores[0] == scores[1]
 
 
 def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:

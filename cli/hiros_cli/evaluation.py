@@ -13,6 +13,7 @@ from hiros_cli.report import console, table
 from hiros_mcap.evaluate import Truth, score_tables, tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
+from hiros_mcap.evaluate.match import strangers
 from hiros_mcap.evaluate.paper import Experiments
 from hiros_mcap.text import number
 
@@ -36,6 +37,8 @@ def show_truth(
     absent = [name for name in result.model.marker_names if name not in result.scores.joints]
     if absent:
         _note(out, f"no truth for {len(absent)} markers: {', '.join(absent)}")
+    if hint := strangers(result.matches, truth):
+        _note(out, hint)
     for topic, result in results.items():
         for reason, count in result.skipped.items():
             _note(out, f"{topic}: {count} messages skipped: {reason}")
@@ -76,6 +79,7 @@ def show_paper(results: Experiments) -> None:
     _show(out, "The same sequences by joint positions", (tables.POSITION_HEADER, rows))
     title = "Table 8: time per merged frame, ms, mean (SD) [paper]; 5 and 10 people by a line"
     _show(out, title, (tables.TIME_HEADER, tables.time_rows(results.sequences)))
+    _note(out, tables.TIME_NOTE)
     _title(out, "What the paper claims")
     for claim in results.claims:
         verdict = "holds" if claim.holds else "DOES NOT HOLD"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -48,6 +49,8 @@ class Matches:
     false: int = 0
     switches: int = 0
     frames: int = 0
+    nearest: float = math.inf
+    """Least distance of a skeleton from a true person, mean over joints, m."""
 
 
 def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DISTANCE) -> Matches:
@@ -72,6 +75,8 @@ def _match_frame(
     positions, turns = truth.at(frame.stamp)
     present = np.nonzero(~np.isnan(positions[..., 0]).all(axis=-1))[0]
     distance = _distances(positions[present], frame.positions[rows])
+    if not np.isnan(distance).all():
+        result.nearest = min(result.nearest, float(np.nanmin(distance)))
     allowed = np.where(distance < max_distance, distance, np.inf)
     matched = assign(np.ascontiguousarray(allowed)).tolist()
     for column, k in enumerate(matched):
@@ -97,6 +102,24 @@ def _match_frame(
     result.frames += 1
     similarity = np.clip(1 - np.nan_to_num(distance, nan=max_distance) / max_distance, 0, 1)
     result.instants.append(Instant(tuple(present.tolist()), tuple(names), similarity))
+
+
+def strangers(matches: Matches, truth: Truth) -> str:
+    """Say how far apart result and truth are where nobody was matched; "" if somebody was."""
+    if matches.people or not math.isfinite(matches.nearest):
+        return ""
+    found = np.stack([pose for track in matches.tracks.values() for pose in track.poses])
+    return (
+        f"no skeleton comes nearer than {matches.nearest:.1f} m to a true person. Is the truth in "
+        "metres, in the log's fixed frame, with the right --up and --shift? Typical coordinates: "
+        f"truth {_typical(truth.positions)}, result {_typical(found)}"
+    )
+
+
+def _typical(positions: Floats) -> str:
+    """Median of each coordinate, as text."""
+    middle = np.nanmedian(positions.reshape(-1, 3), axis=0)
+    return f"({', '.join(f'{value:.4g}' for value in middle)})"
 
 
 def _distances(true: Floats, found: Floats) -> Floats:

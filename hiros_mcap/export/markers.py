@@ -34,12 +34,16 @@ class MarkerExport:
     Parameters
     ----------
     writer : the output. model : of the frames. events : of the run; written as they come.
+    by_stamp : log times are those of the data, not of the message that let them be known.
     """
 
-    def __init__(self, writer: McapWriter, model: SkeletonModel, events: Events) -> None:
+    def __init__(
+        self, writer: McapWriter, model: SkeletonModel, events: Events, *, by_stamp: bool = False
+    ) -> None:
         self._writer = writer
         self._model = model
         self._events = events
+        self._by_stamp = by_stamp
         self._logged = 0
         self._chains = limb_chains(model)
         self._markers = add_ros_channel(writer, MARKERS, hiros_schemas.MARKER_ARRAY)
@@ -49,12 +53,14 @@ class MarkerExport:
 
     def write(self, frame: Frame) -> None:
         """Write a frame, and the events since the last one."""
-        time = frame.log_time
+        time = frame.stamp if self._by_stamp else frame.log_time
         self._writer.write(self._markers, time, marker_array(frame, self._chains))
         self._writer.write(self._labels, time, label_array(frame))
         self._writer.write(self._joints, time, joint_state(frame, self._model))
         for event in self._events.log[self._logged :]:
-            self._writer.write(self._log, time, log_message(event))
+            self._writer.write(
+                self._log, event.stamp if self._by_stamp else time, log_message(event)
+            )
         self._logged = len(self._events.log)
 
 

@@ -146,7 +146,7 @@ class _Associator:
         self.tracks = [track for track in self.tracks if stamp - track.seen <= limit]
 
     def _match(self, places: list[list[float]], stamp: int) -> list[Centroid | None]:
-        """Track of each place, None for those that have none (M06 to M08)."""
+        """Track of each place, None for those that have none."""
         from hiros_mcap.kernels.tracking import assign
 
         noise, gate = self.params.position_noise, self.params.gate
@@ -165,7 +165,7 @@ class _Associator:
         return matched
 
     def _start(self, x: float, y: float, frame: Frame) -> Centroid | None:
-        """Start a track, unless it is a second body of somebody who is there (M08)."""
+        """Start a track, unless it is a second body of somebody who is there."""
         nearest = min((math.hypot(t.x - x, t.y - y) for t in self.tracks), default=math.inf)
         if nearest < self.params.min_distance:
             self.events.count("second body", frame.source)

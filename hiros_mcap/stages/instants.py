@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.events import Events
+from hiros_mcap.events import TOO_LATE, Events
 from hiros_mcap.kernels.averaging import load_views
 from hiros_mcap.skeletons import STATE, Floats, Frame, SkeletonModel, Stamps
 
@@ -19,7 +19,7 @@ class Instant:
     frames: Sequence[Frame]
     """Sorted by source, so that nothing depends on which camera was first."""
     stamp: int
-    """Mean time of the messages, ns (H21)."""
+    """Mean time of the messages, ns."""
     log_time: int
     """Log time, ns, of the message that completed the instant."""
 
@@ -45,7 +45,8 @@ def instants(
 
     Yields
     ------
-    Instants whose times increase: a frame that is older than the last one is left out.
+    Instants whose times never decrease: a frame older than the last one is left out. Two have the
+    same time where messages do: cameras triggered together, before all of them are known.
     """
     buffer: dict[str, Frame] = {}
     known: set[str] = set()
@@ -53,7 +54,7 @@ def instants(
     for frame in frames:
         known.add(frame.source)
         if frame.stamp < newest:
-            events.count("too late to be merged", frame.source)
+            events.count(TOO_LATE, frame.source)
             continue
         if buffer and _closes(buffer, frame, max_delta_time):
             instant = Instant.of(buffer, frame.log_time)
@@ -69,7 +70,7 @@ def instants(
 
 
 def _closes(buffer: dict[str, Frame], frame: Frame, max_delta_time: float) -> bool:
-    """Whether a message belongs to a later instant: same camera again, or too late (H26, H27)."""
+    """Whether a message belongs to a later instant: same camera again, or too late."""
     if frame.source in buffer:
         return True
     stamps = [f.stamp for f in buffer.values()]

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from pydantic import Field
 
-from hiros_mcap.events import Events
+from hiros_mcap.events import TOO_LATE, Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import (
     UNTRACKED,
@@ -185,7 +185,7 @@ def kalman(
     newest = 0
     for frame in frames:
         if frame.stamp < newest:
-            events.count("too late to be merged", frame.source)
+            events.count(TOO_LATE, frame.source)
             continue
         newest = frame.stamp
         yield from fusion.step(frame)

@@ -40,13 +40,13 @@ class MergeParams(Params):
     max_delta_time: float = Field(
         0.07,
         gt=0,
-        description="s between the oldest and the newest message of a buffer (second trigger; "
-        "X12). Two periods of a 30 Hz camera.",
+        description="s between the oldest and the newest message of a buffer (second trigger, "
+        "section 3.2). Two periods of a 30 Hz camera.",
     )
     max_position_delta: float = Field(
         0.2,
-        description="m: views of a marker that differ by less agree (the peer's workable value); "
-        "<= 0 turns the vote off.",
+        description="m: views of a marker that differ by less agree (0.2: workable launch value "
+        "of the published code); <= 0 turns the vote off.",
     )
     max_orientation_delta: float = Field(
         np.pi / 4, description="rad: the same for links; <= 0 turns the vote off."
@@ -76,7 +76,9 @@ class MergeParams(Params):
         "detectors' flips last up to 3 s.",
     )
     past_votes: bool = Field(
-        True, description="The previous merged pose votes like a camera (H30) and settles ties."
+        True,
+        description="The previous merged pose votes like a camera and settles ties (published "
+        "code; not in the paper).",
     )
     compensate_motion: bool = Field(
         True, description="Carry views to the merged time by their velocities."
@@ -176,8 +178,8 @@ def merge(
 
     Yields
     ------
-    One frame per buffer, at the mean time of its messages (H21), people sorted by id. Times
-    increase: a frame that is older than what was merged before is counted and left out.
+    One frame per buffer, at the mean time of its messages, people sorted by id. Times never
+    decrease: a frame that is older than what was merged before is counted and left out.
     """
     params = params or MergeParams()
     events = events or Events()
@@ -212,7 +214,7 @@ class _Merger:
         ], np.float64)  # fmt: skip
 
     def fuse(self, instant: Instant) -> Frame:
-        """Merge the messages of an instant into one frame at its time (H20-H25)."""
+        """Merge the messages of an instant into one frame at its time."""
         frames, stamp, log_time = instant.frames, instant.stamp, instant.log_time
         seen = {i for frame in frames for i in frame.ids.tolist()} - {UNTRACKED}
         people = sorted(seen | self._bridged(seen, stamp))

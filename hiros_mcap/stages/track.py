@@ -39,19 +39,20 @@ class TrackParams(Params):
         0.6,
         gt=0,
         description="Gate, m: a detection whose markers are on average farther than this from a "
-        "track is not of that person (H16). Views of one person differ by 0.05 to 0.35 m; the "
-        "peer's workable value is 0.8 m, which also swallows a neighbour.",
+        "track is not of that person (section 3.1.2). Views of one person differ by 0.05 to "
+        "0.35 m; 0.8 m, a workable launch value of the published code, also swallows a "
+        "neighbour.",
     )
     min_distance: float = Field(
         0.25,
         ge=0,
         description="m: a body this near to a tracked person is a second detection of that person "
-        "and starts no track (H19).",
+        "and starts no track (0.1: published code).",
     )
     max_gap: float = Field(
         1.5,
         gt=0,
-        description="t_m, s: a person that nobody sees for longer is forgotten (H17; X12).",
+        description="t_m, s: a person that nobody sees for longer is forgotten (section 3.1.2).",
     )
     orientation_weight: float = Field(
         0.05,
@@ -76,14 +77,12 @@ class TrackParams(Params):
         description="Compare detections with left and right swapped, too; needs marker names.",
     )
     min_skeleton_confidence: float = Field(
-        0.0, ge=0, le=1, description="Detections below are not tracked (H19)."
+        0.0, ge=0, le=1, description="Detections below are not tracked."
     )
     min_marker_confidence: float = Field(
-        0.0, ge=0, le=1, description="Markers and links below count as absent (H19)."
+        0.0, ge=0, le=1, description="Markers and links below count as absent."
     )
-    min_markers: int = Field(
-        4, ge=1, description="A detection with fewer markers starts no track (H19)."
-    )
+    min_markers: int = Field(4, ge=1, description="A detection with fewer markers starts no track.")
     tentative_gap: float = Field(
         0.5, gt=0, description="s: as max_gap, for a body that is not a person yet."
     )

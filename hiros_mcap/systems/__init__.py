@@ -11,14 +11,18 @@ from hiros_mcap.systems.run import Run, Stages, System
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 """Letter of a chain -> output channel."""
 
+# Merging and filtering need the tracker's ids (Fig. 2).
+_HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _LEE = ("T", "TM", "TMF")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(
         "Hi-ROS 2023: track, merge, optimize, filter, with what real logs need beyond the paper",
         hiros,
-        # Merging and filtering need the tracker's ids (Fig. 2).
-        ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF"),
+        _HIROS,
+    ),
+    "hiros-realtime": System(
+        "hiros with the preset realtime: nothing waits for later frames", hiros, _HIROS
     ),
     "malaguti": System(
         "Malaguti 2019: centroids, a Kalman filter per person fed by every message, limb lengths",

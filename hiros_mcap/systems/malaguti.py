@@ -22,7 +22,7 @@ def malaguti(run: Run) -> Stages:
 
 
 def openptrack(run: Run) -> Stages:
-    """Association by centroids and a filter per joint; as OpenPTrack by its parameters (M33)."""
+    """Association by centroids and a filter per joint; as OpenPTrack by its parameters."""
     from hiros_mcap.stages.kalman import kalman
 
     fuse = partial(
@@ -45,7 +45,7 @@ def raw(run: Run) -> Stages:
 
 
 def maf(run: Run) -> Stages:
-    """Association, then a moving average (M34)."""
+    """Association, then a moving average."""
     from hiros_mcap.stages.moving_average import moving_average
 
     smooth = partial(

@@ -133,7 +133,19 @@ def test_calibrate_noise_prints_what_config_reads(
     params = {"people": 1, "cameras": 2, "seconds": 4, "action": "free_static", "flips": 0.0}
     write_log(log, SimulateParams.model_validate(params))
     assert run(["calibrate", "noise", str(log), "--window", "1:3"]) == 0
-    config.write_text(capsys.readouterr().out)
+    captured = capsys.readouterr()
+    assert "somebody moved" not in captured.err
+    config.write_text(captured.out)
     assert 0.005 < load_config(config).kalman.measurement_noise < 0.2
     assert run(["calibrate", "noise", str(log), "--window", "50:60"]) == 2
     assert "no camera sees anybody twice" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]], ids=["toml", "json"])
+def test_calibrate_noise_warns_beside_its_output_when_people_walk(
+    options: list[str], walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["calibrate", "noise", str(walking), *options]) == 0
+    captured = capsys.readouterr()
+    assert "hiros: warning: joints scatter by 55 cm about their mean" in captured.err
+    assert "warning" not in captured.out

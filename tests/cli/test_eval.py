@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from hiros_cli.app import run
+from hiros_mcap.evaluate import load_truth
 from hiros_mcap.pipeline import process
 
 
@@ -51,6 +52,30 @@ def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert len(data["cameras"]) == len(data["disagreement"]) == 3
     assert run(["eval", str(walking), "--leave-one-out"]) == 0
     assert "Mirrored" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("scale", "wrong"), [(1.0, False), (1000.0, True)])
+def test_a_truth_that_nobody_is_near_to_may_have_another_unit(
+    processed: Path,
+    walking: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    scale: float,
+    wrong: bool,
+) -> None:
+    truth = load_truth(walking)
+    assert truth.model is not None
+    rows = [
+        f"{stamp / 1e9:.9f},0,{name},{','.join(f'{scale * x:.4f}' for x in point)}"
+        for stamp, (pose,) in zip(truth.stamps.tolist(), truth.positions, strict=True)
+        for name, point in zip(truth.model.marker_names, pose.tolist(), strict=True)
+    ]
+    table = tmp_path / "truth.csv"
+    table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
+    assert run(["eval", str(processed), "--truth", str(table)]) == 0
+    out = capsys.readouterr().out
+    assert ("Is the truth in metres, in the log's fixed frame" in out) == wrong
+    assert not wrong or re.search(r"truth \(.*, 8\d\d\.\d\), result \(.*, 0\.8\d*\)", out)
 
 
 @pytest.mark.parametrize("options", [[], ["--leave-one-out"]], ids=["truth", "no truth"])

@@ -98,7 +98,9 @@ def test_the_layout_of_the_tables() -> None:
     assert rows[0][-2:] == ("-20.0% (-34.9%)", "-20.1% (-35.0%)")
     times = tables.time_rows(runs)
     assert [row[0] for row in times] == ["1", "2", "3", "4", "5", "10"]
-    assert times[0][-2:] == ("4.000", "1000")
+    assert tables.TIME_HEADER[-3:] == ("Sum", "Frames/s", "Side by side")
+    assert times[0][-3:] == ("4.000", "250", "1000")
+    assert all(len(row) == len(tables.TIME_HEADER) for row in times)
     assert step_times(runs)["merged"][4] == (1.0, 0.0)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from stick_figures import MIRROR, MODEL, SECOND, START, at, person, seen
+from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import merging
@@ -479,3 +479,11 @@ def test_a_frame_older_than_the_last_merged_one_is_counted_and_left_out() -> Non
     stamps = [frame.stamp for frame in merged]
     assert stamps == sorted(set(stamps))
     assert events.counts["too late to be merged", "b"] == 1
+
+
+def test_messages_of_one_time_are_all_merged_even_before_every_camera_is_known() -> None:
+    events = Events()
+    frames = [seen([person()], at(k), camera, ids=[0]) for k in range(3) for camera in "abc"]
+    merged = list(merge(frames, MODEL, events=events))
+    assert [(f.stamp - START) // PERIOD for f in merged] == [0, 0, 1, 2]
+    assert events.total("too late to be merged") == 0

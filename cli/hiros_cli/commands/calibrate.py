@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -54,6 +55,13 @@ def noise(
         found = measure_noise(frames, opened.model)
     if not found.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice, so there is no noise to measure")
+    moved = found.deviation > MOVED_M
+    if moved:  # also where stdout goes into a file
+        print(
+            f"hiros: warning: joints scatter by {number(100 * found.deviation, 0)} cm about their "
+            "mean, so somebody moved; choose a part without motion by --window START:END",
+            file=sys.stderr,
+        )
     if json:
         from json import dumps
 
@@ -65,6 +73,6 @@ def noise(
     for kind, table in (("camera", found.cameras), ("joint", found.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
-    if found.deviation > MOVED_M:
+    if moved:
         print("# more than 10 cm: somebody moved; choose a part without motion by --window")
     print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")

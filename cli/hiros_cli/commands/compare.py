@@ -29,8 +29,8 @@ def compare(
         typer.Option(
             "--system",
             metavar="NAME[:CHAIN][,PARAM=VALUE]",
-            help="Takes part; may be repeated. hiros:TMF, lee,cluster.radius=0.2. Default: all "
-            "systems that are no variants of others.",
+            help="Takes part; may be repeated. hiros:TMF, lee,cluster.radius=0.2. Default: hiros "
+            "with and without look-ahead, malaguti, lee and the baselines.",
         ),
     ] = None,
     study: Annotated[

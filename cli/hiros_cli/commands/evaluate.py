@@ -134,10 +134,10 @@ def check_report(path: Path) -> None:
 def _start(log: Path) -> int:
     """Time at which a log starts, ns: what motion capture files count from."""
     from hiros_mcap.container import McapReader
+    from hiros_mcap.log import span_of
 
     with McapReader(log) as reader:
-        statistics = reader.contents.statistics
-        return statistics.start_time if statistics else 0
+        return span_of(reader)[0]
 
 
 def _processed(log: Path, config: Config, stack: ExitStack) -> Path:

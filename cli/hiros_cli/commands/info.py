@@ -10,7 +10,7 @@ import typer
 from hiros_cli.options import Json
 
 if TYPE_CHECKING:
-    from hiros_mcap.overview import Overview
+    from hiros_mcap.overview import CameraRow, Overview
 
 
 def info(
@@ -90,11 +90,17 @@ def _cameras(overview: Overview) -> Any:
                 number(row.rate_hz, 1, " Hz"),
                 number(row.longest_gap_s, 2, " s"),
                 f"{row.least_people} to {row.most_people}, mean {number(row.mean_people, 2)}",
-                row.frame + (f" ({row.fault})" if row.fault else " (resolved)"),
+                _frame(row),
             )
             for row in overview.cameras
         ],
     )
+
+
+def _frame(row: CameraRow) -> str:
+    if row.fault:
+        return f"{row.frame or 'no name'} ({row.fault})"
+    return f"{row.frame} (resolved)" if row.frame else "none named"
 
 
 def _facts(overview: Overview) -> list[str]:
@@ -102,8 +108,10 @@ def _facts(overview: Overview) -> list[str]:
     lines.append(f"markers: {', '.join(overview.markers)}")
     if overview.fixed_frame:
         lines.append(f"fixed frame: {overview.fixed_frame}")
-    else:
+    elif overview.fault:
         lines.append(f"fixed frame: none; {overview.fault}")
+    if overview.nameless:
+        lines.append(overview.nameless)
     for topic, reasons in overview.skipped.items():
         lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
     return lines

@@ -1,0 +1,51 @@
+"""Recordings with something wrong in them: the sample log, message by message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from hiros_mcap.codec import Decoder, Encoder
+from hiros_mcap.container import McapWriter
+from hiros_mcap.log import open_log
+from hiros_mcap.skeletons import Frame
+
+Change = Callable[[Frame, int], Frame]
+"""(what a camera says, how many messages it has sent before) -> what it says instead."""
+
+
+def changed(source: Path, target: Path, change: Change, *, latched: int | None = None) -> Path:
+    """Copy a log with other detections; ``latched`` is the log time of its transforms, if given."""
+    with open_log(source) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        decoder, encoder = Decoder(log.model), Encoder(log.model)
+        for message in log.reader.messages():
+            topic, time = log.reader.channels[message.channel_id].topic, message.log_time
+            data = bytes(message.data)
+            if topic.startswith("/camera_"):
+                sent = writer.counts[message.channel_id]
+                data = encoder.encode(change(decoder.decode(data, time), sent))
+            elif topic == "/tf_static" and latched is not None:
+                time = latched
+            writer.write(message.channel_id, time, data)
+        writer.commit()
+    return target
+
+
+def later(frame: Frame, ns: int) -> Frame:
+    """The same at another time of the camera's clock."""
+    return frame.replace(stamp=frame.stamp + ns, stamps=frame.stamps + ns)
+
+
+def scaled(frame: Frame, factor: float) -> Frame:
+    """The same in another unit."""
+    markers = frame.markers.copy()
+    markers[:, :, :3] *= factor
+    return frame.replace(markers=markers)
+
+
+def believed(frame: Frame, confidence: float) -> Frame:
+    """The same with another confidence of every marker."""
+    confidences = frame.marker_confidences.copy()
+    confidences[:] = confidence
+    return frame.replace(marker_confidences=confidences)
