@@ -22,6 +22,7 @@ from typing import Self
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.bags import ConvertedBag, kind_of
 from hiros_mcap.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -48,7 +49,6 @@ from hiros_mcap.transforms import Mover, TransformTree, parse_tf, read_extrinsic
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
-_FOREIGN = {b"#ROSBAG V2.0": "a ROS 1 bag", b"SQLite format 3": "a SQLite bag (.db3)"}
 
 
 @dataclass(slots=True)
@@ -94,6 +94,7 @@ class Log:
     model : the skeleton model of all cameras.
     transforms : where the cameras stand.
     accounts : what became of the messages, by topic; filled while ``frames`` runs.
+    left_out : topics of a bag that are not in ``channels``, with their type and count.
     """
 
     def __init__(
@@ -103,9 +104,11 @@ class Log:
         model: SkeletonModel,
         transforms: TransformTree,
         fixed_frame: str | None,
+        bag: ConvertedBag | None = None,
     ) -> None:
         self.reader = reader
-        self.path = reader.path
+        self.path = bag.path if bag else reader.path
+        self.left_out = bag.left_out if bag else {}
         self.channels = channels_of(reader)
         self.cameras = tuple(cameras)
         self.model = model
@@ -113,6 +116,7 @@ class Log:
         self.strict = False
         self.accounts: dict[str, Account] = {}
         self._fixed_frame = fixed_frame
+        self._bag = bag
 
     def __enter__(self) -> Self:
         return self
@@ -128,6 +132,8 @@ class Log:
     def close(self) -> None:
         """Close the file."""
         self.reader.close()
+        if self._bag is not None:
+            self._bag.close()
 
     @cached_property
     def fixed_frame(self) -> str:
@@ -148,8 +154,11 @@ class Log:
         return span_of(self.reader)
 
     @property
-    def nameless(self) -> str:
-        """What is to be said of channels that name no coordinate frame; "" if all do."""
+    def remarks(self) -> tuple[str, ...]:
+        """What nobody asked for but should know about the log."""
+        return tuple(filter(None, (self._nameless(), self._left_out())))
+
+    def _nameless(self) -> str:
         topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
         if not topics:
             return ""
@@ -158,6 +167,10 @@ class Log:
             f"{len(topics)} channels name no coordinate frame ({', '.join(topics)}): their "
             f"skeletons are taken to be in one frame already{unused}"
         )
+
+    def _left_out(self) -> str:
+        topics = [f"{topic} ({kind}, {n})" for topic, (kind, n) in sorted(self.left_out.items())]
+        return f"only in the bag, not taken over: {', '.join(topics)}" if topics else ""
 
     def frames(self) -> Iterator[Frame]:
         """Yield the detections of all cameras in the order of their log times.
@@ -322,11 +335,12 @@ def open_log(
     fixed_frame: str | None = None,
     output_prefix: str = OUTPUT_PREFIX,
 ) -> Log:
-    """Open an MCAP log and find out what is in it.
+    """Open a log and find out what is in it.
 
     Parameters
     ----------
-    path : the file, or a rosbag2 folder with one MCAP file in it.
+    path : an MCAP file, a ROS 1 bag, a SQLite bag (.db3), or a rosbag2 folder. All but MCAP need
+        the extra hiros-mcap[bags], and are rewritten into a temporary file first.
     topics : globs of the skeleton channels to read (see channels.select_skeletons).
     extrinsics : file with the cameras' poses, instead of /tf_static and /tf.
     fixed_frame : frame of the results, instead of the root of the transforms.
@@ -335,26 +349,28 @@ def open_log(
     Raises
     ------
     LogError
-        the file is not a complete, undamaged MCAP, or holds no skeletons; a camera's messages can
-        all not be decoded.
+        the file is not a complete, undamaged MCAP or bag, or holds no skeletons; a camera's
+        messages can all not be decoded.
     SchemaError
         a chosen channel's message definition is not that of SkeletonGroup.
     ConfigError
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader = McapReader(_mcap(Path(path)))
+    reader, bag = _open(Path(path))
     try:
-        with _named(reader.path):
+        with _named(Path(path) if bag else reader.path):
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
             layouts = {info.id: _layout(reader, info) for info in chosen}
             model, first = _learn(reader, layouts)
             seen = [_look(reader, info, layouts[info.id], model, first) for info in chosen]
             cameras = _name_cameras(seen)
             transforms = _transforms(reader) if tree is None else tree
-        return Log(reader, cameras, model, transforms, fixed_frame)
+        return Log(reader, cameras, model, transforms, fixed_frame, bag)
     except BaseException:
         reader.close()
+        if bag is not None:
+            bag.close()
         raise
 
 
@@ -373,26 +389,20 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
 
 
-def _mcap(path: Path) -> Path:
-    """Return the MCAP file that is meant; raises LogError for bags of other kinds."""
-    if path.is_dir():
-        inside = sorted(path.glob("*.mcap"))
+def _open(path: Path) -> tuple[McapReader, ConvertedBag | None]:
+    """Open a file, a folder with one MCAP file in it, or a bag, which is converted first."""
+    inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    kind = "" if path.is_dir() and len(inside) == 1 else kind_of(path)
+    if not kind:
         if len(inside) != 1:
             raise LogError(f"is a folder with {len(inside)} MCAP files; name one", path=path)
-        return inside[0]
+        return McapReader(inside[0]), None
+    bag = ConvertedBag(path, kind)
     try:
-        with path.open("rb") as file:
-            start = file.read(16) if path.is_file() else b""
-    except OSError:
-        return path
-    for magic, kind in _FOREIGN.items():
-        if start.startswith(magic):
-            raise LogError(
-                f"is {kind}; convert it first: rosbags-convert --src {path.name} "
-                f"--dst {path.stem} --dst-storage mcap",
-                path=path,
-            )
-    return path
+        return McapReader(bag.mcap), bag
+    except BaseException:
+        bag.close()
+        raise
 
 
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:

@@ -250,8 +250,7 @@ class Observer:
 
     def _notes(self) -> Iterator[str]:
         """Tell what nobody asked for but should know."""
-        if self._log.nameless:
-            yield self._log.nameless
+        yield from self._log.remarks
         if not self._people:
             yield from self._looks.reasons()
         for account in self._log.accounts.values():

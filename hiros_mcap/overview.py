@@ -64,8 +64,8 @@ class Overview:
     """Frame that results would be in, "" if there is none."""
     fault: str
     """Why there is no fixed frame, "" if there is."""
-    nameless: str
-    """What is to be said of cameras that name no frame, "" if all do."""
+    remarks: tuple[str, ...]
+    """What nobody asked for but should know about the log."""
     skipped: Mapping[str, Mapping[str, int]]
     """Messages that give nothing, by topic and reason."""
 
@@ -134,7 +134,7 @@ def look(
             links=log.model.link_names,
             fixed_frame=fixed,
             fault=fault,
-            nameless=log.nameless,
+            remarks=log.remarks,
             skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
         )
 

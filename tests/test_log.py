@@ -388,13 +388,6 @@ def test_a_rosbag2_folder_with_one_log_is_that_log(two_cameras, tmp_path):
         open_log(tmp_path)
 
 
-@pytest.mark.parametrize("start", [b"#ROSBAG V2.0\n", b"SQLite format 3\0"])
-def test_bags_of_other_kinds_are_refused_with_what_to_do(tmp_path, start):
-    (tmp_path / "old.bag").write_bytes(start + bytes(100))
-    with pytest.raises(LogError, match=r"convert it first: rosbags-convert --src old\.bag"):
-        open_log(tmp_path / "old.bag")
-
-
 def test_a_damaged_container_is_fatal_even_in_the_middle(two_cameras):
     with McapReader(two_cameras) as reader:
         chunk = reader.contents.chunks[-1]

@@ -80,7 +80,7 @@ def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) ->
     assert note.startswith("3 channels")
     assert "transforms are not used" in note
     overview = look(tmp_path / "odd.mcap")
-    assert overview.nameless == note
+    assert overview.remarks == (note,)
     assert [camera.fault for camera in overview.cameras] == ["", "", ""]
     assert not said(process(crossing), "name no")
 

@@ -110,8 +110,7 @@ def _facts(overview: Overview) -> list[str]:
         lines.append(f"fixed frame: {overview.fixed_frame}")
     elif overview.fault:
         lines.append(f"fixed frame: none; {overview.fault}")
-    if overview.nameless:
-        lines.append(overview.nameless)
+    lines += overview.remarks
     for topic, reasons in overview.skipped.items():
         lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
     return lines
