@@ -26,6 +26,13 @@ from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 KEPT, FLIPPED, RELABELLED = 0, 1, 2
+AGREED, TURNED, HELD = 0, 1, 2
+
+# A way of facing that was seen for so long is held against others this many times as long.
+_TRUST = 3.0
+
+# Against the past alone, swapping has to leave less than this share of a view's distance to it.
+_CLEARLY = 0.75
 
 
 @kernel
@@ -410,7 +417,11 @@ def _mend(
     view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats,
     mirror: Ints, reference: Floats, relabel: bool, drop: bool,
 ) -> int:  # fmt: skip
-    """Swap the sides of a view if that brings it near ``reference``; otherwise drop it."""
+    """Swap the sides of a view if that brings it near ``reference``; else drop it, or leave it.
+
+    Where it is not to be dropped, there is only the past to go by, which may be distorted: then
+    swapping has to bring the view clearly nearer.
+    """
     as_is = swapped = 0.0
     both = 0
     n_markers = markers.shape[1]
@@ -429,7 +440,7 @@ def _mend(
             as_is += d
             swapped += s
             both += 1
-    if relabel and both > 0 and swapped < as_is:
+    if relabel and both > 0 and swapped < (1.0 if drop else _CLEARLY) * as_is:
         for m in range(n_markers):
             other = mirror[m]
             if other > m:
@@ -461,12 +472,16 @@ def _settle_flips(
     members: Stamps, markers: Floats, confidences: Floats, links: Floats,
     link_confidences: Floats, past: Floats, past_turn: Floats, has_past: bool, patient: bool,
     mirror: Ints, pairs: Ints, pelvis: int, limit: float, relabel: bool, verdicts: Stamps,
-) -> bool:  # fmt: skip
-    """Mend the views of one person that face the wrong way; whether a view faced as the result."""
+) -> int:  # fmt: skip
+    """Mend the views of one person that face the wrong way.
+
+    Returns AGREED if a view faces as the past does, TURNED if the views outvoted the past, HELD if
+    the past outvoted them.
+    """
     n = len(members)
     size = n + 1 if has_past else n
     if size == 1:
-        return True
+        return AGREED
     sides = np.full((size, 3), np.nan)
     turns = np.full((size, 4), np.nan)
     trust = np.zeros(n)
@@ -490,7 +505,7 @@ def _settle_flips(
         for b in range(size):
             conflict = conflict or apart[a, b] >= limit
     if not conflict:
-        return True
+        return AGREED
     right = np.empty(n, np.bool_)
     none = _right_views(apart, trust, has_past, patient, limit, right)
     reference = past
@@ -513,14 +528,24 @@ def _settle_flips(
                 members[k], markers, confidences, links, link_confidences, mirror, reference,
                 relabel, not none,
             )  # fmt: skip
-    return not none
+    if none:
+        for k in range(n):
+            if verdicts[members[k]] != KEPT:
+                return HELD
+        return TURNED
+    if has_past:
+        for k in range(n):
+            if right[k] and not apart[k, n] >= limit:
+                return AGREED
+        return TURNED
+    return AGREED
 
 
 @njit(
     "void(int64, int64, int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
-    " float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], float64[:,:,::1],"
-    " float64[:,:,::1], float64[:,:,::1], float64[:,:,:,::1], int32[::1], int32[:,::1],"
-    " float64[::1], int64[::1], float64[::1], float64[:,:,::1], float64[:,::1],"
+    " float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], int64[::1],"
+    " float64[:,:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,:,::1], int32[::1],"
+    " int32[:,::1], float64[::1], int64[::1], float64[::1], float64[:,:,::1], float64[:,::1],"
     " float64[:,:,::1], float64[:,::1], int64[:,::1])",
     cache=True,
     nogil=True,
@@ -537,6 +562,7 @@ def fuse(
     rows: Stamps,
     seen: Stamps,
     facing_seen: Stamps,
+    facing_since: Stamps,
     positions: Floats,
     velocities: Floats,
     turns: Floats,
@@ -559,8 +585,9 @@ def fuse(
     stamp : merged time, ns.
     n, whose, trust, markers, confidences, links, link_confidences : the views, as
         :func:`hiros_mcap.kernels.averaging.load_views` left them; overwritten.
-    rows : (P,) bank row of each output row. The bank, by row: ``seen`` and ``facing_seen`` (S,)
-        stamps, 0 = never; ``positions``, ``velocities``, ``turns``, ``bias``; brought to ``stamp``.
+    rows : (P,) bank row of each output row. The bank, by row: ``seen``, ``facing_seen`` and
+        ``facing_since`` (S,) stamps, 0 = never; ``positions``, ``velocities``, ``turns``,
+        ``bias``; brought to ``stamp``.
     mirror, pairs : of the skeleton's symmetry.
     numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
         pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
@@ -593,15 +620,20 @@ def fuse(
         for k in range(n_links):
             for c in range(4):
                 past_turn[k, c] = turns[row, k, c] if fresh else np.nan
-        faced = True
+        facing = AGREED
         if numbers[3] > 0.0:
-            patient = (stamp - facing_seen[row]) * 1e-9 <= numbers[10]
-            faced = _settle_flips(
+            # A facing that was seen for a moment only does not outvote others for long.
+            known = (facing_seen[row] - facing_since[row]) * 1e-9
+            patience = min(numbers[10], _TRUST * known)
+            patient = (stamp - facing_seen[row]) * 1e-9 <= patience
+            facing = _settle_flips(
                 members, markers, confidences, links, link_confidences, past, past_turn, has_past,
                 patient, mirror, pairs if numbers[7] > 0.0 else no_pairs, int(numbers[6]),
                 numbers[3], numbers[9] > 0.0, verdicts,
             )  # fmt: skip
-        if faced:
+        if facing == TURNED or seen[row] == 0:
+            facing_since[row] = stamp
+        if facing != HELD:
             facing_seen[row] = stamp
         if not has_past:
             for m in range(n_markers):

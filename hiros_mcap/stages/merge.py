@@ -73,7 +73,7 @@ class MergeParams(Params):
         4.0,
         ge=0,
         description="s after which the past no longer outvotes views that all face the other way; "
-        "detectors' flips last up to 3 s.",
+        "detectors' flips last up to 3 s. Sooner, after three times as long as the past was seen.",
     )
     past_votes: bool = Field(
         True,
@@ -121,6 +121,7 @@ class _Bank:
         m, n = model.n_markers, model.n_links
         self.seen: Stamps = np.zeros(0, np.int64)
         self.facing_seen: Stamps = np.zeros(0, np.int64)
+        self.facing_since: Stamps = np.zeros(0, np.int64)
         self.positions: Floats = np.zeros((0, m, 3))
         self.velocities: Floats = np.zeros((0, m, 3))
         self.turns: Floats = np.zeros((0, n, 4))
@@ -132,7 +133,7 @@ class _Bank:
             if not self.free:
                 self._grow(max(8, 2 * len(self.seen)))
             row = self.rows[person] = self.free.pop()
-            self.seen[row] = self.facing_seen[row] = 0
+            self.seen[row] = self.facing_seen[row] = self.facing_since[row] = 0
             self.bias[row] = 0.0
         return self.rows[person]
 
@@ -151,7 +152,9 @@ class _Bank:
 
     def _grow(self, size: int) -> None:
         old = len(self.seen)
-        for name in ("seen", "facing_seen", "positions", "velocities", "turns", "bias"):
+        for name in (
+            "seen", "facing_seen", "facing_since", "positions", "velocities", "turns", "bias",
+        ):  # fmt: skip
             array = getattr(self, name)
             bigger = np.zeros((size, *array.shape[1:]), array.dtype)
             bigger[:old] = array
@@ -248,10 +251,10 @@ class _Merger:
         views = self.views.load(out, frames, cameras, carry=self.params.compensate_motion)
         counts = np.zeros((2, bank.bias.shape[1]), np.int64)
         kernels.fuse(
-            out.stamp, *views, rows, bank.seen, bank.facing_seen, bank.positions, bank.velocities,
-            bank.turns, bank.bias, self.symmetry.mirror, self.symmetry.lateral, self.numbers,
-            out.stamps, out.confidences, out.markers, out.marker_confidences, out.links,
-            out.link_confidences, counts,
+            out.stamp, *views, rows, bank.seen, bank.facing_seen, bank.facing_since,
+            bank.positions, bank.velocities, bank.turns, bank.bias, self.symmetry.mirror,
+            self.symmetry.lateral, self.numbers, out.stamps, out.confidences, out.markers,
+            out.marker_confidences, out.links, out.link_confidences, counts,
         )  # fmt: skip
         for kind, numbers in zip(("outlier", "flip"), counts.tolist(), strict=True):
             for frame, camera in zip(frames, cameras, strict=True):

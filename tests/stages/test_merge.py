@@ -133,6 +133,21 @@ def test_one_camera_that_stays_turned_is_believed_in_the_end() -> None:
     assert merged[-1].positions[0] == pytest.approx(person()[MIRROR])
 
 
+def test_a_pose_of_a_moment_does_not_outvote_what_follows_for_long() -> None:
+    """A detector that starts with swapped sides is followed soon after it has noticed."""
+    poses = [[person()[MIRROR] if k < 5 else person()] for k in range(60)]
+    merged = stream(poses, past_votes=True)
+    assert all(f.positions[0] == pytest.approx(person()) for f in merged[25:])
+
+
+def test_a_collapsed_pose_does_not_turn_what_follows_round() -> None:
+    """A hidden body shrinks to a blob, which may face anywhere; it is no reason to swap sides."""
+    middle = person().mean(axis=0)
+    blob = middle + 0.2 * (person()[MIRROR] - middle)
+    merged = stream([[blob if k < 60 else person()] for k in range(90)], past_votes=True)
+    assert all(f.positions[0] == pytest.approx(person()) for f in merged[60:])
+
+
 def test_one_bad_marker_of_one_camera_is_left_out() -> None:
     poses = [person() for _ in range(4)]
     poses[2][6] += [0.3, 0, 0]
