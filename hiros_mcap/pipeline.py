@@ -27,6 +27,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
 from hiros_mcap.log import Log, open_log
 from hiros_mcap.observe import Observer, Stopwatch
+from hiros_mcap.outputs import check_outputs
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
@@ -113,6 +114,7 @@ def process(
     options: ProcessOptions | None = None,
     progress: Progress | None = None,
     watcher: Watcher | None = None,
+    force: bool = False,
 ) -> Summary:
     """Turn the detections of a log into clean skeletons.
 
@@ -122,18 +124,24 @@ def process(
     target : output log; None runs without writing one.
     config : parameters of the stages. options : what is read, run and written.
     progress : is told how far the run is. watcher : is shown every frame on the way.
+    force : replace files that hiros did not write.
 
     Raises
     ------
     LogError
         ``source`` is damaged, holds no skeletons or lacks a transform; ``target`` cannot be
-        written, or is ``source``.
+        written, is ``source``, or exists and was not written by hiros.
     ConfigError
         a parameter or a side file is wrong.
     """
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     chain = chain_of(options.system, options.stages)
+    check_outputs(
+        ((None if target is None else Path(target), "log"), (options.limbs_out, "limb table")),
+        (source, options.extrinsics, options.limbs_in),
+        force=force,
+    )
     watch = Stopwatch()
     limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
     log = open_log(

@@ -33,6 +33,7 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
+from hiros_mcap.outputs import check_outputs
 from hiros_mcap.params import Params
 from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.regression.compare import Divergence, compare_logs
@@ -103,6 +104,17 @@ class Suite:
     path: Path
     cases: tuple[Case, ...]
 
+    @property
+    def files(self) -> list[Path]:
+        """Everything that a run of the suite reads or compares with."""
+        named = (
+            name
+            for case in self.cases
+            for name in (case.input, case.golden, case.truth, case.config)
+            if name
+        )
+        return [self.path, *(self.path.parent / name for name in named)]
+
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
@@ -168,6 +180,7 @@ def run_suite(
     jobs: int = 0,
     keep: Path | None = None,
     progress: Progress | None = None,
+    force: bool = False,
 ) -> list[CaseResult]:
     """Process and check every log, several at once; results in the order of the suite.
 
@@ -176,16 +189,21 @@ def run_suite(
     bless : replace the golden files by what came out now; notes say what changed.
     only : names of the cases to run. jobs : processes at once; 0 = one per core.
     keep : folder to leave the outputs in, one ``NAME.mcap`` each.
+    force : replace files in there that hiros did not write.
 
     Raises
     ------
     ConfigError
         A name in ``only`` does not exist.
+    LogError
+        A file in ``keep`` must not be replaced.
     """
     titles = [case.title for case in suite.cases]
     if unknown := [name for name in only if name not in titles]:
         raise ConfigError(f"{suite.path}: no case {unknown[0]!r} (there are: {', '.join(titles)})")
     cases = [case for case in suite.cases if not only or case.title in only]
+    if keep is not None:
+        check_outputs(((kept_path(keep, case), "log") for case in cases), suite.files, force=force)
     progress, done = progress or Silent(), {}
     for result in _run_all(suite.path.parent, cases, bless, keep, jobs or os.cpu_count() or 1):
         done[result.name] = result
@@ -213,7 +231,7 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
     start = time.perf_counter()
     try:
         with tempfile.TemporaryDirectory() as temporary:
-            out = (keep or Path(temporary)) / f"{_file_name(case.title)}.mcap"
+            out = kept_path(keep or Path(temporary), case)
             config = load_config(
                 folder / case.config if case.config else None,
                 case.set,
@@ -228,14 +246,16 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
     return CaseResult(**{**values, "seconds": time.perf_counter() - start})
 
 
-def _file_name(title: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in title)
+def kept_path(folder: Path, case: Case) -> Path:
+    """Return where the output of a case is left."""
+    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in case.title)
+    return folder / f"{name}.mcap"
 
 
 def _process(source: Path, out: Path, case: Case, config: Config) -> None:
-    process(
-        source, out, config=config, options=ProcessOptions(stages=case.stages, keep=("/truth/*",))
-    )
+    options = ProcessOptions(stages=case.stages, keep=("/truth/*",))
+    # Whether ``out`` may be replaced was asked before the first case ran.
+    process(source, out, config=config, options=options, force=True)
 
 
 def check_output(

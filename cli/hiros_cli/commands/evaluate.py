@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Assignments, ConfigFile, Json, Preset, Quiet
+from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, Quiet
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FILE", help="Also write a report with plots, one file."),
     ] = None,
+    force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -87,11 +88,12 @@ def evaluate(
     A recording that was not processed yet is processed first, with the given parameters.
     """
     from hiros_cli.kernels import prepare
+    from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
-    if html is not None:
-        check_report(html)
+    need_matplotlib(html)
+    check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
     if table is None and log is None:
         raise ConfigError("eval needs a LOG, or --table hiros (see hiros eval --help)")
     if log is not None:
@@ -121,13 +123,11 @@ def evaluate(
     _show_truth(log, moved, results, html=html, json=json, joints=joints)
 
 
-def check_report(path: Path) -> None:
-    """Raise ConfigError where a page cannot be written, before anything slow happens."""
-    if not path.parent.is_dir():
-        raise ConfigError(f"{path.parent}: no such folder to write into")
+def need_matplotlib(html: Path | None) -> None:
+    """Raise ConfigError where a page is wanted and cannot be drawn."""
     from importlib.util import find_spec
 
-    if find_spec("matplotlib") is None:
+    if html is not None and find_spec("matplotlib") is None:
         raise ConfigError("--html needs matplotlib: pip install 'hiros-mcap[plots]'")
 
 

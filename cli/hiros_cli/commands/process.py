@@ -107,12 +107,17 @@ def process(
     that were read beside them, and prints what was done.
     """
     from hiros_cli.kernels import prepare
-    from hiros_cli.output import check_target
+    from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
 
     source.stat()  # a missing file is told before anything slow happens
-    target = source.with_name(source.stem + SUFFIX) if output is None else output
-    check_target(target, force=force)
+    target = beside(source, SUFFIX) if output is None else output
+    check_outputs(
+        (target, "log"),
+        (save_limbs, "limb table"),
+        inputs=(source, config, extrinsics, limbs),
+        force=force,
+    )
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     prepare(quiet=quiet)
 
@@ -136,7 +141,13 @@ def process(
         watcher = stack.enter_context(_live(source)) if view else None
         progress = stack.enter_context(bar(source.name, quiet=quiet))
         summary = run(
-            source, target, config=effective, options=options, progress=progress, watcher=watcher
+            source,
+            target,
+            config=effective,
+            options=options,
+            progress=progress,
+            watcher=watcher,
+            force=force,
         )
     _show(summary, json=json, quiet=quiet)
 

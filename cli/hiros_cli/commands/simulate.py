@@ -85,9 +85,9 @@ def simulate(
     if motion and people is None:
         given["people"] = len(motion)
     from hiros_cli.kernels import prepare
-    from hiros_cli.output import check_target
+    from hiros_cli.output import check_outputs
 
-    check_target(output, force=force)
+    check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ())), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.simulate.log import write_log
 
