@@ -45,6 +45,9 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         (["process", "--frobnicate"], "(see hiros process --help)"),
         (["process"], "Missing argument 'IN'. (see hiros process --help)"),
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
+        (["process", ""], "an argument is empty; is a variable not set?"),
+        (["plot", "/"], "/: gives the output no name; say one by --output"),
+        (["process", "/"], "/: gives the output no name; say one by --output"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str) -> None:

@@ -75,6 +75,9 @@ def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str
         (["{log}", "--html", "/nowhere/at/all.html"], "no such folder"),
         (["--table", "tables"], "no table 'tables'"),
         (["{log}", "--shift", "1000"], "no frame lies within the time"),
+        (["{log}", "--shift", "inf"], "'--shift'"),
+        (["{log}", "--shift", "nan"], "'--shift'"),
+        (["--table", "hiros", "--seconds", "inf"], "'--seconds'"),
     ],
 )
 def test_faults_are_one_line(

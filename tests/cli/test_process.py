@@ -99,6 +99,17 @@ def test_the_same_run_again_replaces_the_output_by_the_same_bytes(
     assert target.read_bytes() == first
 
 
+def test_the_output_of_the_current_folder_lies_beside_it(
+    walking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "bag_0.mcap").write_bytes(walking.read_bytes())
+    monkeypatch.chdir(bag)
+    assert run(["process", ".", "-q", "--stages", "T"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag.hiros.mcap"]
+
+
 @pytest.mark.parametrize(
     ("stages", "channels"),
     [
@@ -202,6 +213,7 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--stages", "MOF"], "TMOF"),
         (["--calibrate", "10-20"], "START:END"),
         (["--calibrate", "20:10"], "ends before it starts"),
+        (["--calibrate=-inf:3"], "starts at no finite time"),
         (["--solver", "newton"], "'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),

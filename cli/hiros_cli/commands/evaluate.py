@@ -54,7 +54,8 @@ def evaluate(
         ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=3.0, help="With --table: length of every simulated log.")
+        float,
+        typer.Option(min=3.0, max=600.0, help="With --table: length of every simulated log, s."),
     ] = 15.0,
     jobs: Annotated[
         int, typer.Option(min=0, help="With --table: processes at once; 0 = one per core.")
@@ -68,7 +69,8 @@ def evaluate(
         ),
     ] = 1.0,
     shift: Annotated[
-        float, typer.Option(metavar="S", help="Add this to the times of the truth, s.")
+        float,
+        typer.Option(min=-4e9, max=4e9, metavar="S", help="Add this to the times of the truth, s."),
     ] = 0.0,
     up: Annotated[str, typer.Option(help="Vertical axis of the truth: z, or y (OpenSim).")] = "z",
     joints: Annotated[bool, typer.Option("--joints", help="Show every joint, too.")] = False,
