@@ -30,6 +30,14 @@ Assignments = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+QuietResult = Annotated[
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        help="Print nothing but errors, not the result either: for its exit code and files.",
+    ),
+]
 Force = Annotated[
     bool, typer.Option("--force", "-f", help="Replace a file that hiros did not write.")
 ]

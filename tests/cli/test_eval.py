@@ -53,6 +53,20 @@ def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "Mirrored" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    "command",
+    ["eval {log}", "eval {log} --leave-one-out", "compare {raw} --system raw --jobs 1"],
+)
+def test_quiet_prints_nothing(
+    command: str, processed: Path, walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = command.format(log=processed, raw=walking).split()
+    assert run([*arguments, "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert run([*arguments, "-q", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)
+
+
 @pytest.mark.parametrize("options", [[], ["--leave-one-out"]], ids=["truth", "no truth"])
 def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str]) -> None:
     page = tmp_path / "report.html"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Force, Json, Quiet
+from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def check(
     ] = None,
     force: Force = False,
     json: Json = False,
-    quiet: Quiet = False,
+    quiet: QuietResult = False,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
@@ -205,6 +206,9 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
 
         print(dumps(report.as_dict(results), indent=2))
         return
+    if quiet:
+        _show_errors(results)
+        return
     from rich.text import Text
 
     from hiros_cli.printable import printable
@@ -213,10 +217,18 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     out = console()
     styles = {"equal": "green", "different": "red", "error": "yellow"}
     for result in results:
-        if quiet and result.status == "equal":
-            continue
         head = Text(f"{result.status:9} ", style=styles[result.status])
         out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
         lines: list[Any] = [*result.faults, *report.first_lines(result), *result.notes]
         for line in lines:
             out.print(Text(f"  {printable(line, 500)}"), soft_wrap=True)
+
+
+def _show_errors(results: list[CaseResult]) -> None:
+    """Print what could not be compared; a difference is told by the exit code."""
+    from hiros_cli.printable import error_line
+
+    for result in results:
+        if result.status == "error":
+            fault = ConfigError(f"{result.name}: {result.faults[0]}")
+            print(error_line(fault), file=sys.stderr)

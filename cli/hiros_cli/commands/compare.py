@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Force, Json, Quiet
+from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def compare(
     ] = None,
     force: Force = False,
     json: Json = False,
-    quiet: Quiet = False,
+    quiet: QuietResult = False,
 ) -> None:
     """Run systems on the same logs and rank them by their error.
 
@@ -94,7 +94,7 @@ def compare(
         contest_page(outcomes, study or "").write(html)
     if json:
         _print_json(outcomes)
-    else:
+    elif not quiet:
         _show(outcomes, study or "")
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, Quiet
+from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def evaluate(
     ] = None,
     force: Force = False,
     json: Json = False,
-    quiet: Quiet = False,
+    quiet: QuietResult = False,
 ) -> None:
     """Score a result: joints, angles, limbs, jitter, lag, people; with truth or without.
 
@@ -114,7 +114,7 @@ def evaluate(
 
     true = None if leave_one_out else find_truth(log, truth)
     if true is None:
-        _show_self(log, effective, html=html, json=json, joints=joints)
+        _show_self(log, effective, html=html, json=json, quiet=quiet, joints=joints)
         return
     moved = true.moved(shift, start=_start(log), up=up)
     with ExitStack() as stack:
@@ -122,7 +122,7 @@ def evaluate(
         from hiros_mcap.evaluate.logs import evaluate_log
 
         results = evaluate_log(processed, moved, channel or (), match_distance)
-    _show_truth(log, moved, results, html=html, json=json, joints=joints)
+    _show_truth(log, moved, results, html=html, json=json, quiet=quiet, joints=joints)
 
 
 def need_matplotlib(html: Path | None) -> None:
@@ -162,6 +162,7 @@ def _show_truth(
     *,
     html: Path | None,
     json: bool,
+    quiet: bool,
     joints: bool,
 ) -> None:
     if html is not None:
@@ -176,13 +177,15 @@ def _show_truth(
                 "channels": {topic: _plain(result.scores) for topic, result in results.items()},
             }
         )
-        return
-    from hiros_cli.evaluation import show_truth
+    elif not quiet:
+        from hiros_cli.evaluation import show_truth
 
-    show_truth(log, truth, results, joints=joints)
+        show_truth(log, truth, results, joints=joints)
 
 
-def _show_self(log: Path, config: Config, *, html: Path | None, json: bool, joints: bool) -> None:
+def _show_self(
+    log: Path, config: Config, *, html: Path | None, json: bool, quiet: bool, joints: bool
+) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
 
     scores = leave_one_out(log, config=config)
@@ -193,10 +196,10 @@ def _show_self(log: Path, config: Config, *, html: Path | None, json: bool, join
     if json:
         pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
         _print_json({"log": str(log), **_plain(scores), "disagreement": _finite(pairs)})
-        return
-    from hiros_cli.evaluation import show_self
+    elif not quiet:
+        from hiros_cli.evaluation import show_self
 
-    show_self(log, scores, joints=joints)
+        show_self(log, scores, joints=joints)
 
 
 def _paper_table(
@@ -222,10 +225,10 @@ def _paper_table(
         paper_page(results).write(html)
     if json:
         _print_json(_plain(results))
-        return
-    from hiros_cli.evaluation import show_paper
+    elif not quiet:
+        from hiros_cli.evaluation import show_paper
 
-    show_paper(results)
+        show_paper(results)
 
 
 def _plain(record: Any) -> dict[str, Any]:
