@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from hiros_cli.app import run
+from hiros_mcap.limbs import LimbTable
 
 CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
 
@@ -148,6 +149,34 @@ def test_options_with_a_name_of_their_own(
     assert target.exists()
 
 
+def test_malaguti_saves_the_limbs_that_it_finds(crossing: Path, tmp_path: Path) -> None:
+    limbs = tmp_path / "limbs.toml"
+    options = ["--system", "malaguti", "--save-limbs", str(limbs), "-q"]
+    assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), *options]) == 0
+    assert LimbTable.load(limbs).people
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--keep", "/nope*", "--keep", "/tf*"], "keep: the log has no channel /nope*"),
+        (["--calibrate", "2.99:9"], "limb lengths: nobody was seen in the calibration windows"),
+        (["--calibrate", "0:2"], ""),
+    ],
+)
+def test_what_an_option_did_not_find_is_noted(
+    options: list[str],
+    said: str,
+    walking: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["process", str(walking), "-o", str(tmp_path / "out.mcap"), "--json", *options]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    asked = [note for note in notes if note.startswith(("keep", "limb lengths"))]
+    assert asked == ([said] if said else [])
+
+
 def an_mcap(path: Path, schema: str = "std_msgs/msg/String") -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
@@ -213,8 +242,18 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--stages", "MOF"], "TMOF"),
         (["--calibrate", "10-20"], "START:END"),
         (["--calibrate", "20:10"], "ends before it starts"),
+        (["--calibrate=-5:-1"], "--calibrate: '-5:-1' starts before the log"),
+        (["--calibrate", "20:30"], "ends after 3.0 s; the calibration window 20:30"),
+        (["--stages", "T", "--limbs", "x.toml"], "--limbs has no effect: --stages T"),
+        (["--stages", "T", "--save-limbs", "x.toml"], "--save-limbs has no effect"),
+        (["--stages", "tm", "--calibrate", "0:3"], "--calibrate has no effect: --stages tm"),
+        (["--system", "lee", "--limbs", "x.toml"], "--limbs has no effect: --system lee"),
+        (["--system", "lee", "--solver", "ceres"], "--solver has no effect: --system lee"),
+        (["--system", "malaguti", "--two-pass"], "--two-pass has no effect: --system malaguti"),
+        (["--system", "malaguti", "--limbs", "x.toml"], "has an optimizer of its own"),
+        (["--limbs", "x.toml", "--two-pass"], "--two-pass has no effect: the limb lengths come"),
         (["--calibrate=-inf:3"], "starts at no finite time"),
-        (["--solver", "newton"], "'lm' or 'ceres'"),
+        (["--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),
         (["--limbs", "missing.toml"], "missing.toml"),
