@@ -165,7 +165,8 @@ def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
     except ValidationError as error:
         where, message = explain(error)
         label = row.get("name") or row.get("input") or number
-        raise ConfigError(f"{path}: log {label}: {'.'.join([*where, ''])} {message}") from None
+        key = f"{'.'.join(where)}: " if where else ""
+        raise ConfigError(f"{path}: log {label}: {key}{message}") from None
     if not (path.parent / case.input).is_file():
         raise ConfigError(f"{path}: log {case.title}: no file {case.input}")
     validated(case.tolerances, f"{path}: log {case.title}: tolerances")
@@ -253,7 +254,7 @@ def kept_path(folder: Path, case: Case) -> Path:
 
 
 def _process(source: Path, out: Path, case: Case, config: Config) -> None:
-    options = ProcessOptions(stages=case.stages, keep=("/truth/*",))
+    options = ProcessOptions(system=case.system, stages=case.stages, keep=("/truth/*",))
     # Whether ``out`` may be replaced was asked before the first case ran.
     process(source, out, config=config, options=options, force=True)
 
