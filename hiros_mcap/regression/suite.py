@@ -16,14 +16,11 @@ Paths are relative to the suite's file.
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -47,6 +44,7 @@ from hiros_mcap.regression.metrics import (
 )
 from hiros_mcap.regression.tolerances import Tolerances, beside, validated
 from hiros_mcap.validation import explain
+from hiros_mcap.workers import run_tasks
 
 Status = Literal["equal", "different", "error"]
 
@@ -206,25 +204,11 @@ def run_suite(
     if keep is not None:
         check_outputs(((kept_path(keep, case), "log") for case in cases), suite.files, force=force)
     progress, done = progress or Silent(), {}
-    for result in _run_all(suite.path.parent, cases, bless, keep, jobs or os.cpu_count() or 1):
+    tasks = [(suite.path.parent, case, bless, keep) for case in cases]
+    for _, result in run_tasks(run_case, tasks, jobs):
         done[result.name] = result
         progress.update(len(done), len(cases))
     return [done[case.title] for case in cases]
-
-
-def _run_all(
-    folder: Path, cases: Sequence[Case], bless: bool, keep: Path | None, jobs: int
-) -> Iterator[CaseResult]:
-    if min(jobs, len(cases)) <= 1:
-        yield from (run_case(folder, case, bless, keep) for case in cases)
-        return
-    with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(run_case, folder, case, bless, keep) for case in cases]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = None) -> CaseResult:
