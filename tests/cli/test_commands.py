@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,16 +14,6 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.log import open_log
 from hiros_mcap.simulate import SimulateParams
-
-
-@pytest.fixture(autouse=True)
-def _signals() -> Iterator[None]:
-    """Give pytest its signal handlers back after a run in this process."""
-    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {name: signal.getsignal(name) for name in names}
-    yield
-    for name, handler in before.items():
-        signal.signal(name, handler)
 
 
 def test_info_tells_cameras_frames_and_skeleton(

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,16 +18,6 @@ from hiros_cli.app import run
 from hiros_mcap.limbs import LimbTable
 
 CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
-
-
-@pytest.fixture(autouse=True)
-def _signals() -> Iterator[None]:
-    """Give pytest its signal handlers back after a run in this process."""
-    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {name: signal.getsignal(name) for name in names}
-    yield
-    for name, handler in before.items():
-        signal.signal(name, handler)
 
 
 def counts(path: Path) -> dict[str, int]:
