@@ -190,6 +190,7 @@ def load_config(
     overrides: Sequence[str] = (),
     preset: str = "default",
     system: str = "hiros",
+    named: Mapping[str, Table] | None = None,
 ) -> Config:
     """Return the configuration of a run.
 
@@ -199,6 +200,8 @@ def load_config(
     overrides : assignments ``section.param=value``; the value is TOML, a bare word is a string.
     preset : a key of :data:`PRESETS`.
     system : a key of :data:`hiros_mcap.systems.SYSTEMS`, whose own defaults come first.
+    named : values by the option that the user gave for them, which errors name; they come before
+        ``overrides``.
 
     Raises
     ------
@@ -211,6 +214,7 @@ def load_config(
     layers += [(f"preset {preset}", PRESETS[preset])]
     if path is not None:
         layers.append((str(path), _read(path)))
+    layers += list((named or {}).items())
     layers += [("--set", _assignment(text)) for text in overrides]
     merged: Table = {}
     origins: dict[tuple[str, ...], str] = {}

@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.outputs import LIMBS_MARK, write_text
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 
@@ -98,7 +99,7 @@ class LimbTable:
         return tomli_w.dumps({"person": people})
 
     def save(self, path: str | Path) -> None:
-        """Write the file.
+        """Write the file; whole or not at all.
 
         Raises
         ------
@@ -106,9 +107,9 @@ class LimbTable:
             If it cannot be written.
         """
         try:
-            Path(path).write_text(self.to_toml(), encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror}") from error
+            write_text(Path(path), LIMBS_MARK + self.to_toml())
+        except LogError as error:
+            raise ConfigError(str(error)) from error
 
     @classmethod
     def load(cls, path: str | Path) -> LimbTable:

@@ -145,6 +145,8 @@ class Observer:
 
     def __init__(self, log: Log, run: Run, chain: Sequence[str], watch: Stopwatch) -> None:
         self.watch = watch
+        self.notes: list[str] = []
+        """What the summary tells first."""
         self._log, self._run, self._chain = log, run, tuple(chain)
         self._rhythms: dict[str, _Rhythm] = {}
         self._people: dict[int, _Seen] = {}
@@ -237,6 +239,8 @@ class Observer:
 
     def _limbs(self, person: int) -> LimbSummary | None:
         limbs = self._run.limbs.people.get(person)
+        if "optimized" not in self._chain:
+            return None
         if limbs:
             spread = {name: limb.deviation / limb.length for name, limb in limbs.items()}
             worst = max(spread, key=lambda name: spread[name])
@@ -250,6 +254,7 @@ class Observer:
 
     def _notes(self) -> Iterator[str]:
         """Tell what nobody asked for but should know."""
+        yield from self.notes
         yield from self._log.remarks
         if not self._people:
             yield from self._looks.reasons()
@@ -271,6 +276,10 @@ class Observer:
             totals[kind] += n
         for kind in sorted(totals.keys() - shown):
             yield notes.counted(kind, totals[kind])
+        windows = self._run.config.optimize.calibration_windows
+        measured = self._run.limbs.people or totals["calibration rejected"]
+        if windows and self._people and "optimized" in self._chain and not measured:
+            yield "limb lengths: nobody was seen in the calibration windows"
         yield from self._clock_notes()
 
     def _clock_notes(self) -> Iterator[str]:

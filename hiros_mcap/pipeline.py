@@ -22,11 +22,12 @@ from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skel
 from hiros_mcap.codec import Encoder
 from hiros_mcap.config import Config, load_config, to_toml
 from hiros_mcap.container import ChunkCopier, McapWriter
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
 from hiros_mcap.log import DAMAGED, Log, open_log
 from hiros_mcap.observe import Observer, Stopwatch
+from hiros_mcap.outputs import check_outputs
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
@@ -113,6 +114,7 @@ def process(
     options: ProcessOptions | None = None,
     progress: Progress | None = None,
     watcher: Watcher | None = None,
+    force: bool = False,
 ) -> Summary:
     """Turn the detections of a log into clean skeletons.
 
@@ -122,18 +124,24 @@ def process(
     target : output log; None runs without writing one.
     config : parameters of the stages. options : what is read, run and written.
     progress : is told how far the run is. watcher : is shown every frame on the way.
+    force : replace files that hiros did not write.
 
     Raises
     ------
     LogError
         ``source`` is damaged, holds no skeletons or lacks a transform; ``target`` cannot be
-        written, or is ``source``.
+        written, is ``source``, or exists and was not written by hiros.
     ConfigError
         a parameter or a side file is wrong.
     """
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     chain = chain_of(options.system, options.stages)
+    check_outputs(
+        ((None if target is None else Path(target), "log"), (options.limbs_out, "limb table")),
+        (source, options.extrinsics, options.limbs_in),
+        force=force,
+    )
     watch = Stopwatch()
     limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
     log = open_log(
@@ -143,6 +151,7 @@ def process(
         fixed_frame=config.input.fixed_frame or None,
     )
     with log:
+        _check_windows(log, config)
         run = Run(
             log.model,
             config,
@@ -155,6 +164,7 @@ def process(
         if _takes_two_passes(run, chain):
             limbs.people.update(_calibrate_first(log, run, chain).people)
         observer = Observer(log, run, chain, watch)
+        observer.notes += _unmatched(log, options)
         watcher = watcher or Nobody()
         watcher.begin(log, chain)
         if target is None:
@@ -297,6 +307,28 @@ def _kept(log: Log, options: ProcessOptions) -> list[int]:
         for info in log.channels
         if info.topic not in outputs and any(fnmatchcase(info.topic, g) for g in options.keep)
     ]
+
+
+def _unmatched(log: Log, options: ProcessOptions) -> list[str]:
+    """Return a note for each glob of ``keep`` that no channel of the log is called."""
+    topics = [info.topic for info in log.channels]
+    return [
+        f"keep: the log has no channel {glob}"
+        for glob in options.keep or ()
+        if not any(fnmatchcase(topic, glob) for topic in topics)
+    ]
+
+
+def _check_windows(log: Log, config: Config) -> None:
+    """Refuse to calibrate in a time that the log has not: nobody would be calibrated."""
+    start, end = log.span
+    seconds = (end - start) / 1e9
+    for window in config.optimize.calibration_windows:
+        if window[0] > 0 and window[0] >= seconds:
+            raise ConfigError(
+                f"{log.path}: ends after {seconds:.1f} s; the calibration window "
+                f"{window[0]:g}:{window[1]:g} lies behind that"
+            )
 
 
 def _add_provenance(

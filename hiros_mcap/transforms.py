@@ -25,6 +25,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.kernels.geometry import move
 from hiros_mcap.rotations import Rigid, to_matrix
 from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.validation import explain
 
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
@@ -291,15 +292,21 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         raw: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
         cameras = _Extrinsics.model_validate(raw).camera
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "file"
-        raise ConfigError(f"{path}: {key}: {first['msg']}") from None
-    except (OSError, ValueError) as error:
-        said = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"{path}: cannot be read: {said}") from None
+        where, message = explain(error)
+        raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        raise ConfigError(f"{path}: not a {kind} file: {error}") from None
     tree = TransformTree()
     for k, camera in enumerate(cameras):
         _add_camera(tree, camera, f"{path}: camera.{k}")
+    for camera in cameras:
+        try:
+            tree.root(camera.frame)
+        except LogError as error:
+            raise ConfigError(f"{path}: {error.fault}") from None
     return tree
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from builders import same
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+import hiros_mcap
 from hiros_mcap.config import load_config
 from hiros_mcap.container import McapReader
 from hiros_mcap.errors import ConfigError, LogError
@@ -29,6 +32,12 @@ PLAYED = ("/hiros/filtered", "/hiros/markers", "/hiros/joint_states")
 def truth_of(path: Path) -> Truth:
     with open_log(path, topics=["/truth/*"]) as log:
         return Truth.of(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+
+
+def test_the_public_names_are_listed_before_their_first_use() -> None:
+    code = "import hiros_mcap; print(*dir(hiros_mcap))"
+    listed = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
+    assert set(listed.decode().split()) >= set(hiros_mcap.__all__)
 
 
 @pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)

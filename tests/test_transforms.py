@@ -250,7 +250,7 @@ def test_extrinsics_are_read_from_toml_and_json(tmp_path):
         ({"translation": [1, 2, "x"]}, r"camera\.0\.translation\.2"),
         ({"quaternion_xyzw": [0, 0, 0, 2]}, r"camera\.0\.quaternion_xyzw: has not the length 1"),
         ({"frame": ""}, r"camera\.0\.frame"),
-        ({"rotation": []}, r"camera\.0\.rotation"),
+        ({"rotation": []}, r"camera\.0\.rotation: there is no such key"),
     ],
 )
 def test_a_wrong_extrinsics_file_is_an_error_that_names_the_key(tmp_path, change, key):
@@ -266,6 +266,16 @@ def test_an_unreadable_extrinsics_file_is_an_error(tmp_path):
             read_extrinsics(extrinsics(tmp_path, text, name))
     with pytest.raises(ConfigError, match="No such file"):
         read_extrinsics(tmp_path / "absent.toml")
+    (tmp_path / "e.toml").write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(ConfigError, match=r"e\.toml: not a TOML file: "):
+        read_extrinsics(tmp_path / "e.toml")
+
+
+def test_extrinsics_that_go_round_are_an_error_of_the_file(tmp_path):
+    circle = [CAMERA, CAMERA | {"frame": "lab", "parent": "c"}]
+    path = extrinsics(tmp_path, json.dumps({"camera": circle}), "c.json")
+    with pytest.raises(ConfigError, match=r"c\.json: the transforms go round in a circle: c -> "):
+        read_extrinsics(path)
 
 
 # -- frames ------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ of a command already finds its handler.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -17,6 +18,8 @@ from typing import NoReturn
 BAD_INPUT = 2
 BUG = 70
 BROKEN_PIPE = 128 + 13
+AGAIN_S = 1.0
+"""A signal within this time of another one says nothing new."""
 
 # One thread of linear algebra: the arrays are small, and threads that wait for each other cost
 # hundreds of times what they win. Read by numpy's libraries when they are first imported.
@@ -26,10 +29,6 @@ SINGLE_THREADED = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 class Interrupted(BaseException):
     """A signal asked us to stop. Not a KeyboardInterrupt: libraries turn that into other things."""
 
-    def __init__(self, signum: int) -> None:
-        super().__init__(signum)
-        self.exit_code = 128 + signum
-
 
 def main() -> NoReturn:
     """Run the program with the arguments of the process and exit."""
@@ -38,47 +37,129 @@ def main() -> NoReturn:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return the exit code; every fault ends here, as one line on stderr."""
-    catch_signals()
-    open_missing_streams()
-    for variable in SINGLE_THREADED:
-        os.environ.setdefault(variable, "1")
+    stop = Stop()
     debug = "--debug" in arguments
     try:
-        from hiros_cli.commands import dispatch
-
-        code = dispatch([argument for argument in arguments if argument != "--debug"])
-        sys.stdout.flush()
-    except Interrupted as stop:
-        return stop.exit_code
-    except BrokenPipeError:
-        # The reader has seen enough. Python flushes stdout once more when it exits.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
-    except Exception as error:  # noqa: BLE001  the boundary: nothing may escape as a traceback
-        return fail(error, debug=debug)
+        stop.catch()
+        try:
+            code = _run([argument for argument in arguments if argument != "--debug"])
+        except Exception as error:
+            if stop.exit_code is not None:
+                raise
+            code = _report(error, debug=debug)
+        stop.settle(code)
+    except BaseException as error:
+        # A signal strikes anywhere, also between a lock and its release or while an error is
+        # reported. Whatever is raised after it came is neither an answer nor a fault.
+        if stop.exit_code is None:
+            raise
+        code = stop.exit_code
+        stop.settle(code)
+        if debug:
+            _show_traceback(error)
     return code
 
 
-def catch_signals() -> None:
-    """Turn SIGINT, SIGTERM and SIGHUP into an exception, so that every ``finally`` runs.
+def _run(arguments: list[str]) -> int:
+    open_missing_streams()
+    for variable in SINGLE_THREADED:
+        os.environ.setdefault(variable, "1")
+    from hiros_cli.commands import dispatch
+
+    code = dispatch(arguments)
+    sys.stdout.flush()
+    return code
+
+
+def _report(error: Exception, *, debug: bool) -> int:
+    if isinstance(error, BrokenPipeError):
+        # The reader has seen enough. Python flushes stdout once more when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    return fail(error, debug=debug)
+
+
+class Stop:
+    """Turns SIGINT, SIGTERM and SIGHUP into an exception, so that every ``finally`` runs.
 
     A signal that the parent chose to ignore (``nohup``) stays ignored. A second signal within a
     second is part of the first (an impatient Ctrl-C must not interrupt the cleaning up); a later
-    one raises again, in case the first was lost in a place where Python drops exceptions.
+    one raises again.
+
+    The exception waits until Python has left the code that takes and gives back locks: raised
+    there, it leaves a lock taken that another thread needs, and the program would hang. Where it
+    is lost because Python cannot pass it on, as in a ``__del__``, it is raised once more.
+
+    Attributes
+    ----------
+    exit_code : what the first signal asks for, None as long as there was none.
     """
-    last = -1.0
 
-    def stop(signum: int, _: FrameType | None) -> None:
-        nonlocal last
+    def __init__(self) -> None:
+        self.exit_code: int | None = None
+        self._signum = 0
+        self._last = -math.inf
+        self._settled: int | None = None
+        self._report_lost = sys.unraisablehook
+
+    def catch(self) -> None:
+        """Handle the signals from now on."""
+        sys.unraisablehook = self._lost
+        if hasattr(signal, "SIGALRM"):
+            signal.signal(signal.SIGALRM, self._raise)
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            signum = getattr(signal, name, None)
+            if signum is not None and signal.getsignal(signum) is not signal.SIG_IGN:
+                signal.signal(signum, self._stop)
+
+    def settle(self, code: int) -> None:
+        """Say how the program ends: a signal does not change it, but may hurry it."""
+        self._settled = code
+        self._last = time.monotonic()
+
+    def _stop(self, signum: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if last < 0 or now - last > 1.0:
-            last = now
-            raise Interrupted(signum)
+        if now - self._last <= AGAIN_S:
+            return
+        if self._settled is not None:
+            # All is done and cleaned up; something that Python waits for at its end hangs.
+            os._exit(self._settled)
+        self._last = now
+        self._signum = self._signum or signum
+        self.exit_code = 128 + self._signum
+        self._raise(signum, frame)
 
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        signum = getattr(signal, name, None)
-        if signum is not None and signal.getsignal(signum) is not signal.SIG_IGN:
-            signal.signal(signum, stop)
+    def _raise(self, _: int, frame: FrameType | None) -> None:
+        if self._settled is not None:
+            return
+        patient = time.monotonic() - self._last < AGAIN_S
+        if not (patient and _may_hold_a_lock(frame) and _soon()):
+            raise Interrupted(self._signum)
+
+    def _lost(self, unraisable: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraisable.exc_value, Interrupted):
+            self._report_lost(unraisable)
+        else:
+            _soon()
+
+
+def _may_hold_a_lock(frame: FrameType | None) -> bool:
+    """Whether Python is in the midst of its own code for threads, or of finding a module."""
+    if frame is not None and frame.f_globals.get("__name__") == "importlib._bootstrap":
+        return True
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).startswith(("threading", "concurrent.futures")):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _soon() -> bool:
+    """Have SIGALRM sent in a few milliseconds; False where the system cannot."""
+    if not hasattr(signal, "setitimer"):
+        return False
+    signal.setitimer(signal.ITIMER_REAL, 0.005)
+    return True
 
 
 def open_missing_streams() -> None:
@@ -106,9 +187,13 @@ def fail(error: Exception, *, debug: bool) -> int:
     from hiros_mcap.errors import HirosError
 
     if debug:
-        import traceback
-
-        traceback.print_exception(error)
+        _show_traceback(error)
     bug = not isinstance(error, HirosError | OSError | MemoryError)
     print(error_line(error, bug=bug), file=sys.stderr)
     return BUG if bug else BAD_INPUT
+
+
+def _show_traceback(error: BaseException) -> None:
+    import traceback
+
+    traceback.print_exception(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,14 @@ Assignments = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+QuietResult = Annotated[
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        help="Print nothing but errors, not the result either: for its exit code and files.",
+    ),
+]
 Force = Annotated[
     bool, typer.Option("--force", "-f", help="Replace a file that hiros did not write.")
 ]
@@ -40,13 +49,15 @@ def seconds_range(option: str, text: str) -> tuple[float, float]:
     Raises
     ------
     ConfigError
-        It is not of this form, or ends before it starts.
+        It is not of this form, starts at no finite time, or ends before it starts.
     """
     start, _, end = text.partition(":")
     try:
         window = float(start), float(end)
     except ValueError:
         raise ConfigError(f"{option}: {text!r} is not of the form START:END, in s") from None
+    if math.isinf(window[0]):
+        raise ConfigError(f"{option}: {text!r} starts at no finite time")
     if not window[0] < window[1]:
         raise ConfigError(f"{option}: {text!r} ends before it starts")
     return window

@@ -2,42 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.outputs import Kind
+from hiros_mcap.outputs import check_outputs as check
 
-MAGIC = b"\x89MCAP0\r\n"
+
+def check_outputs(
+    *outputs: tuple[Path | None, Kind], inputs: Iterable[Path | str | None], force: bool
+) -> None:
+    """Refuse, before anything slow happens, what a command must not write.
+
+    ``inputs`` may hold texts that name a file or a channel.
+
+    Raises
+    ------
+    LogError
+        As :func:`hiros_mcap.outputs.check_outputs` does.
+    """
+    check(outputs, inputs, force=force, remedy="--force")
 
 
-def check_target(target: Path, *, force: bool) -> None:
-    """Refuse to replace a file that hiros did not write: it may be a recording, the only copy.
-
-    An output of an earlier run is replaced without asking, because trying parameters means
-    running again and the run can always be repeated. So is an empty file (``mktemp``).
+def beside(source: Path, suffix: str) -> Path:
+    """Return the default output: the input's name with another suffix, in its folder.
 
     Raises
     ------
     ConfigError
-        ``target`` is not a regular file, its folder does not exist, or it is somebody else's.
+        The input is the root of the file system.
     """
-    if target.is_dir():
-        raise ConfigError(f"{target}: is a folder, not a file to write")
-    if not target.parent.is_dir():
-        raise ConfigError(f"{target.parent}: no such folder to write into")
-    if not target.exists():
-        return
-    if not target.is_file():
-        raise ConfigError(f"{target}: is a device or a pipe, not a file to write")
-    if not force and target.stat().st_size and not _written_by_hiros(target):
-        raise ConfigError(f"{target}: exists and was not written by hiros; --force replaces it")
-
-
-def _written_by_hiros(path: Path) -> bool:
-    """Whether the MCAP header names hiros as the library that wrote the file."""
-    with path.open("rb") as file:
-        start = file.read(256)
-    # Magic, opcode 1, u64 length, then two strings with u32 lengths: profile and library.
-    profile_at = len(MAGIC) + 1 + 8
-    profile_length = int.from_bytes(start[profile_at : profile_at + 4], "little")
-    library_at = profile_at + 4 + profile_length + 4
-    return start.startswith(MAGIC) and start[library_at:].startswith(b"hiros")
+    path = source if source.name else source.resolve()
+    if not path.name:
+        raise ConfigError(f"{source}: gives the output no name; say one by --output")
+    return path.with_name(path.stem + suffix)

@@ -5,13 +5,10 @@ A log is decoded once per process and kept in memory while all systems run on it
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +25,7 @@ from hiros_mcap.log import open_log
 from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, camera_positions
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.systems import Run, chain_of, system
+from hiros_mcap.workers import run_tasks
 
 _WARM_UP = 150
 """Messages that a system is run on before it is timed: enough that people are found."""
@@ -138,23 +136,10 @@ def contest(
     """
     progress = progress or Silent()
     done: dict[int, Outcome] = {}
-    for k, outcome in _run_all(tasks, jobs or os.cpu_count() or 1):
+    for k, outcome in run_tasks(run_task, [(task,) for task in tasks], jobs):
         done[k] = outcome
         progress.update(len(done), len(tasks))
     return [done[k] for k in range(len(tasks))]
-
-
-def _run_all(tasks: Sequence[Task], jobs: int) -> Iterator[tuple[int, Outcome]]:
-    if min(jobs, len(tasks)) <= 1:
-        yield from enumerate(map(run_task, tasks))
-        return
-    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(run_task, task): k for k, task in enumerate(tasks)}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def run_task(task: Task) -> Outcome:

@@ -6,13 +6,10 @@ merger and filter (TMF), and all four (TMOF).
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +20,7 @@ from hiros_mcap.evaluate.published import ANGLES
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.truth import load_truth
 from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, process
+from hiros_mcap.workers import run_tasks
 
 CONFIGURATIONS = ("T", "TMF", "TMOF")
 STEPS = ("tracked", "merged", "optimized", "filtered")
@@ -117,24 +115,11 @@ def run_experiments(
     config, progress = config or Config(), progress or Silent()
     tasks = [(people, action, config, seconds, seed) for people, action in ANGLES]
     done: dict[tuple[int, str], ActionRun] = {}
-    for sequence in _run_all(tasks, jobs or os.cpu_count() or 1):
+    for _, sequence in run_tasks(run_experiment, tasks, jobs):
         done[sequence.people, sequence.action] = sequence
         progress.update(len(done), len(tasks))
     sequences = tuple(done[key] for key in ANGLES)
     return Experiments(seconds, sequences, tuple(check_claims(sequences)))
-
-
-def _run_all(tasks: Sequence[tuple[object, ...]], jobs: int) -> Iterator[ActionRun]:
-    if jobs == 1:
-        yield from (run_experiment(*task) for task in tasks)  # type: ignore[arg-type]
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(run_experiment, *task) for task in tasks]  # type: ignore[arg-type]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def run_experiment(

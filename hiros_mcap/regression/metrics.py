@@ -20,6 +20,7 @@ from hiros_mcap.evaluate.logs import (
     find_truth,
     read_channel,
 )
+from hiros_mcap.outputs import write_text
 
 VERSION = 1
 
@@ -193,7 +194,7 @@ def worse(
 def save_metrics(path: Path, topic: str, values: Mapping[str, float]) -> None:
     """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
     data = {"hiros_golden_metrics": VERSION, "channel": topic, "metrics": _rounded(values)}
-    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(data, indent=1) + "\n")
 
 
 def _rounded(values: Mapping[str, float]) -> dict[str, float]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
+from hiros_mcap.outputs import JUNIT_MARK, MARKDOWN_MARK
 from hiros_mcap.regression.metrics import shown
 from hiros_mcap.regression.suite import CaseResult
 from hiros_mcap.summary import plain
@@ -48,7 +49,7 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
     root.append(suite)
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="utf-8"?>\n{body}\n'
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{JUNIT_MARK}\n{body}\n'
 
 
 def _xml_text(text: str) -> str:
@@ -68,7 +69,7 @@ def markdown(results: Sequence[CaseResult], name: str) -> str:
     """Summary for a pull request: a table, and the details of what is not equal folded below."""
     good = sum(r.status == "equal" for r in results)
     lines = [
-        f"### hiros check: {_cell(name)}: {good} of {len(results)} logs as expected",
+        f"{MARKDOWN_MARK}{_cell(name)}: {good} of {len(results)} logs as expected",
         "",
         "| log | | " + " | ".join(_SHOWN) + " | what |",
         "|---|---|" + "---:|" * len(_SHOWN) + "---|",

@@ -16,14 +16,11 @@ Paths are relative to the suite's file.
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,6 +30,7 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
+from hiros_mcap.outputs import check_outputs
 from hiros_mcap.params import Params
 from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.regression.compare import Divergence, compare_logs
@@ -46,6 +44,7 @@ from hiros_mcap.regression.metrics import (
 )
 from hiros_mcap.regression.tolerances import Tolerances, beside, validated
 from hiros_mcap.validation import explain
+from hiros_mcap.workers import run_tasks
 
 Status = Literal["equal", "different", "error"]
 
@@ -103,6 +102,17 @@ class Suite:
     path: Path
     cases: tuple[Case, ...]
 
+    @property
+    def files(self) -> list[Path]:
+        """Everything that a run of the suite reads or compares with."""
+        named = (
+            name
+            for case in self.cases
+            for name in (case.input, case.golden, case.truth, case.config)
+            if name
+        )
+        return [self.path, *(self.path.parent / name for name in named)]
+
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
@@ -153,7 +163,8 @@ def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
     except ValidationError as error:
         where, message = explain(error)
         label = row.get("name") or row.get("input") or number
-        raise ConfigError(f"{path}: log {label}: {'.'.join([*where, ''])} {message}") from None
+        key = f"{'.'.join(where)}: " if where else ""
+        raise ConfigError(f"{path}: log {label}: {key}{message}") from None
     if not (path.parent / case.input).is_file():
         raise ConfigError(f"{path}: log {case.title}: no file {case.input}")
     validated(case.tolerances, f"{path}: log {case.title}: tolerances")
@@ -168,6 +179,7 @@ def run_suite(
     jobs: int = 0,
     keep: Path | None = None,
     progress: Progress | None = None,
+    force: bool = False,
 ) -> list[CaseResult]:
     """Process and check every log, several at once; results in the order of the suite.
 
@@ -176,36 +188,27 @@ def run_suite(
     bless : replace the golden files by what came out now; notes say what changed.
     only : names of the cases to run. jobs : processes at once; 0 = one per core.
     keep : folder to leave the outputs in, one ``NAME.mcap`` each.
+    force : replace files in there that hiros did not write.
 
     Raises
     ------
     ConfigError
         A name in ``only`` does not exist.
+    LogError
+        A file in ``keep`` must not be replaced.
     """
     titles = [case.title for case in suite.cases]
     if unknown := [name for name in only if name not in titles]:
         raise ConfigError(f"{suite.path}: no case {unknown[0]!r} (there are: {', '.join(titles)})")
     cases = [case for case in suite.cases if not only or case.title in only]
+    if keep is not None:
+        check_outputs(((kept_path(keep, case), "log") for case in cases), suite.files, force=force)
     progress, done = progress or Silent(), {}
-    for result in _run_all(suite.path.parent, cases, bless, keep, jobs or os.cpu_count() or 1):
+    tasks = [(suite.path.parent, case, bless, keep) for case in cases]
+    for _, result in run_tasks(run_case, tasks, jobs):
         done[result.name] = result
         progress.update(len(done), len(cases))
     return [done[case.title] for case in cases]
-
-
-def _run_all(
-    folder: Path, cases: Sequence[Case], bless: bool, keep: Path | None, jobs: int
-) -> Iterator[CaseResult]:
-    if min(jobs, len(cases)) <= 1:
-        yield from (run_case(folder, case, bless, keep) for case in cases)
-        return
-    with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(run_case, folder, case, bless, keep) for case in cases]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = None) -> CaseResult:
@@ -213,7 +216,7 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
     start = time.perf_counter()
     try:
         with tempfile.TemporaryDirectory() as temporary:
-            out = (keep or Path(temporary)) / f"{_file_name(case.title)}.mcap"
+            out = kept_path(keep or Path(temporary), case)
             config = load_config(
                 folder / case.config if case.config else None,
                 case.set,
@@ -228,14 +231,16 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
     return CaseResult(**{**values, "seconds": time.perf_counter() - start})
 
 
-def _file_name(title: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in title)
+def kept_path(folder: Path, case: Case) -> Path:
+    """Return where the output of a case is left."""
+    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in case.title)
+    return folder / f"{name}.mcap"
 
 
 def _process(source: Path, out: Path, case: Case, config: Config) -> None:
-    process(
-        source, out, config=config, options=ProcessOptions(stages=case.stages, keep=("/truth/*",))
-    )
+    options = ProcessOptions(system=case.system, stages=case.stages, keep=("/truth/*",))
+    # Whether ``out`` may be replaced was asked before the first case ran.
+    process(source, out, config=config, options=options, force=True)
 
 
 def check_output(

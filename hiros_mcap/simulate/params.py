@@ -11,6 +11,7 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    model_validator,
 )
 
 from hiros_mcap.params import Params
@@ -27,6 +28,8 @@ PositiveRange = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_o
 Frames = Annotated[tuple[PositiveInt, PositiveInt], AfterValidator(_ordered)]
 Angle = Annotated[float, Field(gt=0, lt=180)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Scale = Annotated[float, Field(ge=0, le=100)]
+Rate = Annotated[float, Field(gt=0, le=1000)]
 ActionName = Literal[
     "walk",
     "squat",
@@ -47,6 +50,13 @@ ActionName = Literal[
 ]
 
 
+BODY_BYTES = 2200
+"""Of a body in a camera's frame."""
+SIGHT_BYTES = 1700
+"""Of finding out who hides whom in a frame, times the number of people cubed (measured)."""
+MOST_BYTES = 16e9
+
+
 class RigParams(Params):
     """The cameras: where they stand, what they see, how their clocks run."""
 
@@ -57,7 +67,7 @@ class RigParams(Params):
         (75.0, 65.0), description="Field of view, deg: across, upright (Azure Kinect, narrow)."
     )
     range: Range = Field((0.5, 5.5), description="Nearest and farthest depth seen, m.")
-    rate: PositiveFloat = Field(30.0, description="Frames per second of each camera.")
+    rate: Rate = Field(30.0, description="Frames per second of each camera.")
     synchronised: bool = Field(
         False, description="Whether all cameras fire together; otherwise each at its own phase."
     )
@@ -167,21 +177,23 @@ class SimulateParams(Params):
     skeleton: tuple[str, ...] = Field(
         (), description="ASF file of each AMC file; the last one serves the rest."
     )
-    seconds: PositiveFloat = Field(10.0, description="Length of the log, s.")
+    seconds: Annotated[float, Field(gt=0, le=86_400)] = Field(
+        10.0, description="Length of the log, s."
+    )
     seed: NonNegativeInt = Field(0, description="Same seed, same log, byte for byte.")
-    noise: NonNegativeFloat = Field(1.0, description="Scale of noise and bias of what is seen.")
-    occlusion: NonNegativeFloat = Field(
+    noise: Scale = Field(1.0, description="Scale of noise and bias of what is seen.")
+    occlusion: Scale = Field(
         1.0, description="Scale of guessed joints' errors; 0 = nothing ever hides anything."
     )
-    flips: NonNegativeFloat = Field(1.0, description="Scale of the rate of left-right flips.")
-    dropouts: NonNegativeFloat = Field(
+    flips: Scale = Field(1.0, description="Scale of the rate of left-right flips.")
+    dropouts: Scale = Field(
         1.0, description="Scale of lost frames, lost bodies and wrong poses on re-appearing."
     )
-    clock_jitter: NonNegativeFloat = Field(1.0, description="Scale of the jitter of frame times.")
-    calibration_error: NonNegativeFloat = Field(
+    clock_jitter: Scale = Field(1.0, description="Scale of the jitter of frame times.")
+    calibration_error: Scale = Field(
         1.0, description="Scale of the errors in the published camera poses."
     )
-    phantoms: NonNegativeFloat = Field(1.0, description="Scale of the rate of phantom bodies.")
+    phantoms: Scale = Field(1.0, description="Scale of the rate of phantom bodies.")
     heights: PositiveRange = Field((1.55, 1.95), description="Shortest and tallest person, m.")
     proportions: NonNegativeFloat = Field(
         0.03, description="Relative SD of trunk, arm and leg lengths at a given height."
@@ -189,6 +201,27 @@ class SimulateParams(Params):
     start: NonNegativeInt = Field(
         1_700_000_000_000_000_000, description="Time of the first instant, ns since the epoch."
     )
-    truth_rate: PositiveFloat = Field(30.0, description="Frames per second of the truth.")
+    truth_rate: Rate = Field(30.0, description="Frames per second of the truth.")
     rig: RigParams = Field(RigParams(), description="The cameras.")
     detector: DetectorParams = Field(DetectorParams(), description="Their body tracker.")
+
+    @property
+    def memory(self) -> float:
+        """About how many bytes a simulation takes: all that every camera sees is held at once."""
+        frames = self.seconds * self.rig.rate
+        minutes = self.seconds / 60
+        # A phantom has a place in every frame, and for a moment there are two of each.
+        phantoms = self.detector.phantoms_per_minute * self.phantoms * minutes
+        phantoms += self.detector.static_phantoms
+        held = self.cameras * (self.people + phantoms) + phantoms
+        return frames * (BODY_BYTES * held + SIGHT_BYTES * self.people**3)
+
+    @model_validator(mode="after")
+    def _fits(self) -> SimulateParams:
+        if self.memory > MOST_BYTES:
+            raise ValueError(
+                f"{self.seconds:g} s, {self.rig.rate:g} Hz, {self.cameras} cameras and "
+                f"{self.people} people need about {self.memory / 1e9:.0f} GB of memory, more than "
+                f"{MOST_BYTES / 1e9:.0f}; make it shorter"
+            )
+        return self

@@ -45,6 +45,9 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         (["process", "--frobnicate"], "(see hiros process --help)"),
         (["process"], "Missing argument 'IN'. (see hiros process --help)"),
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
+        (["process", ""], "an argument is empty; is a variable not set?"),
+        (["plot", "/"], "/: gives the output no name; say one by --output"),
+        (["process", "/"], "/: gives the output no name; say one by --output"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str) -> None:
@@ -79,7 +82,6 @@ def test_every_fault_ends_as_one_line(
     def dispatch(_: list[str]) -> int:
         raise error
 
-    monkeypatch.setattr(app, "catch_signals", lambda: None)
     monkeypatch.setattr("hiros_cli.commands.dispatch", dispatch)
     assert app.run(["info"]) == code
     stderr = capsys.readouterr().err
@@ -133,7 +135,69 @@ def test_a_signal_stops_the_compilation_without_a_traceback(name: str, tmp_path:
 def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
     code = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        "from hiros_cli.app import catch_signals; catch_signals()\n"
+        "from hiros_cli.app import Stop; Stop().catch()\n"
         "signal.raise_signal(signal.SIGHUP); print('alive')"
     )
     assert python(code) == "alive\n"
+
+
+INTERRUPTED = """
+import signal, sys, threading
+from hiros_cli import app
+
+def interrupt():
+    signal.raise_signal(signal.SIGHUP)
+
+class Lost:
+    def __del__(self):
+        interrupt()
+
+def in_del():
+    del [Lost()][0]
+    while True:
+        pass
+
+def as_another_error():
+    try:
+        interrupt()
+    finally:
+        raise RuntimeError("cannot release un-acquired lock")
+
+def in_the_report():
+    app.fail = lambda error, debug: interrupt()
+    raise KeyError("tibia")
+
+def with_a_lock():
+    condition = threading.Condition()
+    lock = condition._lock
+
+    class Lock:
+        def __enter__(self):
+            lock.__enter__()
+            interrupt()  # within threading.Condition.__enter__
+
+        def __exit__(self, *error):
+            lock.__exit__(*error)
+
+    condition._lock = Lock()
+    try:
+        with condition:
+            while True:
+                pass
+    finally:
+        thread = threading.Thread(target=lock.acquire)
+        thread.start()
+        thread.join()
+
+app._run = lambda arguments: globals()[arguments[0]]()
+code = app.run(sys.argv[1:])
+interrupt()  # too late to matter
+sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize("where", ["in_del", "as_another_error", "in_the_report", "with_a_lock"])
+def test_a_signal_anywhere_ends_the_program_silently(where: str) -> None:
+    command = [sys.executable, "-c", INTERRUPTED, where]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
+    assert (result.returncode, result.stdout, result.stderr) == (129, "", "")

@@ -58,10 +58,28 @@ def test_a_suite_with_reports(
     assert (kept / "one_person_walking.mcap").stat().st_size > 0
     assert capsys.readouterr().out.split() == ["equal", "one_person_walking"]
     suite.write_text(suite.read_text().replace("people = 1", "people = 3"))
-    assert run(["check", str(suite), "--quiet"]) == 1
+    assert run(["check", str(suite)]) == 1
     assert "people = 3: is 1" in capsys.readouterr().out
     (tmp_path / "one_person_walking.mcap").write_bytes(b"nothing")
     assert run(["check", str(suite)]) == 2
+
+
+def test_quiet_leaves_the_exit_code_and_errors(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["check", str(suite), "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert run(["check", str(suite), "-q", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["equal"] == 1
+    suite.write_text(suite.read_text().replace("people = 1", "people = 3"))
+    assert run(["check", str(suite), "-q"]) == 1
+    assert capsys.readouterr() == ("", "")
+    (tmp_path / "one_person_walking.mcap").write_bytes(b"nothing")
+    assert run(["check", str(suite), "-q"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("hiros: error: one_person_walking: ")
+    assert captured.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -4,26 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from hiros_cli.app import run
+from hiros_cli.commands.simulate import _params
 from hiros_mcap.config import load_config
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.log import open_log
 from hiros_mcap.simulate import SimulateParams
-
-
-@pytest.fixture(autouse=True)
-def _signals() -> Iterator[None]:
-    """Give pytest its signal handlers back after a run in this process."""
-    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {name: signal.getsignal(name) for name in names}
-    yield
-    for name, handler in before.items():
-        signal.signal(name, handler)
 
 
 def test_info_tells_cameras_frames_and_skeleton(
@@ -78,6 +68,10 @@ def test_simulate_twice_gives_the_same_bytes_and_a_readable_log(tmp_path: Path) 
         (["--action", "fly"], "--action: should be 'walk', 'squat'"),
         (["--rate", "0"], "--rate: should be greater than 0"),
         (["--seconds", "many"], "Invalid value for '--seconds'"),
+        (["--seconds", "inf"], "--seconds: should be less than or equal to 86400, is inf"),
+        (["--rate", "1e6"], "--rate: should be less than or equal to 1000"),
+        (["--noise", "inf"], "--noise: should be less than or equal to 100, is inf"),
+        (["--rate", "1000", "--seconds", "3600"], "GB of memory, more than 16; make it shorter"),
     ],
 )
 def test_simulate_refuses_in_one_line(
@@ -101,6 +95,19 @@ def test_the_help_of_simulate_states_the_defaults_that_hold(
         default = getattr(defaults, name.replace("-", "_"))
         assert value == default or float(value) == default
     assert len(stated) == 12
+
+
+def test_the_help_of_simulate_states_the_bounds_that_hold(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["simulate", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    stated = re.findall(r"--([a-z-]+) (?:(?!--).)*?at most (\d+)\.", text)
+    assert [name for name, _ in stated] == ["people", "cameras", "seconds", "rate"]
+    for name, bound in stated:
+        with pytest.raises(ConfigError, match=rf"--{name}: .* {bound}, is"):
+            _params({name: int(bound) + 1})
+    assert "real depth camera has, at most 100." in text
 
 
 def test_config_prints_what_config_reads(

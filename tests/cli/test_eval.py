@@ -78,6 +78,20 @@ def test_a_truth_that_nobody_is_near_to_may_have_another_unit(
     assert not wrong or re.search(r"truth \(.*, 8\d\d\.\d\), result \(.*, 0\.8\d*\)", out)
 
 
+@pytest.mark.parametrize(
+    "command",
+    ["eval {log}", "eval {log} --leave-one-out", "compare {raw} --system raw --jobs 1"],
+)
+def test_quiet_prints_nothing(
+    command: str, processed: Path, walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = command.format(log=processed, raw=walking).split()
+    assert run([*arguments, "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert run([*arguments, "-q", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)
+
+
 @pytest.mark.parametrize("options", [[], ["--leave-one-out"]], ids=["truth", "no truth"])
 def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str]) -> None:
     page = tmp_path / "report.html"
@@ -100,6 +114,9 @@ def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str
         (["{log}", "--html", "/nowhere/at/all.html"], "no such folder"),
         (["--table", "tables"], "no table 'tables'"),
         (["{log}", "--shift", "1000"], "no frame lies within the time"),
+        (["{log}", "--shift", "inf"], "'--shift'"),
+        (["{log}", "--shift", "nan"], "'--shift'"),
+        (["--table", "hiros", "--seconds", "inf"], "'--seconds'"),
     ],
 )
 def test_faults_are_one_line(

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,18 +15,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from hiros_cli.app import run
+from hiros_mcap.limbs import LimbTable
 
 CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
-
-
-@pytest.fixture(autouse=True)
-def _signals() -> Iterator[None]:
-    """Give pytest its signal handlers back after a run in this process."""
-    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {name: signal.getsignal(name) for name in names}
-    yield
-    for name, handler in before.items():
-        signal.signal(name, handler)
 
 
 def counts(path: Path) -> dict[str, int]:
@@ -99,6 +89,17 @@ def test_the_same_run_again_replaces_the_output_by_the_same_bytes(
     assert target.read_bytes() == first
 
 
+def test_the_output_of_the_current_folder_lies_beside_it(
+    walking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "bag_0.mcap").write_bytes(walking.read_bytes())
+    monkeypatch.chdir(bag)
+    assert run(["process", ".", "-q", "--stages", "T"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag.hiros.mcap"]
+
+
 @pytest.mark.parametrize(
     ("stages", "channels"),
     [
@@ -135,6 +136,34 @@ def test_options_with_a_name_of_their_own(
     target = tmp_path / "out.mcap"
     assert run(["process", str(walking), "-o", str(target), "-q", *options]) == 0
     assert target.exists()
+
+
+def test_malaguti_saves_the_limbs_that_it_finds(crossing: Path, tmp_path: Path) -> None:
+    limbs = tmp_path / "limbs.toml"
+    options = ["--system", "malaguti", "--save-limbs", str(limbs), "-q"]
+    assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), *options]) == 0
+    assert LimbTable.load(limbs).people
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--keep", "/nope*", "--keep", "/tf*"], "keep: the log has no channel /nope*"),
+        (["--calibrate", "2.99:9"], "limb lengths: nobody was seen in the calibration windows"),
+        (["--calibrate", "0:2"], ""),
+    ],
+)
+def test_what_an_option_did_not_find_is_noted(
+    options: list[str],
+    said: str,
+    walking: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["process", str(walking), "-o", str(tmp_path / "out.mcap"), "--json", *options]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    asked = [note for note in notes if note.startswith(("keep", "limb lengths"))]
+    assert asked == ([said] if said else [])
 
 
 def an_mcap(path: Path, schema: str = "std_msgs/msg/String") -> Path:
@@ -202,7 +231,18 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--stages", "MOF"], "TMOF"),
         (["--calibrate", "10-20"], "START:END"),
         (["--calibrate", "20:10"], "ends before it starts"),
-        (["--solver", "newton"], "'lm' or 'ceres'"),
+        (["--calibrate=-5:-1"], "--calibrate: '-5:-1' starts before the log"),
+        (["--calibrate", "20:30"], "ends after 3.0 s; the calibration window 20:30"),
+        (["--stages", "T", "--limbs", "x.toml"], "--limbs has no effect: --stages T"),
+        (["--stages", "T", "--save-limbs", "x.toml"], "--save-limbs has no effect"),
+        (["--stages", "tm", "--calibrate", "0:3"], "--calibrate has no effect: --stages tm"),
+        (["--system", "lee", "--limbs", "x.toml"], "--limbs has no effect: --system lee"),
+        (["--system", "lee", "--solver", "ceres"], "--solver has no effect: --system lee"),
+        (["--system", "malaguti", "--two-pass"], "--two-pass has no effect: --system malaguti"),
+        (["--system", "malaguti", "--limbs", "x.toml"], "has an optimizer of its own"),
+        (["--limbs", "x.toml", "--two-pass"], "--two-pass has no effect: the limb lengths come"),
+        (["--calibrate=-inf:3"], "starts at no finite time"),
+        (["--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),
         (["--limbs", "missing.toml"], "missing.toml"),
@@ -227,7 +267,7 @@ def test_the_input_is_never_the_output(
     source = tmp_path / "in.mcap"
     source.write_bytes(walking.read_bytes())
     (tmp_path / "link.mcap").symlink_to(source)
-    assert "is the input" in refused(capsys, "process", source, "-o", tmp_path / "link.mcap")
+    assert "is an input" in refused(capsys, "process", source, "-o", tmp_path / "link.mcap")
     assert source.read_bytes() == walking.read_bytes()
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.pipeline import ProcessOptions, process
 from hiros_mcap.regression import report
 from hiros_mcap.regression.compare import compare_logs
@@ -161,18 +162,29 @@ def test_in_parallel_as_one_after_the_other() -> None:
     assert [r.status for r in results] == ["equal", "equal"]
 
 
+def test_a_case_runs_the_system_that_it_names(suite: Path, tmp_path: Path) -> None:
+    suite.write_text('[[log]]\ninput = "walk.mcap"\nsystem = "raw"\nrequire = ["people = 1"]\n')
+    run_suite(load_suite(suite), jobs=1, keep=tmp_path / "golden")
+    assert output_channels(tmp_path / "golden" / "walk.mcap") == ["/hiros/tracked"]
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
         ("", "expects"),
         ("[[log]", "not TOML"),
         ('[[log]]\ninput = "none.mcap"\nrequire = ["people = 1"]', "no file none.mcap"),
-        ('[[log]]\ninput = "walk.mcap"', "expects nothing"),
         ('[[log]]\ninput = "walk.mcap"\ngolden = "a.txt"', "neither .mcap nor .json"),
         ('[[log]]\ninput = "walk.mcap"\nrequire = ["height < 2 m"]', "no metric 'height'"),
         ('[[log]]\ninput = "walk.mcap"\nrequire = ["mpjpe < 2 cm"]', "mpjpe is in mm"),
         ('[[log]]\ninput = "walk.mcap"\nrequire = ["mpjpe is ok"]', "not of the form"),
-        ('[[log]]\ninput = "walk.mcap"\ngolden = "a.json"\nfoo = 1', "foo"),
+        ('[[log]]\ninput = "walk.mcap"\ngolden = "a.json"\nfoo = 1', "walk.mcap: foo: there"),
+        (
+            '[[log]]\nname = "kitchen"\ninptu = "walk.mcap"',
+            "log kitchen: inptu: there is no",
+        ),
+        ('[[log]]\nname = "kitchen"', "log kitchen: input: is missing"),
+        ('[[log]]\ninput = "walk.mcap"', "log walk.mcap: expects nothing"),
         (
             '[[log]]\ninput = "walk.mcap"\ngolden = "a.json"\ntolerances = {positions = -1}',
             "positions",

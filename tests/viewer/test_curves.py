@@ -88,7 +88,7 @@ def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: P
         (["-o", "a.pdf"], "ends in .png or .html"),
         (["-o", "/nowhere/at/all.png"], "no such folder"),
         (["-o", "a.png", "--what", "dance"], "none of angles, limbs, error"),
-        (["-o", "a.png", "--person", "9"], "no person 9"),
+        (["-o", "a.png", "--person", "9"], "{log}: /hiros/filtered: no person 9"),
         (["-o", "a.png", "--channel", "/hiros/none"], "/hiros/none"),
     ],
 )
@@ -104,5 +104,5 @@ def test_faults_are_one_line(
     assert run(["plot", str(processed), *arguments]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
-    assert fault in captured.err
+    assert fault.format(log=processed) in captured.err
     assert list(tmp_path.iterdir()) == []

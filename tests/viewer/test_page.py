@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hiros_mcap.errors import LogError
 from hiros_viewer.page import Page
 
 
@@ -49,6 +50,6 @@ def test_the_same_page_has_the_same_bytes() -> None:
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     target = tmp_path / "folder"
     target.mkdir()
-    with pytest.raises(OSError):
+    with pytest.raises(LogError, match="folder: cannot be written"):
         page().write(target)
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]

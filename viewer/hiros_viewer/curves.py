@@ -15,6 +15,7 @@ from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.motion import lengths_of
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.text import number
 from hiros_viewer.figures import RESULT, angle_figure, new_figure, tidy, with_gaps
@@ -176,5 +177,13 @@ def _error(body: Body, true_poses: Floats) -> Figure:
 
 
 def save_png(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a figure as PNG; the same figure gives the same bytes."""
-    figure.savefig(path, format="png", dpi=dpi, metadata={"Software": None})
+    """Write a figure as PNG, whole or not at all; the same figure gives the same bytes.
+
+    Raises
+    ------
+    LogError
+        The file cannot be written.
+    """
+    with replacing(path) as temporary:
+        # Without matplotlib's version; the name is how a later run knows the file.
+        figure.savefig(temporary, format="png", dpi=dpi, metadata={"Software": "hiros"})

@@ -11,13 +11,13 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import tempfile
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from hiros_mcap.outputs import HTML_MARK, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,7 +78,7 @@ class Page:
         return (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style></head>\n"
+            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}</style></head>\n"
             f"<body><h1>{escape(self.title)}</h1>\n{parts}\n</body></html>\n"
         )
 
@@ -87,19 +87,10 @@ class Page:
 
         Raises
         ------
-        OSError
+        LogError
             The file cannot be written.
         """
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        temporary = Path(name)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(self.html())
-            temporary.chmod(0o666 & ~_umask())
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+        write_text(path, self.html())
 
 
 def _svg(figure: Figure, prefix: str) -> str:
@@ -115,9 +106,3 @@ def _svg(figure: Figure, prefix: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
     return re.sub(r'(url\(#|xlink:href="#|href="#)(?!f\d+-)', rf"\1{prefix}-", svg)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

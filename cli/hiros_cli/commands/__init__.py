@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any, cast
 
 import typer
@@ -84,6 +85,10 @@ def dispatch(arguments: list[str]) -> int:
     BrokenPipeError
         Nobody reads what is printed.
     """
+    for before, argument in pairwise(["", *arguments]):
+        # As a path it would be the current folder; it is a shell variable that is not set.
+        if not argument and not before.startswith("-"):
+            raise ConfigError("an argument is empty; is a variable not set?")
     command: Any = typer.main.get_command(app)
     try:
         code = command.main(args=arguments, prog_name="hiros", standalone_mode=False)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Json, Quiet
+from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,8 +64,9 @@ def check(
         Path | None,
         typer.Option(metavar="FILE", help="With SUITE: also write a summary for a pull request."),
     ] = None,
+    force: Force = False,
     json: Json = False,
-    quiet: Quiet = False,
+    quiet: QuietResult = False,
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
@@ -80,8 +83,10 @@ def check(
     )
     prepare(quiet=quiet or json)
     if is_suite:
-        results = _run_suite(target, only or (), bless=bless, jobs=jobs, keep=keep, quiet=quiet)
-        _write_reports(results, target, junit, markdown)
+        reports = _Reports(junit, markdown)
+        results = _run_suite(
+            target, only or (), reports, bless=bless, jobs=jobs, keep=keep, force=force, quiet=quiet
+        )
     elif golden is None:
         raise ConfigError(f"{target}: --golden says what to compare with")
     else:
@@ -102,40 +107,68 @@ def _check_options(
     for name, value in wrong.items():
         if value:
             raise ConfigError(f"{name} has no effect on {what} (see hiros check --help)")
-    for name in ("--junit", "--markdown"):
-        path = for_suite[name]
-        if isinstance(path, Path) and not path.parent.is_dir():
-            raise ConfigError(f"{path.parent}: no such folder to write into")
+
+
+@dataclass(frozen=True, slots=True)
+class _Reports:
+    """Where to write what a suite found."""
+
+    junit: Path | None
+    markdown: Path | None
+
+    def check(self, inputs: Sequence[Path], *, force: bool) -> None:
+        """Refuse, before the suite runs, what must not be written."""
+        from hiros_cli.output import check_outputs
+
+        check_outputs(
+            (self.junit, "JUnit report"),
+            (self.markdown, "Markdown summary"),
+            inputs=inputs,
+            force=force,
+        )
+
+    def write(self, results: list[CaseResult], name: str) -> None:
+        """Write them."""
+        from hiros_mcap.outputs import write_text
+        from hiros_mcap.regression import report
+
+        if self.junit is not None:
+            write_text(self.junit, report.junit(results, name))
+        if self.markdown is not None:
+            write_text(self.markdown, report.markdown(results, name))
 
 
 def _run_suite(
     path: Path,
     only: Sequence[str],
+    reports: _Reports,
     *,
     bless: bool,
     jobs: int,
     keep: Path | None,
+    force: bool,
     quiet: bool,
 ) -> list[CaseResult]:
     from hiros_cli.progress import bar
-    from hiros_mcap.regression.suite import load_suite, run_suite
+    from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
 
     suite = load_suite(path)
+    kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
+    reports.check([*suite.files, *kept], force=force)
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     with bar(path.name, quiet=quiet) as progress:
-        return run_suite(suite, bless=bless, only=only, jobs=jobs, keep=keep, progress=progress)
-
-
-def _write_reports(
-    results: list[CaseResult], target: Path, junit: Path | None, markdown: Path | None
-) -> None:
-    from hiros_mcap.regression import report
-
-    if junit is not None:
-        junit.write_text(report.junit(results, target.stem), encoding="utf-8")
-    if markdown is not None:
-        markdown.write_text(report.markdown(results, target.stem), encoding="utf-8")
+        results = run_suite(
+            suite,
+            bless=bless,
+            only=only,
+            jobs=jobs,
+            keep=keep,
+            progress=progress,
+            force=force,
+        )
+    reports.write(results, path.stem)
+    return results
 
 
 def _compare(
@@ -173,6 +206,9 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
 
         print(dumps(report.as_dict(results), indent=2))
         return
+    if quiet:
+        _show_errors(results)
+        return
     from rich.text import Text
 
     from hiros_cli.printable import printable
@@ -181,10 +217,18 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     out = console()
     styles = {"equal": "green", "different": "red", "error": "yellow"}
     for result in results:
-        if quiet and result.status == "equal":
-            continue
         head = Text(f"{result.status:9} ", style=styles[result.status])
         out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
         lines: list[Any] = [*result.faults, *report.first_lines(result), *result.notes]
         for line in lines:
             out.print(Text(f"  {printable(line, 500)}"), soft_wrap=True)
+
+
+def _show_errors(results: list[CaseResult]) -> None:
+    """Print what could not be compared; a difference is told by the exit code."""
+    from hiros_cli.printable import error_line
+
+    for result in results:
+        if result.status == "error":
+            fault = ConfigError(f"{result.name}: {result.faults[0]}")
+            print(error_line(fault), file=sys.stderr)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Json, Quiet
+from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -53,22 +53,26 @@ def compare(
         Path | None,
         typer.Option(metavar="FILE", help="Also write a recording with all systems overlaid."),
     ] = None,
+    force: Force = False,
     json: Json = False,
-    quiet: Quiet = False,
+    quiet: QuietResult = False,
 ) -> None:
     """Run systems on the same logs and rank them by their error.
 
     Without a truth, by how far the camera that is left out is from what the others give.
     """
-    from hiros_cli.commands.evaluate import check_report
+    from hiros_cli.commands.evaluate import need_matplotlib
     from hiros_cli.kernels import prepare
+    from hiros_cli.output import check_outputs
 
     paths = list(logs or ())
     for path in paths:
         path.stat()
     _check(paths, study, truth, rrd)
-    if html is not None:
-        check_report(html)
+    need_matplotlib(html)
+    check_outputs(
+        (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
+    )
     prepare(quiet=quiet or json)
     from hiros_cli.progress import bar
     from hiros_mcap.evaluate.contest import contest
@@ -90,7 +94,7 @@ def compare(
         contest_page(outcomes, study or "").write(html)
     if json:
         _print_json(outcomes)
-    else:
+    elif not quiet:
         _show(outcomes, study or "")
 
 
@@ -108,8 +112,6 @@ def _check(paths: list[Path], study: str | None, truth: str | None, rrd: Path | 
 
         if len(paths) != 1:
             raise ConfigError("--rrd shows one LOG")
-        if not rrd.parent.is_dir():
-            raise ConfigError(f"{rrd.parent}: no such folder to write into")
         need_rerun()
 
 

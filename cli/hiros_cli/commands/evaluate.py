@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiros_cli.options import Assignments, ConfigFile, Json, Preset, Quiet
+from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -54,7 +54,8 @@ def evaluate(
         ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=3.0, help="With --table: length of every simulated log.")
+        float,
+        typer.Option(min=3.0, max=600.0, help="With --table: length of every simulated log, s."),
     ] = 15.0,
     jobs: Annotated[
         int, typer.Option(min=0, help="With --table: processes at once; 0 = one per core.")
@@ -68,7 +69,8 @@ def evaluate(
         ),
     ] = 1.0,
     shift: Annotated[
-        float, typer.Option(metavar="S", help="Add this to the times of the truth, s.")
+        float,
+        typer.Option(min=-4e9, max=4e9, metavar="S", help="Add this to the times of the truth, s."),
     ] = 0.0,
     up: Annotated[str, typer.Option(help="Vertical axis of the truth: z, or y (OpenSim).")] = "z",
     joints: Annotated[bool, typer.Option("--joints", help="Show every joint, too.")] = False,
@@ -79,19 +81,21 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FILE", help="Also write a report with plots, one file."),
     ] = None,
+    force: Force = False,
     json: Json = False,
-    quiet: Quiet = False,
+    quiet: QuietResult = False,
 ) -> None:
     """Score a result: joints, angles, limbs, jitter, lag, people; with truth or without.
 
     A recording that was not processed yet is processed first, with the given parameters.
     """
     from hiros_cli.kernels import prepare
+    from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
-    if html is not None:
-        check_report(html)
+    need_matplotlib(html)
+    check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
     if table is None and log is None:
         raise ConfigError("eval needs a LOG, or --table hiros (see hiros eval --help)")
     if log is not None:
@@ -110,7 +114,7 @@ def evaluate(
 
     true = None if leave_one_out else find_truth(log, truth)
     if true is None:
-        _show_self(log, effective, html=html, json=json, joints=joints)
+        _show_self(log, effective, html=html, json=json, quiet=quiet, joints=joints)
         return
     moved = true.moved(shift, start=_start(log), up=up)
     with ExitStack() as stack:
@@ -118,16 +122,14 @@ def evaluate(
         from hiros_mcap.evaluate.logs import evaluate_log
 
         results = evaluate_log(processed, moved, channel or (), match_distance)
-    _show_truth(log, moved, results, html=html, json=json, joints=joints)
+    _show_truth(log, moved, results, html=html, json=json, quiet=quiet, joints=joints)
 
 
-def check_report(path: Path) -> None:
-    """Raise ConfigError where a page cannot be written, before anything slow happens."""
-    if not path.parent.is_dir():
-        raise ConfigError(f"{path.parent}: no such folder to write into")
+def need_matplotlib(html: Path | None) -> None:
+    """Raise ConfigError where a page is wanted and cannot be drawn."""
     from importlib.util import find_spec
 
-    if find_spec("matplotlib") is None:
+    if html is not None and find_spec("matplotlib") is None:
         raise ConfigError("--html needs matplotlib: pip install 'hiros-mcap[plots]'")
 
 
@@ -160,6 +162,7 @@ def _show_truth(
     *,
     html: Path | None,
     json: bool,
+    quiet: bool,
     joints: bool,
 ) -> None:
     if html is not None:
@@ -174,13 +177,15 @@ def _show_truth(
                 "channels": {topic: _plain(result.scores) for topic, result in results.items()},
             }
         )
-        return
-    from hiros_cli.evaluation import show_truth
+    elif not quiet:
+        from hiros_cli.evaluation import show_truth
 
-    show_truth(log, truth, results, joints=joints)
+        show_truth(log, truth, results, joints=joints)
 
 
-def _show_self(log: Path, config: Config, *, html: Path | None, json: bool, joints: bool) -> None:
+def _show_self(
+    log: Path, config: Config, *, html: Path | None, json: bool, quiet: bool, joints: bool
+) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
 
     scores = leave_one_out(log, config=config)
@@ -191,10 +196,10 @@ def _show_self(log: Path, config: Config, *, html: Path | None, json: bool, join
     if json:
         pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
         _print_json({"log": str(log), **_plain(scores), "disagreement": _finite(pairs)})
-        return
-    from hiros_cli.evaluation import show_self
+    elif not quiet:
+        from hiros_cli.evaluation import show_self
 
-    show_self(log, scores, joints=joints)
+        show_self(log, scores, joints=joints)
 
 
 def _paper_table(
@@ -220,10 +225,10 @@ def _paper_table(
         paper_page(results).write(html)
     if json:
         _print_json(_plain(results))
-        return
-    from hiros_cli.evaluation import show_paper
+    elif not quiet:
+        from hiros_cli.evaluation import show_paper
 
-    show_paper(results)
+        show_paper(results)
 
 
 def _plain(record: Any) -> dict[str, Any]:

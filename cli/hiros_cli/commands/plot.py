@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiros_cli.options import Quiet
+from hiros_cli.options import Force, Quiet
 from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.outputs import Kind
 
 
 def plot(
@@ -35,19 +38,21 @@ def plot(
             metavar="FILE|TOPIC", help="Draw this truth beside it. Default: LOG's /truth channel."
         ),
     ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Plot joint angles, limb lengths and errors over time, as PNG or one HTML file."""
     from importlib.util import find_spec
 
     from hiros_cli.kernels import prepare
+    from hiros_cli.output import beside, check_outputs
 
     log.stat()
-    target = log.with_suffix(".html") if output is None else output
+    target = beside(log, ".html") if output is None else output
     if target.suffix not in (".png", ".html"):
         raise ConfigError(f"{target}: a plot ends in .png or .html")
-    if not target.parent.is_dir():
-        raise ConfigError(f"{target.parent}: no such folder to write into")
+    kind: Kind = "HTML page" if target.suffix == ".html" else "PNG picture"
+    check_outputs((target, kind), inputs=(log, truth), force=force)
     if find_spec("matplotlib") is None:
         raise ConfigError("plots need matplotlib: pip install 'hiros-mcap[plots]'")
     prepare(quiet=quiet)
@@ -61,7 +66,7 @@ def plot(
     found = find_truth(log, truth)
     start = frames[0].stamp if frames else 0
     true = None if found is None else found.moved(start=start)
-    collected = curves.collect(f"{log.name}: {topic}", frames, model, true)
+    collected = curves.collect(f"{log}: {topic}", frames, model, true)
     if target.suffix == ".html":
         page = curves.page_of(collected)
         page.text(curves.summary_row(frames, model))

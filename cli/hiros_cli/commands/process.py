@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,8 +20,10 @@ from hiros_cli.options import (
     SystemName,
     seconds_range,
 )
+from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
+    from hiros_mcap.config import Table
     from hiros_mcap.pipeline import Watcher
     from hiros_mcap.summary import Summary
 
@@ -107,12 +110,17 @@ def process(
     that were read beside them, and prints what was done.
     """
     from hiros_cli.kernels import prepare
-    from hiros_cli.output import check_target
+    from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
 
     source.stat()  # a missing file is told before anything slow happens
-    target = source.with_name(source.stem + SUFFIX) if output is None else output
-    check_target(target, force=force)
+    target = beside(source, SUFFIX) if output is None else output
+    check_outputs(
+        (target, "log"),
+        (save_limbs, "limb table"),
+        inputs=(source, config, extrinsics, limbs),
+        force=force,
+    )
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     prepare(quiet=quiet)
 
@@ -120,6 +128,17 @@ def process(
     from hiros_mcap.pipeline import ProcessOptions
     from hiros_mcap.pipeline import process as run
 
+    _check_effects(
+        system,
+        stages,
+        {
+            "--limbs": limbs,
+            "--save-limbs": save_limbs,
+            "--calibrate": calibrate,
+            "--two-pass": two_pass,
+            "--solver": solver,
+        },
+    )
     options = ProcessOptions(
         system=system,
         stages=stages,
@@ -131,12 +150,18 @@ def process(
         markers=markers,
         strict=strict,
     )
-    effective = load_config(config, [*shortcuts, *(assignments or ())], preset, system)
+    effective = load_config(config, assignments or (), preset, system, shortcuts)
     with ExitStack() as stack:
         watcher = stack.enter_context(_live(source)) if view else None
         progress = stack.enter_context(bar(source.name, quiet=quiet))
         summary = run(
-            source, target, config=effective, options=options, progress=progress, watcher=watcher
+            source,
+            target,
+            config=effective,
+            options=options,
+            progress=progress,
+            watcher=watcher,
+            force=force,
         )
     _show(summary, json=json, quiet=quiet)
 
@@ -155,24 +180,45 @@ def _live(source: Path) -> AbstractContextManager[Watcher]:
 
 def _shortcuts(
     fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
-) -> list[str]:
-    """Return the assignments that the options with a name of their own stand for."""
-    assignments = []
+) -> dict[str, Table]:
+    """Return the parameters that the options with a name of their own stand for."""
+    named: dict[str, Table] = {}
     if fixed_frame is not None:
-        assignments.append(f"input.fixed_frame={fixed_frame}")
+        named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
     if calibrate:
-        windows = ", ".join(_window(text) for text in calibrate)
-        assignments.append(f"optimize.calibration_windows=[{windows}]")
+        windows = [_window(text) for text in calibrate]
+        named["--calibrate"] = {"optimize": {"calibration_windows": windows}}
     if two_pass:
-        assignments.append("optimize.calibration=two-pass")
+        named["--two-pass"] = {"optimize": {"calibration": "two-pass"}}
     if solver is not None:
-        assignments.append(f"optimize.solver={solver}")
-    return assignments
+        named["--solver"] = {"optimize": {"solver": solver}}
+    return named
 
 
-def _window(text: str) -> str:
+def _window(text: str) -> tuple[float, float]:
     start, end = seconds_range("--calibrate", text)
-    return f"[{start!r}, {end!r}]"
+    if start < 0:
+        raise ConfigError(f"--calibrate: {text!r} starts before the log; 0 is its start")
+    return start, end
+
+
+def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> None:
+    """Refuse options about limb lengths that would change nothing."""
+    from hiros_mcap.systems import chain_of
+
+    if "optimized" not in chain_of(system, stages):
+        what = f"--stages {stages}" if stages else f"--system {system}"
+        unused, why = set(given), f"{what} optimizes nothing"
+    elif system != "hiros":
+        # Its optimizer finds lengths of its own, which can be saved.
+        unused, why = {*given} - {"--save-limbs"}, f"--system {system} has an optimizer of its own"
+    elif given["--limbs"]:
+        unused, why = {"--two-pass"}, "the limb lengths come from --limbs"
+    else:
+        return
+    for name, value in given.items():
+        if value and name in unused:
+            raise ConfigError(f"{name} has no effect: {why}")
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:

@@ -24,8 +24,8 @@ def _number(what: str, default: str) -> Any:
 
 def simulate(
     output: Annotated[Path, typer.Argument(metavar="OUT", help="The log to write.")],
-    people: Annotated[int | None, _number("Number of people.", "1")] = None,
-    cameras: Annotated[int | None, _number("Number of cameras.", "5")] = None,
+    people: Annotated[int | None, _number("Number of people, at most 10.", "1")] = None,
+    cameras: Annotated[int | None, _number("Number of cameras, at most 32.", "5")] = None,
     action: Annotated[
         str | None,
         typer.Option(
@@ -42,8 +42,8 @@ def simulate(
         list[Path] | None,
         typer.Option(metavar="FILE", help="ASF skeleton of the AMC files; one, or one each."),
     ] = None,
-    seconds: Annotated[float | None, _number("Length of the log, s.", "10")] = None,
-    rate: Annotated[float | None, _number("Frames per second and camera.", "30")] = None,
+    seconds: Annotated[float | None, _number("Length of the log, s, at most 86400.", "10")] = None,
+    rate: Annotated[float | None, _number("Frames per second, at most 1000.", "30")] = None,
     seed: Annotated[int | None, _number("Same seed, same log, byte for byte.", "0")] = None,
     noise: Annotated[float | None, _scale("Noise and bias of the joints.")] = None,
     occlusion: Annotated[
@@ -61,7 +61,7 @@ def simulate(
 ) -> None:
     """Write a synthetic multi-camera log, with the true motion on /truth/skeletons.
 
-    SCALE is 0 for none of it, 1 for as much as a real depth camera has.
+    SCALE is 0 for none of it, 1 for as much as a real depth camera has, at most 100.
     """
     given = {
         "people": people,
@@ -85,9 +85,9 @@ def simulate(
     if motion and people is None:
         given["people"] = len(motion)
     from hiros_cli.kernels import prepare
-    from hiros_cli.output import check_target
+    from hiros_cli.output import check_outputs
 
-    check_target(output, force=force)
+    check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ())), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.simulate.log import write_log
 
@@ -110,4 +110,5 @@ def _params(given: dict[str, Any]) -> SimulateParams:
         return SimulateParams.model_validate(given)
     except ValidationError as error:
         where, message = explain(error)
-        raise ConfigError(f"--{where[-1].replace('_', '-')}: {message}") from None
+        option = f"--{where[-1].replace('_', '-')}: " if where else ""
+        raise ConfigError(f"{option}{message}") from None

@@ -50,6 +50,7 @@ def view(
     """Look at logs: the room, every camera's detections, every stage, angles, limbs, events."""
     from hiros_cli.kernels import prepare
     from hiros_cli.options import seconds_range
+    from hiros_cli.output import check_outputs
 
     for log in logs:
         log.stat()
@@ -61,8 +62,7 @@ def view(
     from hiros_viewer import show
 
     show.need_rerun()
-    if save is not None:
-        _check_recording(save, force=force)
+    check_outputs((save, "Rerun recording"), inputs=(*logs, extrinsics), force=force)
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
@@ -89,13 +89,3 @@ def view(
             "browser, --save writes a file"
         )
     return 0
-
-
-def _check_recording(path: Path, *, force: bool) -> None:
-    """Refuse what is no recording, unless told to replace it."""
-    if path.is_dir() or not path.parent.is_dir():
-        raise ConfigError(f"{path}: is not a file in an existing folder")
-    if path.is_file() and path.stat().st_size and not force:
-        with path.open("rb") as file:
-            if not file.read(4).startswith(b"RR"):
-                raise ConfigError(f"{path}: exists and is no recording; --force replaces it")

@@ -1,0 +1,157 @@
+"""Files that a run writes: which may be replaced, and how none is ever left half written."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+from hiros_mcap.errors import LogError
+
+Kind = Literal[
+    "log",
+    "HTML page",
+    "Rerun recording",
+    "JUnit report",
+    "Markdown summary",
+    "limb table",
+    "PNG picture",
+]
+
+HTML_MARK = '<meta name="generator" content="hiros">'
+JUNIT_MARK = "<!-- hiros check -->"
+MARKDOWN_MARK = "### hiros check: "
+LIMBS_MARK = "# hiros limb lengths\n"
+
+_HEAD = 1024  # bytes, within which every mark lies
+_MCAP = b"\x89MCAP0\r\n"
+
+
+def check_outputs(
+    outputs: Iterable[tuple[Path | None, Kind]],
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+    *,
+    force: bool = False,
+    remedy: str = "force=True",
+) -> None:
+    """Refuse what must not be written, before a run starts.
+
+    A file that hiros wrote is replaced by one of its kind without asking, because trying
+    parameters means running again and the run can always be repeated. So is an empty file
+    (``mktemp``). Anything else may be the only copy of a recording.
+
+    Parameters
+    ----------
+    outputs : files with what is to become of them; None = not asked for.
+    inputs : files that the run reads, or folders with a log in them.
+    force : replace whatever regular file there is, except an input.
+    remedy : how the user would say ``force``.
+
+    Raises
+    ------
+    LogError
+        An output is an input or another output, is not a regular file, belongs to somebody else,
+        or lies in a folder that does not exist or may not be written into.
+    """
+    read = [file for path in inputs if path is not None for file in _files(Path(path))]
+    taken: list[Path] = []
+    for path, kind in outputs:
+        if path is None:
+            continue
+        _check_place(path)
+        if any(_same(path, other) for other in read):
+            raise LogError("is an input; choose another output", path=path)
+        if any(_same(path, other) for other in taken):
+            raise LogError("would be written twice; choose another output", path=path)
+        if not (force or _may_replace(path, kind)):
+            fault = f"exists and is no {kind} that hiros wrote; {remedy} replaces it"
+            raise LogError(fault, path=path)
+        taken.append(path)
+
+
+def _files(path: Path) -> list[Path]:
+    return [p for p in path.iterdir() if p.is_file()] if path.is_dir() else [path]
+
+
+def _check_place(path: Path) -> None:
+    if path.is_dir():
+        raise LogError("is a folder, not a file to write", path=path)
+    if path.exists() and not path.is_file():
+        raise LogError("is a device or a pipe, not a file to write", path=path)
+    folder = Path(os.path.realpath(path)).parent
+    if not folder.is_dir():
+        raise LogError("no such folder to write into", path=path.parent)
+    if not os.access(folder, os.W_OK):
+        raise LogError("cannot be written: Permission denied", path=path)
+
+
+def _same(one: Path, other: Path) -> bool:
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _may_replace(path: Path, kind: Kind) -> bool:
+    if not path.exists():
+        return True
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    return not head or _IS_OURS[kind](head)
+
+
+def _is_log(head: bytes) -> bool:
+    # Magic, opcode 1, u64 length, then two strings with u32 lengths: profile and library.
+    profile_at = len(_MCAP) + 1 + 8
+    profile_length = int.from_bytes(head[profile_at : profile_at + 4], "little")
+    library = head[profile_at + 4 + profile_length + 4 :]
+    return head.startswith(_MCAP) and library.startswith(b"hiros")
+
+
+_IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
+    "log": _is_log,
+    "HTML page": lambda head: HTML_MARK.encode() in head,
+    # The name of the application, a protobuf field of the first message.
+    "Rerun recording": lambda head: head.startswith(b"RRF") and b"\n\x05hiros" in head,
+    "JUnit report": lambda head: JUNIT_MARK.encode() in head,
+    "Markdown summary": lambda head: head.startswith(MARKDOWN_MARK.encode()),
+    "limb table": lambda head: head.startswith(LIMBS_MARK.encode()),
+    "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
+}
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a path beside ``path`` to write to; it gets that name when the block succeeds.
+
+    Until then a former file stays what it was, and after an error or a signal nothing is left.
+
+    Raises
+    ------
+    LogError
+        The file cannot be written.
+    """
+    target = Path(os.path.realpath(path))
+    temporary = target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+    try:
+        yield temporary
+        temporary.replace(target)
+    except OSError as error:
+        said = error.strerror or str(error)
+        raise LogError(f"cannot be written: {said}", path=path) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file; whole or not at all.
+
+    Raises
+    ------
+    LogError
+        The file cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,113 @@
+"""Tasks in several processes: in any order, and over at once when they are to be."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from hiros_mcap.errors import HirosError, LogError
+from hiros_mcap.workers import run_tasks
+
+SAMPLES = Path(__file__).parent.parent / "sample_data"
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def where(_: int) -> int:
+    return os.getpid()
+
+
+def refuse(number: int) -> int:
+    if number == 3:
+        raise LogError("is damaged", path="lab.mcap", topic="/camera")
+    return number
+
+
+def die(number: int) -> int:
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def hold(folder: str) -> None:
+    """Hold a temporary folder until somebody stops it."""
+    with tempfile.TemporaryDirectory(dir=folder):
+        (Path(folder) / f"{os.getpid()}.started").touch()
+        time.sleep(60)
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3, 9])
+def test_every_task_is_done_once(jobs: int) -> None:
+    found = dict(run_tasks(square, [(n,) for n in range(5)], jobs))
+    assert found == {n: n * n for n in range(5)}
+
+
+def test_nothing_to_do() -> None:
+    assert list(run_tasks(square, [], 2)) == []
+
+
+def test_one_job_is_done_in_this_process_and_two_in_others() -> None:
+    assert {pid for _, pid in run_tasks(where, [(0,), (1,)], 1)} == {os.getpid()}
+    others = {pid for _, pid in run_tasks(where, [(0,), (1,)], 2)}
+    assert os.getpid() not in others
+
+
+def test_an_error_is_raised_as_it_was() -> None:
+    with pytest.raises(LogError, match="is damaged") as caught:
+        list(run_tasks(refuse, [(n,) for n in range(5)], 2))
+    assert (caught.value.path, caught.value.topic) == ("lab.mcap", "/camera")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
+def test_a_killed_process_is_an_error_that_says_so() -> None:
+    with pytest.raises(HirosError, match="killed by signal 9; is there enough memory"):
+        list(run_tasks(die, [(n,) for n in range(5)], 2))
+
+
+def test_whoever_stops_asking_stops_the_processes(tmp_path: Path) -> None:
+    tasks = run_tasks(hold_second, [(str(tmp_path), 0), (str(tmp_path), 1)], 2)
+    assert next(tasks)[0] == 0
+    while not list(tmp_path.glob("*.started")):
+        time.sleep(0.01)
+    start = time.monotonic()
+    tasks.close()  # type: ignore[attr-defined]
+    assert time.monotonic() - start < 5
+    assert [path.suffix for path in tmp_path.iterdir()] == [".started"]
+
+
+def hold_second(folder: str, number: int) -> None:
+    if number == 1:
+        hold(folder)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs process groups")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("seconds", [0.2, 0.7, 1.0, 1.3, 1.8])
+def test_a_signal_to_all_processes_ends_them_silently(
+    name: str, seconds: float, tmp_path: Path
+) -> None:
+    suite = SAMPLES / "suite.toml"
+    command = [sys.executable, "-m", "hiros_cli", "check", str(suite), "--jobs", "2"]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    ) as process:
+        time.sleep(seconds)
+        os.killpg(process.pid, getattr(signal, name))
+        _, stderr = process.communicate(timeout=20)
+    if process.returncode != 0:  # a fast machine is done
+        assert process.returncode in (128 + getattr(signal, name), -getattr(signal, name))
+    assert stderr == b""
+    assert list(tmp_path.iterdir()) == []
