@@ -396,6 +396,19 @@ def test_eq9(changes: dict[str, float], expected: float) -> None:
     assert angular[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
+def test_eq9_exponent_prefers_more_common_links() -> None:
+    """2 and 20 links in common, turned by 0.1 rad each: the mean is the same, eq 9 is not."""
+    costs = {}
+    for n, exponent in itertools.product((2, 20), (1.0, 2.0)):
+        here, turned = np.zeros((1, 1, 3)), np.tile(about_z(0.1), (1, n, 1))
+        still = np.tile(about_z(0.0), (1, n, 1))
+        costs[n, exponent] = table(here, still, here, turned, exponent=exponent)[1][0, 0]
+    assert costs[2, 1.0] == pytest.approx(0.1, abs=1e-12)
+    assert costs[20, 1.0] == pytest.approx(0.1, abs=1e-12)
+    assert costs[2, 2.0] == pytest.approx(0.1 / 2, abs=1e-12)
+    assert costs[20, 2.0] == pytest.approx(0.1 / 20, abs=1e-12)
+
+
 def test_a_link_of_opposite_sign_is_the_same_orientation() -> None:
     here, turned = np.zeros((1, 1, 3)), about_z(2.0)[None]
     assert table(here, turned, here, -turned)[1][0, 0] == pytest.approx(0, abs=1e-7)
@@ -482,11 +495,12 @@ def test_markers_below_the_threshold_are_absent() -> None:
     assert tracked.positions[0, 7] == pytest.approx(person()[7])
 
 
-def test_far_cameras_of_mixed_rates_lose_nothing() -> None:
-    """H01: 15, 30 and 50 Hz together; every message comes out, in order, with the same person."""
+@pytest.mark.parametrize("rates", [(15,), (15, 50), (15, 30, 50, 15, 30)])
+def test_far_cameras_of_mixed_rates_lose_nothing(rates: tuple[int, ...]) -> None:
+    """15, 30 and 50 Hz together; every message comes out, in order, with the same person."""
     stamped = sorted(
         (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
-        for c, rate in enumerate((15, 30, 50, 15, 30))
+        for c, rate in enumerate(rates)
         for k in range(2 * rate)
     )
     tracked = list(track([seen([person()], t, c) for t, c in stamped], MODEL))
