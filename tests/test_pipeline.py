@@ -170,6 +170,27 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     assert str(tmp_path).encode() not in bytes(found["hiros/report.json"])
 
 
+@pytest.mark.parametrize(
+    ("system", "stages", "switch", "merging"),
+    [
+        ("hiros", "TMF", [], "flips,outliers,mean"),
+        ("hiros", "TM", ["merge.max_facing_delta=0"], "outliers,mean"),
+        ("hiros", "TF", [], None),
+        ("lee", "TM", [], None),
+    ],
+)
+def test_provenance_tells_the_order_of_stages_and_of_the_merger(
+    tmp_path: Path, system: str, stages: str, switch: list[str], merging: str | None
+) -> None:
+    config = load_config(None, switch, system=system)
+    options = ProcessOptions(system=system, stages=stages, keep=())
+    process(WALKING, tmp_path / "out.mcap", config=config, options=options)
+    with McapReader(tmp_path / "out.mcap") as reader:
+        ((_, provenance),) = reader.contents.metadata
+    assert provenance["stages"] == ",".join(LETTERS[letter] for letter in stages)
+    assert provenance.get("merging") == merging
+
+
 def test_a_system_or_a_chain_that_does_not_exist() -> None:
     with pytest.raises(ConfigError, match=r"no system 'hydra' \(there are: hiros"):
         process(WALKING, None, options=ProcessOptions(system="hydra"))

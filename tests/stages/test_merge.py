@@ -350,6 +350,24 @@ def test_mended_sides_are_no_outliers() -> None:
     assert events.counts == {("flip", "c2"): 1}
 
 
+def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean() -> None:
+    """A wrong wrist lies where two flipped views have it: three to two if these still had a vote.
+
+    Wrist and flips are counted where they happened, and none of them is in the mean.
+    """
+    wrong = person()
+    wrong[6] = person()[7]
+    frames = views([person(), person(), wrong, person()[MIRROR], person()[MIRROR]])
+    params = PLAIN.model_copy(update={"flips": "drop", "cameras": 5})
+    events = Events()
+    (merged,) = merge(frames, MODEL, params, events)
+    assert merged.positions[0] == pytest.approx(person())
+    assert events.counts == {("flip", "c3"): 1, ("flip", "c4"): 1, ("outlier", "c2"): 1}
+    blind = params.model_copy(update={"max_facing_delta": 0.0})
+    (flips_vote,) = merge(frames, MODEL, blind)
+    assert flips_vote.positions[0, 6] == pytest.approx(person()[7])
+
+
 @pytest.mark.parametrize(
     ("switch", "kind"),
     [
