@@ -77,6 +77,18 @@ def test_limbs_of_a_first_session_serve_a_second(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
+def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -> None:
+    """Presets paper and upstream: nobody is lost or renamed, and the error is larger."""
+    truth, channel, errors = truth_of(WALKING), "/hiros/filtered", {}
+    for preset in ("default", "paper", "upstream"):
+        process(WALKING, tmp_path / preset, config=load_config(preset=preset))
+        scores = evaluate_log(tmp_path / preset, truth, [channel])[channel].scores
+        assert (scores.switches, scores.missing) == (0, 0)
+        errors[preset] = scores.mean
+    assert errors["default"] < min(errors["paper"], errors["upstream"])
+    assert max(errors.values()) < 60
+
+
 def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
     config = load_config(None, ["optimize.calibration=two-pass"])
     process(WALKING, tmp_path / "out.mcap", config=config)

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import merging
 from hiros_mcap.skeletons import Floats, Frame
@@ -31,11 +32,14 @@ def stream(poses: Sequence[Sequence[Floats]], **changes: object) -> list[Frame]:
     return list(merge(frames, MODEL, PLAIN.model_copy(update=changes)))
 
 
-def test_eq12_weighs_by_confidence() -> None:
+@pytest.mark.parametrize(
+    "preset", [PLAIN, load_config(preset="paper").merge], ids=["plain", "paper"]
+)
+def test_eq12_weighs_by_confidence(preset: MergeParams) -> None:
     frames = views([person(x) for x in (0.0, 10.0, 20.0, 30.0)])
     for frame, confidence in zip(frames, (0.9, 0.3, 0.6, 0.9), strict=True):
         frame.marker_confidences[:] = confidence
-    params = PLAIN.model_copy(update={"max_position_delta": 0.0, "cameras": 4})
+    params = preset.model_copy(update={"max_position_delta": 0.0, "cameras": 4})
     (merged,) = merge(frames, MODEL, params)
     assert merged.positions[0, 0, 0] == pytest.approx(15.5556, abs=1e-4)
 

@@ -239,6 +239,12 @@ def test_two_people_crossing_keep_their_ids() -> None:
     assert {tuple(i) for i in ids(track(frames, MODEL))} == {(0, 1)}
 
 
+def test_an_id_lasts_while_one_camera_or_another_sees_the_person() -> None:
+    """Three cameras see a walker for two seconds each, one after the other (section 4.3)."""
+    frames = [seen([person(0.03 * k)], at(k, k // 60), "abc"[k // 60]) for k in range(180)]
+    assert ids(track(frames, MODEL)) == [[0]] * 180
+
+
 def test_a_body_of_a_few_frames_is_nobody() -> None:
     frames = [seen([person()] + [person(3)] * (10 <= k < 18), at(k)) for k in range(90)]
     events = Events()
