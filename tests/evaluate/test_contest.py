@@ -192,6 +192,9 @@ def test_tables_in_the_papers_layouts(scores: Scores) -> None:
     (lee,) = contest_tables.lee_rows([outcome(scores, "lee-a1", 30.0)])
     assert lee[0] == "lee-a1"
     assert lee[2].endswith("[90.9 (44.9)]")
+    radii = [outcome(scores, f"lee-a4,cluster.radius={r:g}", 30.0) for r in LEE_RADII]
+    upper = [row[2].partition(" [")[2] for row in contest_tables.lee_rows(radii)]
+    assert upper == ["60.2 (36.2)]", "51.6 (26.7)]", "53.5 (26.6)]", "58.1 (27.8)]"]
     header, rows = contest_tables.joint_rows([outcome(scores, "lee-a1", 30.0)])
     assert header == ("Joint", "lee-a1")
     assert rows[0][0] == "PELVIS"
