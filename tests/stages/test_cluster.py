@@ -323,7 +323,7 @@ def test_l14_every_person_of_the_tracker_is_merged_alone() -> None:
         assert out.positions[row] == pytest.approx(pair[number])
 
 
-def test_l15_a_person_is_merged_in_less_than_two_milliseconds() -> None:
+def test_a_person_is_merged_in_less_than_two_milliseconds() -> None:
     """Four cameras; the paper states 1 to 2 ms per frame."""
     frames = [frame.select([0]) for frame in random_views(instants=50)]
     positions(frames[:8])  # what the first call costs does not count
