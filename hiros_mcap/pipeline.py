@@ -31,7 +31,7 @@ from hiros_mcap.outputs import check_outputs
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, hiros, system
+from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, hiros, merging_order, system
 
 if TYPE_CHECKING:
     from hiros_mcap.export.markers import MarkerExport
@@ -223,8 +223,11 @@ def _frames(
 def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
     """Whether limbs are measured on the whole log first; other systems measure on the way."""
     wanted = run.config.optimize.calibration == "two-pass"
-    is_hiros = system(run.system).stages is hiros
-    return wanted and is_hiros and "optimized" in chain and not run.limbs.people
+    return wanted and _is_hiros(run) and "optimized" in chain and not run.limbs.people
+
+
+def _is_hiros(run: Run) -> bool:
+    return system(run.system).stages is hiros
 
 
 def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
@@ -336,12 +339,15 @@ def _add_provenance(
 ) -> None:
     """Say in the file how it came about; nothing that differs from run to run."""
     config = to_toml(run.config).encode()
+    merges = _is_hiros(run) and LETTERS["M"] in chain
+    merging = {"merging": ",".join(merging_order(run.config.merge))} if merges else {}
     writer.add_metadata(
         "hiros.provenance",
         {
             "version": __version__,
             "system": run.system,
             "stages": ",".join(chain),
+            **merging,
             "fixed_frame": run.fixed_frame,
             "config_sha256": hashlib.sha256(config).hexdigest(),
             "input_messages": str(sum(log.reader.counts.values())),

@@ -86,6 +86,18 @@ def test_limbs_of_a_first_session_serve_a_second(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
+def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -> None:
+    """Presets paper and upstream: nobody is lost or renamed, and the error is larger."""
+    truth, channel, errors = truth_of(WALKING), "/hiros/filtered", {}
+    for preset in ("default", "paper", "upstream"):
+        process(WALKING, tmp_path / preset, config=load_config(preset=preset))
+        scores = evaluate_log(tmp_path / preset, truth, [channel])[channel].scores
+        assert (scores.switches, scores.missing) == (0, 0)
+        errors[preset] = scores.mean
+    assert errors["default"] < min(errors["paper"], errors["upstream"])
+    assert max(errors.values()) < 60
+
+
 def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
     config = load_config(None, ["optimize.calibration=two-pass"])
     process(WALKING, tmp_path / "out.mcap", config=config)
@@ -177,6 +189,27 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     assert sorted(found) == [f"hiros/{name}" for name in names]
     assert b"[track]" in bytes(found["hiros/config.toml"])
     assert str(tmp_path).encode() not in bytes(found["hiros/report.json"])
+
+
+@pytest.mark.parametrize(
+    ("system", "stages", "switch", "merging"),
+    [
+        ("hiros", "TMF", [], "flips,outliers,mean"),
+        ("hiros", "TM", ["merge.max_facing_delta=0"], "outliers,mean"),
+        ("hiros", "TF", [], None),
+        ("lee", "TM", [], None),
+    ],
+)
+def test_provenance_tells_the_order_of_stages_and_of_the_merger(
+    tmp_path: Path, system: str, stages: str, switch: list[str], merging: str | None
+) -> None:
+    config = load_config(None, switch, system=system)
+    options = ProcessOptions(system=system, stages=stages, keep=())
+    process(WALKING, tmp_path / "out.mcap", config=config, options=options)
+    with McapReader(tmp_path / "out.mcap") as reader:
+        ((_, provenance),) = reader.contents.metadata
+    assert provenance["stages"] == ",".join(LETTERS[letter] for letter in stages)
+    assert provenance.get("merging") == merging
 
 
 def test_a_system_or_a_chain_that_does_not_exist() -> None:

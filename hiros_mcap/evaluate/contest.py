@@ -16,7 +16,7 @@ import numpy as np
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
-from hiros_mcap.evaluate.logs import find_truth
+from hiros_mcap.evaluate.logs import find_truth, fused_topics
 from hiros_mcap.evaluate.scores import Scores, evaluate
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Events
@@ -167,7 +167,7 @@ def _room(task: Task) -> _Room:
     key = (task.log, task.truth)
     if _CACHE.key != key or _CACHE.room is None:
         truth = find_truth(task.log, task.truth)
-        with open_log(task.log) as log:
+        with open_log(task.log, topics=fused_topics(task.log, task.truth) or None) as log:
             fixed = log.detections()
             frames = list(fixed)
             start = log.span[0]

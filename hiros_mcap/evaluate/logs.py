@@ -91,6 +91,28 @@ def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth 
     return load_truth(path) if own else None
 
 
+def fused_topics(path: str | os.PathLike[str], truth: str | None) -> tuple[str, ...]:
+    """Topics of the cameras to fuse when a camera of the log is the truth; () = all.
+
+    A camera that is the reference must not be in what is compared with it (Lee 2022, section 2.3).
+
+    Raises
+    ------
+    LogError
+        The log cannot be read.
+    ConfigError
+        The truth is the only camera.
+    """
+    if truth is None or not truth.startswith("/"):
+        return ()
+    with open_log(path) as log:
+        topics = tuple(camera.channel.topic for camera in log.cameras)
+    others = tuple(topic for topic in topics if not fnmatchcase(topic, truth))
+    if not others:
+        raise ConfigError(f"{path}: no camera is left to fuse besides the truth {truth}")
+    return () if others == topics else others
+
+
 def read_channel(
     path: str | os.PathLike[str], topic: str
 ) -> tuple[list[Frame], SkeletonModel, dict[str, int]]:

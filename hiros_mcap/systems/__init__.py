@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.systems.hiros import hiros
+from hiros_mcap.systems.hiros import hiros, merging_order
 from hiros_mcap.systems.lee import lee
 from hiros_mcap.systems.malaguti import average, maf, malaguti, openptrack, raw
 from hiros_mcap.systems.run import Run, Stages, System
@@ -75,4 +75,15 @@ def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
     return tuple(LETTERS[letter] for letter in chosen)
 
 
-__all__ = ["LETTERS", "SYSTEMS", "Run", "Stages", "System", "chain_of", "hiros", "lee", "system"]
+__all__ = [
+    "LETTERS",
+    "SYSTEMS",
+    "Run",
+    "Stages",
+    "System",
+    "chain_of",
+    "hiros",
+    "lee",
+    "merging_order",
+    "system",
+]

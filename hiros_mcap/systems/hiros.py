@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.systems.run import Run, Stages
 
 
@@ -27,3 +28,10 @@ def hiros(run: Run) -> Stages:
         ),
         "filtered": partial(smooth, model=model, params=config.filter, events=events),
     }
+
+
+def merging_order(params: MergeParams) -> tuple[str, ...]:
+    """Return what the merger does with the views of a person, in order (section 3.2)."""
+    votes = params.max_position_delta > 0 or params.max_orientation_delta > 0
+    steps = {"flips": params.max_facing_delta > 0, "outliers": votes, "mean": True}
+    return tuple(name for name, is_on in steps.items() if is_on)

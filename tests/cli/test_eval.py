@@ -6,11 +6,15 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hiros_cli.app import run
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
-from hiros_mcap.pipeline import process
+from hiros_mcap.evaluate.contest import Entry, Task, run_task
+from hiros_mcap.evaluate.logs import evaluate_log, fused_topics
+from hiros_mcap.pipeline import ProcessOptions, process
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +48,40 @@ def test_a_recording_is_processed_first(
     raw = json.loads(capsys.readouterr().out)["channels"]
     assert run(["eval", str(processed), "--json"]) == 0
     assert raw == json.loads(capsys.readouterr().out)["channels"]
+
+
+def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two cameras capture, the third is the truth: as if these two alone had been processed."""
+    reference, capture = "/camera_2/skeletons", ("/camera_0/*", "/camera_1/*")
+    process(walking, tmp_path / "two.mcap", options=ProcessOptions(topics=capture))
+    expected = evaluate_log(tmp_path / "two.mcap", load_truth(walking, reference))
+    assert run(["eval", str(walking), "--truth", reference, "--json"]) == 0
+    channels = json.loads(capsys.readouterr().out)["channels"]
+    for topic, result in expected.items():
+        assert channels[topic]["mean"] == pytest.approx(result.scores.mean)
+        assert channels[topic]["deviation"] == pytest.approx(result.scores.deviation)
+    outcome = run_task(Task(walking, Entry("hiros"), truth=reference))
+    assert outcome.cameras == ("camera_0", "camera_1")
+    assert outcome.rank == pytest.approx(expected["/hiros/filtered"].scores.mean)
+    process(walking, tmp_path / "one.mcap", options=ProcessOptions(stages="T", keep=capture[:1]))
+    with pytest.raises(ConfigError, match="no camera is left to fuse"):
+        fused_topics(tmp_path / "one.mcap", "/camera_0/skeletons")
+
+
+def test_markers_without_a_truth_are_named(
+    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "truth.csv"
+    rows = [f"{t},0,{name},0,0,1" for t in np.arange(0, 3.6, 0.4) for name in ("PELVIS", "NECK")]
+    table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
+    assert run(["eval", str(processed), "--truth", str(table), "--match-distance", "9"]) == 0
+    text = capsys.readouterr().out
+    assert "against the truth, 1 people" in text
+    note = next(line for line in text.splitlines() if "no truth for 30 markers" in line)
+    assert "WRIST_LEFT" in note
+    assert not {"PELVIS", "NECK"} & set(re.findall(r"\w+", note))
 
 
 def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> None:

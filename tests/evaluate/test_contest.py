@@ -28,10 +28,18 @@ from hiros_mcap.evaluate.contest import (
     run_task,
 )
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
-from hiros_mcap.evaluate.published import LEE, LEE_CAMERAS, LEE_RADII, MALAGUTI
+from hiros_mcap.evaluate.published import (
+    LEE,
+    LEE_CAMERAS,
+    LEE_RADII,
+    MALAGUTI,
+    MALAGUTI_COLUMNS,
+)
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.simulate.body import MARKERS
 from hiros_mcap.skeletons import Frame
+from hiros_mcap.stages.cluster import LEE_JOINTS
 from hiros_mcap.systems import SYSTEMS
 from hiros_mcap.systems.run import System
 
@@ -104,14 +112,33 @@ def test_the_realtime_preset_takes_part_as_a_system(crossing: Path, tmp_path: Pa
     assert outcomes[0].rank < outcomes[1].rank
 
 
-def test_every_subset_of_the_cameras(walking: Path) -> None:
-    tasks = camera_subsets(Task(walking, Entry("hiros")))
+@pytest.mark.parametrize("name", ["hiros", "malaguti", "lee-a4"])
+def test_every_subset_of_the_cameras(walking: Path, name: str) -> None:
+    tasks = camera_subsets(Task(walking, Entry(name)))
     assert [len(task.sources or ()) for task in tasks] == [1, 1, 1, 2, 2, 2, 3]
     table = by_number_of_cameras(contest(tasks, jobs=1))
-    errors = [table["hiros"][n][0] for n in (1, 2, 3)]
+    errors = [table[name][n][0] for n in (1, 2, 3)]
     assert errors[0] > errors[1] > errors[2]
     (ordering,) = camera_orderings(table)
     assert ordering.holds
+
+
+def test_four_systems_and_sixteen_joints_in_one_command(
+    walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Malaguti's Table I has four columns, Lee's Tables A1 to A6 have 16 rows."""
+    assert run(["compare", str(walking), "--study", "malaguti", "--jobs", "1"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["Sequence", *MALAGUTI_COLUMNS] in lines
+    (own,) = (line for line in lines if line[:1] == [walking.name])
+    assert own.count("+-") == 4
+    lee = [f"lee-a{k},cluster.joints=lee16" for k in (1, 3, 4, 5)]
+    systems = [text for name in lee for text in ("--system", name)]
+    arguments = ["--study", "lee", "--jobs", "1", *systems]
+    assert run(["compare", str(walking), *arguments]) == 0
+    first = [line.split(maxsplit=1)[:1] for line in capsys.readouterr().out.splitlines()]
+    joints = [word for words in first for word in words if word in MARKERS]
+    assert sorted(joints) == sorted(name.replace("NAVEL", "NAVAL") for name in LEE_JOINTS)
 
 
 def outcome(scores: Scores, name: str, mean: float) -> Outcome:
@@ -165,6 +192,9 @@ def test_tables_in_the_papers_layouts(scores: Scores) -> None:
     (lee,) = contest_tables.lee_rows([outcome(scores, "lee-a1", 30.0)])
     assert lee[0] == "lee-a1"
     assert lee[2].endswith("[90.9 (44.9)]")
+    radii = [outcome(scores, f"lee-a4,cluster.radius={r:g}", 30.0) for r in LEE_RADII]
+    upper = [row[2].partition(" [")[2] for row in contest_tables.lee_rows(radii)]
+    assert upper == ["60.2 (36.2)]", "51.6 (26.7)]", "53.5 (26.6)]", "58.1 (27.8)]"]
     header, rows = contest_tables.joint_rows([outcome(scores, "lee-a1", 30.0)])
     assert header == ("Joint", "lee-a1")
     assert rows[0][0] == "PELVIS"

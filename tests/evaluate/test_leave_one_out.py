@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import FAULTLESS
 from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.pipeline import ProcessOptions
-from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.log import write_log
 
 
@@ -30,6 +31,26 @@ def test_a_shifted_camera_is_the_one_that_disagrees(tmp_path: Path) -> None:
     assert max(clean.disagreement.values()) < 10
     write_log(log, SimulateParams.model_validate({**faultless, **params, "calibration_error": 10}))
     assert leave_one_out(log).cameras[0].offset > 2 * clean.cameras[0].offset
+
+
+def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path: Path) -> None:
+    """Four cameras without faults, one said to stand 10 cm off: it is 10 cm off, not less."""
+    log, extrinsics = tmp_path / "log.mcap", tmp_path / "cameras.toml"
+    faultless = {**FAULTLESS, "people": 1, "cameras": 4, "seconds": 2, "action": "wave"}
+    params = SimulateParams.model_validate(faultless)
+    write_log(log, params)
+    blocks = []
+    for name, pose in simulate(params).transforms.items():
+        shift = np.array([0.0, 0.0, 0.1 if name == "camera_3" else 0.0])
+        blocks.append(f"""[[camera]]
+            frame = "{name}"
+            parent = "world"
+            translation = {(pose.translation + shift).tolist()}
+            quaternion_xyzw = {pose.xyzw.tolist()}""")
+    extrinsics.write_text("\n".join(blocks))
+    *_, shifted = leave_one_out(log, options=ProcessOptions(extrinsics=extrinsics)).cameras
+    assert shifted.median == pytest.approx(100, abs=3)
+    assert shifted.offset == pytest.approx(100, abs=3)
 
 
 def test_two_cameras_are_needed(walking: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,18 @@ def test_linear_between_instants_and_nothing_over_a_pause() -> None:
     assert truth.at(START + second // 20)[0][0, 0, 0] == pytest.approx(0.5)
     assert np.isnan(truth.at(START + second)[0]).all()
     assert truth.at(START + 2 * second)[0][0, 0, 0] == pytest.approx(2.0)
+
+
+def test_sines_at_50_hz_are_within_a_millimetre_at_the_times_of_30_hz() -> None:
+    """Somebody who moves 60 cm to and fro once a second; motion capture at 50 Hz."""
+
+    def x(stamp: float) -> float:
+        return 0.3 * math.sin(2 * math.pi * (stamp - START) * 1e-9)
+
+    capture = [START + k * 20_000_000 for k in range(101)]
+    truth = Truth.of(seen([person(x(stamp))], stamp, ids=[0]) for stamp in capture)
+    error = [np.abs(truth.at(at(k))[0][0] - person(x(at(k)))).max() for k in range(60)]
+    assert 1e-4 < max(error) < 1e-3
 
 
 def test_csv_of_two_people(tmp_path: Path) -> None:

@@ -68,6 +68,21 @@ def test_without_faults_the_cameras_see_the_truth() -> None:
     assert nearest < 0.02  # a camera's instant is never exactly one of the truth's
 
 
+def test_four_cameras_in_the_corners_beside_motion_capture_of_another_rate() -> None:
+    """The room of Malaguti et al. (IV): cameras at 30 Hz and 2.5 m, markers at 50 Hz."""
+    rig = {"height": 2.5, "radius": 3.6}
+    simulation = perfect(cameras=4, people=2, action="cross", seconds=3, rig=rig, truth_rate=50)
+    places = np.stack([pose.translation for pose in simulation.transforms.values()])
+    assert places[:, 2] == pytest.approx(np.full(4, 2.5))
+    bearings = np.sort(np.degrees(np.arctan2(places[:, 1], places[:, 0])))
+    assert np.diff(bearings) == pytest.approx(np.full(3, 90.0))
+    true = [frame.stamp for frame in simulation.truth]
+    assert np.diff(true) == pytest.approx(np.full(len(true) - 1, 20_000_000), abs=1)
+    for camera in simulation.transforms:
+        assert sum(f.source == camera for f in simulation.detections) == pytest.approx(90, abs=1)
+    assert max(frame.n_people for frame in simulation.detections) == 2
+
+
 def test_the_truth_moves_at_its_own_velocities() -> None:
     truth = list(perfect(action="walk").truth)
     moved = (truth[11].positions - truth[9].positions) * 15

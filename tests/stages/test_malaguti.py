@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment, minimize
+from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.stats import chi2
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import kalman as kernels
 from hiros_mcap.limbs import LimbTable
@@ -20,6 +22,7 @@ from hiros_mcap.stages.kalman import KalmanParams, kalman
 from hiros_mcap.stages.moving_average import MovingAverageParams, moving_average
 from hiros_mcap.stages.noise import measure_noise
 from hiros_mcap.stages.straighten import StraightenParams, link_order, straighten
+from hiros_mcap.systems import chain_of
 
 AT_ONCE = AssociateParams(confirm_detections=1)
 
@@ -303,13 +306,19 @@ def moving(k: float) -> Floats:
     return person(0.4 * math.sin(0.1 * k), 0.01 * k)
 
 
-def test_m02_one_output_per_message_and_no_delay() -> None:
-    frames = [
-        seen([moving(k + 0.2 * c)], at(k, c), f"c{c}", ids=[0]) for k in range(30) for c in range(3)
-    ]
+@pytest.mark.parametrize("rates", [(30,), (15, 50), (15, 30, 50, 15, 30)])
+def test_m02_one_output_per_message_and_no_delay(rates: tuple[int, ...]) -> None:
+    """Cameras of any number and rate without a common clock: each message updates at once."""
+    stamped = sorted(
+        (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
+        for c, rate in enumerate(rates)
+        for k in range(rate)
+    )
+    frames = [seen([moving((t - at(0)) * 30e-9)], t, c, ids=[0]) for t, c in stamped]
     fused = list(kalman(frames, MODEL))
     assert [f.stamp for f in fused] == [f.stamp for f in frames]
     assert [f.log_time for f in fused] == [f.log_time for f in frames]
+    assert not any((new.positions == old.positions).all() for old, new in pairwise(fused))
 
 
 def test_at_a_fixed_rate_on_request() -> None:
@@ -353,19 +362,19 @@ def test_somebody_who_is_gone_is_not_carried_on() -> None:
 # -- limb lengths ---------------------------------------------------------------------------------
 
 
-def link_energy(parent: Floats, theta: Floats, length: float) -> Callable[[Floats], float]:
-    """Equation 12 of one link."""
+def link_residuals(parent: Floats, theta: Floats, length: float) -> Callable[[Floats], Floats]:
+    """Length and direction of equation 12, of one link."""
 
-    def energy(child: Floats) -> float:
+    def residuals(child: Floats) -> Floats:
         bone = child - parent
         size = float(np.linalg.norm(bone))
-        return (size - length) ** 2 + float(np.linalg.norm(bone / size - theta)) ** 2
+        return np.append(bone / size - theta, size - length)
 
-    return energy
+    return residuals
 
 
 def test_m20_m22_closed_form_is_the_minimum_of_eq12() -> None:
-    """A general minimiser, link by link from the root, ends where the closed form is."""
+    """Levenberg-Marquardt, link by link from the root, ends where the closed form is."""
     rng = np.random.default_rng(3)
     links, order = np.ascontiguousarray(MODEL.links), link_order(MODEL)
     lengths = rng.uniform(0.2, 0.6, MODEL.n_links)
@@ -381,13 +390,11 @@ def test_m20_m22_closed_form_is_the_minimum_of_eq12() -> None:
             parent, child = links[k]
             theta = given[child] - solved[parent]
             theta /= np.linalg.norm(theta)
-
-            energy = link_energy(solved[parent].copy(), theta, float(lengths[k]))
-            found = minimize(energy, given[child], method="Nelder-Mead",
-                             options={"xatol": 1e-12, "fatol": 1e-24, "maxiter": 5000})  # fmt: skip
-            assert energy(closed[child]) < 1e-20
+            residuals = link_residuals(solved[parent].copy(), theta, float(lengths[k]))
+            assert np.sum(residuals(closed[child]) ** 2) < 1e-20
+            found = least_squares(residuals, given[child], method="lm", xtol=1e-15, ftol=1e-15)
             solved[child] = found.x
-        assert np.abs(solved - closed).max() < 1e-6
+        assert np.abs(solved - closed).max() < 1e-9
         bones = np.linalg.norm(closed[links[:, 0]] - closed[links[:, 1]], axis=-1)
         assert np.abs(bones - lengths).max() < 1e-9
 
@@ -454,6 +461,21 @@ def test_m12_noise_of_one_centimetre_is_found() -> None:
     assert found.deviation == pytest.approx(0.01, rel=0.05)
     assert set(found.cameras) == {"c0", "c1"}
     assert found.detections == 400
+
+
+def test_openptrack_has_the_numbers_of_its_public_code() -> None:
+    """Variances 0.036 and 100, gate of 99.9 %, three detections, 8 s; no outliers."""
+    config = load_config(system="openptrack")
+    kalman_params, association = config.kalman, config.associate
+    assert kalman_params.measurement_noise**2 == pytest.approx(0.036, rel=0.01)
+    assert kalman_params.process_noise**2 == pytest.approx(100)
+    assert kalman_params.range_noise == pytest.approx(0.005 / 1.96, rel=0.02)
+    assert not kalman_params.use_confidence
+    assert (kalman_params.min_confidence, kalman_params.history) == (0, 0)
+    assert association.gate == pytest.approx(chi2.ppf(0.999, 4), abs=5e-4)
+    assert association.confirm_detections == 3
+    assert association.max_gap == kalman_params.max_gap == 8
+    assert chain_of("openptrack") == ("tracked", "merged")
 
 
 def test_m34_mean_of_the_last_five_detections() -> None:

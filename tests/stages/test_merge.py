@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import merging
 from hiros_mcap.skeletons import Floats, Frame
@@ -31,11 +32,14 @@ def stream(poses: Sequence[Sequence[Floats]], **changes: object) -> list[Frame]:
     return list(merge(frames, MODEL, PLAIN.model_copy(update=changes)))
 
 
-def test_eq12_weighs_by_confidence() -> None:
+@pytest.mark.parametrize(
+    "preset", [PLAIN, load_config(preset="paper").merge], ids=["plain", "paper"]
+)
+def test_eq12_weighs_by_confidence(preset: MergeParams) -> None:
     frames = views([person(x) for x in (0.0, 10.0, 20.0, 30.0)])
     for frame, confidence in zip(frames, (0.9, 0.3, 0.6, 0.9), strict=True):
         frame.marker_confidences[:] = confidence
-    params = PLAIN.model_copy(update={"max_position_delta": 0.0, "cameras": 4})
+    params = preset.model_copy(update={"max_position_delta": 0.0, "cameras": 4})
     (merged,) = merge(frames, MODEL, params)
     assert merged.positions[0, 0, 0] == pytest.approx(15.5556, abs=1e-4)
 
@@ -363,6 +367,24 @@ def test_mended_sides_are_no_outliers() -> None:
     frames = views([person(), person(), person()[MIRROR]])
     list(merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 3}), events))
     assert events.counts == {("flip", "c2"): 1}
+
+
+def test_flips_lose_their_vote_before_outliers_do_and_both_before_the_mean() -> None:
+    """A wrong wrist lies where two flipped views have it: three to two if these still had a vote.
+
+    Wrist and flips are counted where they happened, and none of them is in the mean.
+    """
+    wrong = person()
+    wrong[6] = person()[7]
+    frames = views([person(), person(), wrong, person()[MIRROR], person()[MIRROR]])
+    params = PLAIN.model_copy(update={"flips": "drop", "cameras": 5})
+    events = Events()
+    (merged,) = merge(frames, MODEL, params, events)
+    assert merged.positions[0] == pytest.approx(person())
+    assert events.counts == {("flip", "c3"): 1, ("flip", "c4"): 1, ("outlier", "c2"): 1}
+    blind = params.model_copy(update={"max_facing_delta": 0.0})
+    (flips_vote,) = merge(frames, MODEL, blind)
+    assert flips_vote.positions[0, 6] == pytest.approx(person()[7])
 
 
 @pytest.mark.parametrize(

@@ -239,6 +239,12 @@ def test_two_people_crossing_keep_their_ids() -> None:
     assert {tuple(i) for i in ids(track(frames, MODEL))} == {(0, 1)}
 
 
+def test_an_id_lasts_while_one_camera_or_another_sees_the_person() -> None:
+    """Three cameras see a walker for two seconds each, one after the other (section 4.3)."""
+    frames = [seen([person(0.03 * k)], at(k, k // 60), "abc"[k // 60]) for k in range(180)]
+    assert ids(track(frames, MODEL)) == [[0]] * 180
+
+
 def test_a_body_of_a_few_frames_is_nobody() -> None:
     frames = [seen([person()] + [person(3)] * (10 <= k < 18), at(k)) for k in range(90)]
     events = Events()
@@ -396,6 +402,19 @@ def test_eq9(changes: dict[str, float], expected: float) -> None:
     assert angular[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
+def test_eq9_exponent_prefers_more_common_links() -> None:
+    """2 and 20 links in common, turned by 0.1 rad each: the mean is the same, eq 9 is not."""
+    costs = {}
+    for n, exponent in itertools.product((2, 20), (1.0, 2.0)):
+        here, turned = np.zeros((1, 1, 3)), np.tile(about_z(0.1), (1, n, 1))
+        still = np.tile(about_z(0.0), (1, n, 1))
+        costs[n, exponent] = table(here, still, here, turned, exponent=exponent)[1][0, 0]
+    assert costs[2, 1.0] == pytest.approx(0.1, abs=1e-12)
+    assert costs[20, 1.0] == pytest.approx(0.1, abs=1e-12)
+    assert costs[2, 2.0] == pytest.approx(0.1 / 2, abs=1e-12)
+    assert costs[20, 2.0] == pytest.approx(0.1 / 20, abs=1e-12)
+
+
 def test_a_link_of_opposite_sign_is_the_same_orientation() -> None:
     here, turned = np.zeros((1, 1, 3)), about_z(2.0)[None]
     assert table(here, turned, here, -turned)[1][0, 0] == pytest.approx(0, abs=1e-7)
@@ -482,11 +501,12 @@ def test_markers_below_the_threshold_are_absent() -> None:
     assert tracked.positions[0, 7] == pytest.approx(person()[7])
 
 
-def test_far_cameras_of_mixed_rates_lose_nothing() -> None:
-    """H01: 15, 30 and 50 Hz together; every message comes out, in order, with the same person."""
+@pytest.mark.parametrize("rates", [(15,), (15, 50), (15, 30, 50, 15, 30)])
+def test_far_cameras_of_mixed_rates_lose_nothing(rates: tuple[int, ...]) -> None:
+    """15, 30 and 50 Hz together; every message comes out, in order, with the same person."""
     stamped = sorted(
         (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
-        for c, rate in enumerate((15, 30, 50, 15, 30))
+        for c, rate in enumerate(rates)
         for k in range(2 * rate)
     )
     tracked = list(track([seen([person()], t, c) for t, c in stamped], MODEL))

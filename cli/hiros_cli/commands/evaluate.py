@@ -118,7 +118,7 @@ def evaluate(
         return
     moved = true.moved(shift, start=_start(log), up=up)
     with ExitStack() as stack:
-        processed = _processed(log, effective, stack)
+        processed = _processed(log, effective, stack, truth)
         from hiros_mcap.evaluate.logs import evaluate_log
 
         results = evaluate_log(processed, moved, channel or (), match_distance)
@@ -142,16 +142,17 @@ def _start(log: Path) -> int:
         return span_of(reader)[0]
 
 
-def _processed(log: Path, config: Config, stack: ExitStack) -> Path:
+def _processed(log: Path, config: Config, stack: ExitStack, truth: str | None) -> Path:
     """Return the log itself if it holds outputs, else what processing makes of it."""
-    from hiros_mcap.evaluate.logs import has_outputs
+    from hiros_mcap.evaluate.logs import fused_topics, has_outputs
 
     if has_outputs(log):
         return log
     from hiros_mcap.pipeline import ProcessOptions, process
 
     out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
-    process(log, out, config=config, options=ProcessOptions(keep=()))
+    options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
+    process(log, out, config=config, options=options)
     return out
 
 
