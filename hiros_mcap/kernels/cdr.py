@@ -85,6 +85,7 @@ _BYTES = types.Array(types.uint8, 1, "C", readonly=True)
 _WORDS = types.uint64[::1]
 _I1, _I2 = types.int64[::1], types.int64[:, ::1]
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_PAIR = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
 
 
 @kernel
@@ -145,7 +146,8 @@ def _string(data: Bytes, at: int, swap: bool) -> tuple[int, int, int, int]:
     return OK, start, start + length - 1, start + length
 
 
-@kernel
+# A signature keeps numba from making a version for every smallest size.
+@kernel(_PAIR(_BYTES, types.int64, types.boolean, types.int64))
 def _count(data: Bytes, at: int, swap: bool, smallest: int) -> tuple[int, int]:
     """Return the count of a sequence, -1 if that many elements cannot follow, and its end."""
     at = align4(at)

@@ -32,14 +32,15 @@ _SHORTEST = 1e-6
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 
 
-@kernel
+# Signatures keep numba from making a version for every number that a helper is called with.
+@kernel(types.void(_F1, types.int64, types.int64, types.boolean))
 def _unset(vector: Floats, first: int, n: int, fix: bool) -> None:
     if fix:
         for k in range(first, first + n):
             vector[k] = np.nan
 
 
-@kernel
+@kernel(types.boolean(_F1, types.int64, types.int64, types.int64[::1], types.boolean))
 def _vector(state: Floats, first: int, n: int, counts: Stamps, fix: bool) -> bool:
     """Look at ``n`` numbers that belong together; return whether all of them are given."""
     unknown = 0

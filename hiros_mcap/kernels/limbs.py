@@ -75,11 +75,7 @@ def _certainty(confidence: float) -> float:
     return 1.0 if np.isnan(confidence) else min(max(confidence, 0.01), 1.0)
 
 
-@njit(
-    "int64(float64[:,:,::1], float64[:,::1], int32[:,::1], int32[::1], float64, int32[:,::1])",
-    cache=True,
-    nogil=True,
-)
+@njit(cache=True, nogil=True)  # without a signature: not compiled unless it is wanted
 def judge(
     points: Floats, nominal: Floats, links: Ints, outward: Ints, max_error: float, outlier: Ints
 ) -> int:
