@@ -77,6 +77,10 @@ class ConvertedBag:
             if connection not in taken:
                 _, n = self.left_out.get(connection.topic, ("", 0))
                 self.left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
+        skeletons = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
+        if not any(hiros_schemas.short_name(c.msgtype) == skeletons for c in taken):
+            topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
+            raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
         store = bag.typestore if bag.is2 else _ros2_types(taken)
         with McapWriter(self.mcap, compression="") as writer:
             channels: dict[tuple[str, str], int] = {}

@@ -144,6 +144,18 @@ def test_a_bag_can_be_processed(bag: Path, tmp_path: Path) -> None:
         assert all(frame.ids.tolist() == [0] for frame in log.frames())
 
 
+@pytest.mark.parametrize("maker", MAKERS)
+def test_a_bag_without_skeletons_says_what_it_has(
+    maker: Callable[[Path, list[Message]], Path], tmp_path: Path, messages: list[Message]
+) -> None:
+    path = maker(tmp_path, [m for m in messages if m[1] != SKELETONS])
+    with pytest.raises(
+        LogError, match=r"no SkeletonGroup topic; it has /chatter \(std_msgs"
+    ) as bad:
+        open_log(path)
+    assert "/tf_static" in str(bad.value)
+
+
 def test_quality_of_service_goes_along(tmp_path: Path, messages: list[Message]) -> None:
     with open_log(sqlite(tmp_path, messages)) as log:
         for channel in log.channels:
