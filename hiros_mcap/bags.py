@@ -8,13 +8,13 @@ messages of the same fields.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hiros_schemas
-from hiros_mcap.container import McapWriter
+from hiros_mcap.container import McapReader, McapWriter
 from hiros_mcap.errors import LogError
 
 if TYPE_CHECKING:
@@ -41,37 +41,40 @@ def kind_of(path: Path) -> str:
     return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "")
 
 
-class ConvertedBag:
-    """The skeletons and transforms of a bag as an MCAP file, which ``close`` removes.
+class BagReader(McapReader):
+    """Reads the skeletons and transforms of a bag, from an MCAP file that ``close`` removes.
 
     Attributes
     ----------
-    path : the bag. mcap : the file.
+    path : the bag.
     left_out : type and number of messages of every topic that was not taken over.
 
     Raises
     ------
     LogError
-        the bag is damaged, or the rosbags library is not installed.
+        the bag is damaged or holds no skeletons, or the rosbags library is not installed.
     """
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path = path
-        self._folder = tempfile.TemporaryDirectory(prefix="hiros-")
-        self.mcap = Path(self._folder.name) / f"{path.stem}.mcap"
         self.left_out: dict[str, tuple[str, int]] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix="hiros-")
         try:
+            mcap = Path(self._folder.name) / f"{path.stem}.mcap"
             with _readable(path, kind) as bag:
-                self._write(bag)
+                self._convert(bag, mcap)
+            super().__init__(mcap)
         except BaseException:
-            self.close()
+            self._folder.cleanup()
             raise
+        self.path = path
 
     def close(self) -> None:
-        """Remove the file."""
+        """Close and remove the file."""
+        super().close()
         self._folder.cleanup()
 
-    def _write(self, bag: Any) -> None:
+    def _convert(self, bag: Any, mcap: Path) -> None:
         taken = [c for c in bag.connections if hiros_schemas.short_name(c.msgtype) in _WANTED]
         for connection in bag.connections:
             if connection not in taken:
@@ -81,8 +84,9 @@ class ConvertedBag:
         if not any(hiros_schemas.short_name(c.msgtype) == skeletons for c in taken):
             topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
             raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
-        store = bag.typestore if bag.is2 else _ros2_types(taken)
-        with McapWriter(self.mcap, compression="") as writer:
+        texts = {connection.msgtype: connection.msgdef.data for connection in taken}
+        store = bag.typestore if bag.is2 else _ros2_types(texts)
+        with McapWriter(mcap, compression="") as writer:
             channels: dict[tuple[str, str], int] = {}
             schemas: dict[str, int] = {}
             for connection in taken:
@@ -115,8 +119,11 @@ def _readable(path: Path, kind: str) -> Iterator[Any]:
         raise LogError(
             f"is {kind}; to read it: pip install 'hiros-mcap[bags]'", path=path
         ) from None
+    # SQLite bags of before 2023 do not say what their messages look like.
+    name = hiros_schemas.SKELETON_GROUP
+    types = _ros2_types({name: hiros_schemas.text(name)})
     try:
-        with AnyReader([path], default_typestore=_bundled_types()) as bag:
+        with AnyReader([path], default_typestore=types) as bag:
             yield bag
     except LogError:
         raise
@@ -125,25 +132,13 @@ def _readable(path: Path, kind: str) -> Iterator[Any]:
         raise LogError(f"is {kind} that cannot be read: {said}", path=path) from None
 
 
-def _bundled_types() -> Typestore:
-    """Types for SQLite bags of before 2023, which do not say what their messages look like."""
+def _ros2_types(texts: Mapping[str, str]) -> Typestore:
+    """Types of ``texts`` on top of ROS 2's standard ones, whose Header has no ``seq``."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    types = get_types_from_msg(
-        hiros_schemas.text(hiros_schemas.SKELETON_GROUP), hiros_schemas.SKELETON_GROUP
-    )
-    store.register({k: v for k, v in types.items() if k not in store.fielddefs})
-    return store
-
-
-def _ros2_types(connections: list[Connection]) -> Typestore:
-    """ROS 1 bags' own types on top of ROS 2's standard ones, whose Header has no ``seq``."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for connection in connections:
-        types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+    for name, text in texts.items():
+        types = get_types_from_msg(text, name)
         store.register({k: v for k, v in types.items() if k not in store.fielddefs})
     return store
 

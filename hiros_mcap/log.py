@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 import hiros_schemas
-from hiros_mcap.bags import ConvertedBag, kind_of
+from hiros_mcap.bags import BagReader, kind_of
 from hiros_mcap.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -104,11 +104,10 @@ class Log:
         model: SkeletonModel,
         transforms: TransformTree,
         fixed_frame: str | None,
-        bag: ConvertedBag | None = None,
     ) -> None:
         self.reader = reader
-        self.path = bag.path if bag else reader.path
-        self.left_out = bag.left_out if bag else {}
+        self.path = reader.path
+        self.left_out = reader.left_out if isinstance(reader, BagReader) else {}
         self.channels = channels_of(reader)
         self.cameras = tuple(cameras)
         self.model = model
@@ -116,7 +115,6 @@ class Log:
         self.strict = False
         self.accounts: dict[str, Account] = {}
         self._fixed_frame = fixed_frame
-        self._bag = bag
 
     def __enter__(self) -> Self:
         return self
@@ -132,8 +130,6 @@ class Log:
     def close(self) -> None:
         """Close the file."""
         self.reader.close()
-        if self._bag is not None:
-            self._bag.close()
 
     @cached_property
     def fixed_frame(self) -> str:
@@ -199,13 +195,9 @@ class Log:
         """Yield what :meth:`detections` does, each frame with its topic."""
         fixed = self.fixed_frame
         mover = Mover(self.transforms, fixed)
-        for topic, frame in self._frames_by_topic(_Digest(self, fixed)):
-            if frame.frame_id == fixed:
-                yield topic, frame
-                continue
-            with _named(self.path):
-                moved = mover(frame)
-            yield topic, moved
+        with _named(self.path):
+            for topic, frame in self._frames_by_topic(_Digest(self, fixed)):
+                yield topic, mover(frame)
 
     def _frames_by_topic(self, digest: _Digest) -> Iterator[tuple[str, Frame]]:
         topics = {camera.channel.topic for camera in self.cameras}
@@ -357,20 +349,18 @@ def open_log(
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader, bag = _open(Path(path))
+    reader = open_reader(path)
     try:
-        with _named(Path(path) if bag else reader.path):
+        with _named(reader.path):
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
             layouts = {info.id: _layout(reader, info) for info in chosen}
             model, first = _learn(reader, layouts)
             seen = [_look(reader, info, layouts[info.id], model, first) for info in chosen]
             cameras = _name_cameras(seen)
             transforms = _transforms(reader) if tree is None else tree
-        return Log(reader, cameras, model, transforms, fixed_frame, bag)
+        return Log(reader, cameras, model, transforms, fixed_frame)
     except BaseException:
         reader.close()
-        if bag is not None:
-            bag.close()
         raise
 
 
@@ -389,20 +379,16 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
 
 
-def _open(path: Path) -> tuple[McapReader, ConvertedBag | None]:
-    """Open a file, a folder with one MCAP file in it, or a bag, which is converted first."""
+def open_reader(path: str | os.PathLike[str]) -> McapReader:
+    """Open the container of a log of any kind, see :func:`open_log`; raises LogError."""
+    path = Path(path)
     inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     kind = "" if path.is_dir() and len(inside) == 1 else kind_of(path)
-    if not kind:
-        if len(inside) != 1:
-            raise LogError(f"is a folder with {len(inside)} MCAP files; name one", path=path)
-        return McapReader(inside[0]), None
-    bag = ConvertedBag(path, kind)
-    try:
-        return McapReader(bag.mcap), bag
-    except BaseException:
-        bag.close()
-        raise
+    if kind:
+        return BagReader(path, kind)
+    if len(inside) != 1:
+        raise LogError(f"is a folder with {len(inside)} MCAP files; name one", path=path)
+    return McapReader(inside[0])
 
 
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:

@@ -22,6 +22,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 import hiros_schemas
+from hiros_cli.app import run
 from hiros_mcap.container import McapReader
 from hiros_mcap.errors import LogError
 from hiros_mcap.log import open_log
@@ -154,6 +155,16 @@ def test_a_bag_without_skeletons_says_what_it_has(
     ) as bad:
         open_log(path)
     assert "/tf_static" in str(bad.value)
+
+
+def test_a_bag_is_a_log_for_every_command(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands = ["info", "eval", "compare --jobs 1 --system raw", "view --save v.rrd"]
+    for command in (*commands, "calibrate noise --json"):
+        name, *options = command.replace("v.rrd", str(tmp_path / "v.rrd")).split()
+        assert run([name, *options, str(bag)]) == 0, capsys.readouterr().err
+    assert "left out" in capsys.readouterr().out.lower()
 
 
 def test_quality_of_service_goes_along(tmp_path: Path, messages: list[Message]) -> None:

@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
-from hiros_mcap.container import McapReader
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
 from hiros_mcap.evaluate.motion import jitter, limb_variations
 from hiros_mcap.evaluate.scores import Scores, mean_of, score_matches
 from hiros_mcap.evaluate.truth import Truth, load_truth
-from hiros_mcap.log import open_log
+from hiros_mcap.log import open_log, open_reader
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 ORDER = ("tracked", "merged", "optimized", "filtered")
@@ -50,7 +49,7 @@ class Consistency:
 
 def has_outputs(path: str | os.PathLike[str]) -> bool:
     """Whether a log holds a channel that hiros wrote."""
-    with McapReader(Path(path)) as reader:
+    with open_reader(path) as reader:
         return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
 
 
@@ -86,7 +85,7 @@ def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth 
         if not named.startswith("/"):
             raise ConfigError(f"the truth {named!r} is neither a file nor a channel (/...)")
         return load_truth(path, named)
-    with McapReader(path) as reader:
+    with open_reader(path) as reader:
         own = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in channels_of(reader))
     return load_truth(path) if own else None
 

@@ -135,10 +135,9 @@ def need_matplotlib(html: Path | None) -> None:
 
 def _start(log: Path) -> int:
     """Time at which a log starts, ns: what motion capture files count from."""
-    from hiros_mcap.container import McapReader
-    from hiros_mcap.log import span_of
+    from hiros_mcap.log import open_reader, span_of
 
-    with McapReader(log) as reader:
+    with open_reader(log) as reader:
         return span_of(reader)[0]
 
 
