@@ -321,25 +321,28 @@ class Decoder:
 class Batch:
     """What the messages of a chunk say, cleaned: Frames that share one set of arrays."""
 
-    def __init__(self, arrays: tuple[Any, ...], first: Stamps) -> None:
-        self.arrays = arrays
-        """Fields of a Frame from ``ids`` on, with the people of all messages."""
-        self.first = first
-        """(N + 1,) row of each message's first person."""
-        n = len(first) - 1
-        self.reports = np.zeros((n, cdr.REPORT), np.int64)
-        self.cleaned = np.zeros((n, cleaning.COUNTS), np.int64)
-        self.codes = np.zeros(n, np.int64)
-        self.frame_ids = [""] * n
-        """The frame that a message's people were moved to; "" = they are as they were measured."""
+    def __init__(
+        self,
+        arrays: tuple[Any, ...],
+        first: Stamps,
+        codes: Stamps,
+        reports: Stamps,
+        cleaned: Stamps,
+        frame_ids: list[str],
+    ) -> None:
+        """``arrays`` are a Frame's from ``ids`` on; the rest is as ``decode_batch`` fills it.
 
-    def seal(self) -> None:
-        """Prepare the handing out of frames, now that the kernel has filled the arrays."""
-        first = self.first.tolist()
-        changed = (self.cleaned.max(axis=1) > 0).tolist()
+        ``frame_ids`` name the frame that a message's people were moved to; "" = they are as they
+        were measured.
+        """
+        self._arrays, self._reports, self._cleaned = arrays, reports, cleaned
+        changed = (cleaned.max(axis=1) > 0).tolist()
         self._rows = list(
-            zip(self.codes.tolist(), self.reports.tolist(), changed, pairwise(first), strict=True)
-        )
+            zip(
+                codes.tolist(), reports.tolist(), changed, frame_ids, pairwise(first.tolist()),
+                strict=True,
+            )
+        )  # fmt: skip
 
     def frame(
         self, row: int, data: Bytes, log_time: int, topic: str
@@ -349,19 +352,19 @@ class Batch:
         None = the message holds several cameras' skeletons, or confidences out of range, of which
         :func:`clean` tells the negative ones apart. Raises LogError as they do.
         """
-        code, report, changed, (begin, stop) = self._rows[row]
+        code, report, changed, moved_to, (begin, stop) = self._rows[row]
         if code != cdr.OK:
-            raise _fault(code, self.reports[row], data, topic)
+            raise _fault(code, self._reports[row], data, topic)
         *_, stamp, header, header_end, first, end, mixed = report
-        if mixed or (changed and self.cleaned[row, cleaning.CONFIDENCE]):
+        if mixed or (changed and self._cleaned[row, cleaning.CONFIDENCE]):
             return None
         frame_id = _text(data, header, header_end, topic)
         common = _text(data, first, end, topic)
         source = common or frame_id
-        arrays = [array[begin:stop] for array in self.arrays]
-        frame_id = self.frame_ids[row] or frame_id or common
+        arrays = [array[begin:stop] for array in self._arrays]
+        frame_id = moved_to or frame_id or common
         frame = Frame(stamp, log_time, source, frame_id, *arrays)
-        return frame, _by_kind(self.cleaned[row].tolist()) if changed else _NOTHING
+        return frame, _by_kind(self._cleaned[row].tolist()) if changed else _NOTHING
 
 
 class Poses:
@@ -431,20 +434,18 @@ class BatchDecoder:
             np.empty(people),
             *(np.empty((people, *shape)) for shape in self._shapes),
         )
-        batch = Batch(arrays, first)
-        pose_of = np.full(len(places), -1, np.int64)
         poses = poses or Poses()
-        names = places[:, :1] + reports[:, [cdr.FRAME, cdr.FRAME_END]]
-        for i, (start, end) in enumerate(names.tolist()):
-            pose_of[i] = pose = poses.find(bytes(data[start:end]))
-            batch.frame_ids[i] = poses.fixed if pose >= 0 else ""
+        names = (places[:, :1] + reports[:, [cdr.FRAME, cdr.FRAME_END]]).tolist()
+        pose_of = np.array([poses.find(bytes(data[a:b])) for a, b in names], np.int64)
+        codes = np.empty(len(places), np.int64)
+        cleaned = np.zeros((len(places), cleaning.COUNTS), np.int64)
         sources = np.empty((people, 2), np.int64)
         batch_kernels.decode_batch(
-            buffer, places, *self._tables, self._scratch, batch.reports, batch.cleaned,
-            batch.codes, first, sources, *arrays, pose_of, *poses.arrays,
+            buffer, places, *self._tables, self._scratch, reports, cleaned, codes, first, sources,
+            *arrays, pose_of, *poses.arrays,
         )  # fmt: skip
-        batch.seal()
-        return batch
+        frame_ids = [poses.fixed if pose >= 0 else "" for pose in pose_of.tolist()]
+        return Batch(arrays, first, codes, reports, cleaned, frame_ids)
 
 
 class Encoder:

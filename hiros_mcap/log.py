@@ -31,7 +31,6 @@ from hiros_mcap.channels import (
     select_skeletons,
 )
 from hiros_mcap.codec import (
-    PUBLISHED,
     Batch,
     BatchDecoder,
     Decoder,
@@ -224,7 +223,7 @@ class _Digest:
         self._poses = Poses(fixed, partial(log.transforms.at_rest, fixed=fixed)) if fixed else None
         self._published = np.zeros(1 << 16, np.bool_)
         for camera in log.cameras:
-            self._published[camera.channel.id] = camera.layout is PUBLISHED
+            self._published[camera.channel.id] = camera.layout.is_published
 
     def __call__(self, records: Records) -> list[tuple[Batch, int] | None]:
         """Return each message's place in a batch; None = decode it on its own."""

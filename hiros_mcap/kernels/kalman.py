@@ -17,7 +17,6 @@ from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 # Columns of ``numbers``.
 MEASUREMENT, PROCESS, STEP, REJECT, OUTLIER, LIMIT, CONFIDENCE = 0, 1, 2, 3, 4, 5, 6
-NUMBERS = 7
 # Columns of a joint's state: position, velocity, covariance 00 01 11.
 STATE = 9
 _VELOCITY = 7

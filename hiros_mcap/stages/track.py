@@ -321,6 +321,14 @@ def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
         yield heapq.heappop(waiting)[3].replace(log_time=now)
 
 
+def _give(held: _Held, bodies: list[_Track | None]) -> None:
+    """Note of which track each person is, and that it was seen."""
+    for j, body in enumerate(bodies):
+        if body is not None:
+            held.tracks[j] = body
+            body.seen = max(body.seen, held.frame.stamp)
+
+
 class _Tracker:
     """The tracks of a run and one step of the paper's loop."""
 
@@ -390,14 +398,10 @@ class _Tracker:
             frame.marker_confidences, frame.links, frame.link_confidences, self.mirror,
             self.association, self.dynamics, self.least, markers, links, gap, match, fault,
         )  # fmt: skip
-        bodies: list[_Track | None] = []
-        for i in match.tolist():
-            body = known[i] if i >= 0 else None
-            bodies.append(body)
-            if body is not None and body.seen < frame.stamp:
-                body.seen = frame.stamp
         reasons = [_REASONS[code] for code in fault.tolist()]
-        return _Held(frame, markers, links, bodies, reasons), gap, left
+        held = _Held(frame, markers, links, [None] * n, reasons)
+        _give(held, [known[i] if i >= 0 else None for i in match.tolist()])
+        return held, gap, left
 
     def release(self, held: _Held, log_time: int) -> Frame:
         """Write the ids that the tracks have by now."""
@@ -440,10 +444,7 @@ class _Tracker:
             bank.turn_spread, bank.turn_seen, held.markers, frame.marker_confidences,
             held.links, flipped, self.mirror, self.dynamics,
         )  # fmt: skip
-        for j, body in enumerate(bodies):
-            if body is not None:
-                held.tracks[j] = body
-                body.seen = max(body.seen, frame.stamp)
+        _give(held, bodies)
 
     def _drop_second_bodies(
         self, held: _Held, known: list[_Track], gap: Floats, rest: list[int]
@@ -480,7 +481,7 @@ class _Tracker:
         if self.calm and not teaches:
             return
         for body in self.tracks:
-            if body.person != UNTRACKED and len(body.evidence.reports) > 1:
+            if body.settled:
                 if teaches and body in found:
                     self.coverage.learn(frame.source, self._centre(body), frame.stamp)
                 continue
