@@ -12,6 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Truth, evaluate, load_truth
 from hiros_mcap.evaluate.parts import PARTS
@@ -46,7 +47,7 @@ class Scene:
             self.model: SkeletonModel = source.model
             run = Run(source.model, cameras=camera_positions(source))
             frames = transform_to_fixed(source.frames(), source.transforms, source.fixed_frame)
-            self.tracked = list(SYSTEMS["lee"].stages(run)["tracked"](frames))
+            self.tracked = list(by_frame(SYSTEMS["lee"].stages(run)["tracked"])(frames))
 
     def run(self, system: str, overrides: tuple[str, ...]) -> list[Frame]:
         """What the last stage gives."""
@@ -54,7 +55,7 @@ class Scene:
         stages = SYSTEMS[system].stages(Run(self.model, config))
         frames = self.tracked
         for name in chain_of(system)[1:]:
-            frames = list(stages[name](frames))
+            frames = list(by_frame(stages[name])(frames))
         return frames
 
     def table(self) -> None:

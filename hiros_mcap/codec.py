@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.blocks import People
 from hiros_mcap.errors import LogError
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cdr_encode, cleaning
@@ -31,6 +32,7 @@ __all__ = [
     "Layout",
     "ModelBuilder",
     "Poses",
+    "Said",
     "check_schema",
     "clean",
 ]
@@ -318,53 +320,80 @@ class Decoder:
         )
 
 
+class Said(NamedTuple):
+    """What a message of a :class:`Batch` says besides its people's arrays."""
+
+    stamp: int
+    """header.stamp, ns."""
+    times: list[int]
+    """Source time of each person, ns."""
+    source: str
+    frame_id: str
+    cleaned: Mapping[str, int]
+    """How many numbers were taken out, by kind."""
+
+
 class Batch:
     """What the messages of a chunk say, cleaned: Frames that share one set of arrays."""
 
     def __init__(
         self,
-        arrays: tuple[Any, ...],
+        people: People,
         first: Stamps,
         codes: Stamps,
         reports: Stamps,
         cleaned: Stamps,
         frame_ids: list[str],
+        texts: Callable[[int, int, int], str | None],
     ) -> None:
-        """``arrays`` are a Frame's from ``ids`` on; the rest is as ``decode_batch`` fills it.
+        """All but ``texts`` is as ``decode_batch`` fills it.
 
         ``frame_ids`` name the frame that a message's people were moved to; "" = they are as they
-        were measured.
+        were measured. ``texts`` gives the text of message i between two bytes, None if it is none.
         """
-        self._arrays, self._reports, self._cleaned = arrays, reports, cleaned
-        changed = (cleaned.max(axis=1) > 0).tolist()
-        self._rows = list(
-            zip(
-                codes.tolist(), reports.tolist(), changed, frame_ids, pairwise(first.tolist()),
-                strict=True,
-            )
-        )  # fmt: skip
+        self.people = people
+        self.rows = np.stack([first[:-1], first[1:]], axis=1)
+        """(N, 2) first row of each message's people, and the row after the last."""
+        self.bounds: list[tuple[int, int]] = list(pairwise(first.tolist()))
+        """``rows``."""
+        times = people.stamps.tolist()
+        usable = codes == cdr.OK
+        usable &= (reports[:, cdr.MIXED] == 0) & (cleaned[:, cleaning.CONFIDENCE] == 0)
+        kinds: dict[int, Mapping[str, int]] = {
+            i: _by_kind(cleaned[i].tolist()) for i in np.flatnonzero(cleaned.any(axis=1)).tolist()
+        }
+        self._said: list[Said | None] = [None] * len(codes)
+        for i in np.flatnonzero(usable).tolist():
+            *_, stamp, header, header_end, start, end, _ = reports[i].tolist()
+            frame_id, common = texts(i, header, header_end), texts(i, start, end)
+            if frame_id is not None and common is not None:
+                self._said[i] = Said(
+                    stamp,
+                    times[slice(*self.bounds[i])],
+                    common or frame_id,
+                    frame_ids[i] or frame_id or common,
+                    kinds.get(i, _NOTHING),
+                )
 
-    def frame(
-        self, row: int, data: Bytes, log_time: int, topic: str
-    ) -> tuple[Frame, Mapping[str, int]] | None:
+    def said(self, row: int) -> Said | None:
+        """Return what a message says, whose people are rows of ``people``.
+
+        None = it needs a closer look: it is damaged, or holds several cameras' skeletons, or
+        confidences out of range, of which :func:`clean` tells the negative ones apart.
+        """
+        return self._said[row]
+
+    def frame(self, row: int, log_time: int) -> tuple[Frame, Mapping[str, int]] | None:
         """Return what :meth:`Decoder.decode` and :func:`clean` would of a message, in that order.
 
-        None = the message holds several cameras' skeletons, or confidences out of range, of which
-        :func:`clean` tells the negative ones apart. Raises LogError as they do.
+        None = as :meth:`said`.
         """
-        code, report, changed, moved_to, (begin, stop) = self._rows[row]
-        if code != cdr.OK:
-            raise _fault(code, self._reports[row], data, topic)
-        *_, stamp, header, header_end, first, end, mixed = report
-        if mixed or (changed and self._cleaned[row, cleaning.CONFIDENCE]):
+        said = self._said[row]
+        if said is None:
             return None
-        frame_id = _text(data, header, header_end, topic)
-        common = _text(data, first, end, topic)
-        source = common or frame_id
-        arrays = [array[begin:stop] for array in self._arrays]
-        frame_id = moved_to or frame_id or common
-        frame = Frame(stamp, log_time, source, frame_id, *arrays)
-        return frame, _by_kind(self._cleaned[row].tolist()) if changed else _NOTHING
+        begin, end = self.bounds[row]
+        arrays: list[Any] = [array[begin:end] for array in self.people]
+        return Frame(said.stamp, log_time, said.source, said.frame_id, *arrays), said.cleaned
 
 
 class Poses:
@@ -428,7 +457,7 @@ class BatchDecoder:
         people = int(first[-1])
         if people * 8 * sum(math.prod(shape) for shape in self._shapes) > self._MOST:
             return None
-        arrays: tuple[Any, ...] = (
+        arrays = People(
             np.empty(people, np.int32),
             np.empty(people, np.int64),
             np.empty(people),
@@ -445,7 +474,18 @@ class BatchDecoder:
             *arrays, pose_of, *poses.arrays,
         )  # fmt: skip
         frame_ids = [poses.fixed if pose >= 0 else "" for pose in pose_of.tolist()]
-        return Batch(arrays, first, codes, reports, cleaned, frame_ids)
+        starts, known = places[:, 0].tolist(), {b"": ""}
+
+        def text(i: int, start: int, end: int) -> str | None:
+            name = bytes(data[starts[i] + start : starts[i] + end])
+            if name not in known:
+                try:
+                    known[name] = name.decode()
+                except UnicodeDecodeError:
+                    return None
+            return known[name]
+
+        return Batch(arrays, first, codes, reports, cleaned, frame_ids, text)
 
 
 class Encoder:

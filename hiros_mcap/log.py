@@ -17,12 +17,13 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 import hiros_schemas
 from hiros_mcap.bags import BagReader, kind_of
+from hiros_mcap.blocks import Block, People, frames_of
 from hiros_mcap.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -179,37 +180,85 @@ class Log:
         Raises LogError where the file is damaged. A message that cannot be decoded is counted in
         ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
         """
-        for _, frame in self._frames_by_topic(_Digest(self)):
-            yield frame
+        for _, block in self._blocks(_Digest(self)):
+            yield from block.frames()
 
     def detections(self) -> Iterator[Frame]:
         """Yield what :meth:`frames` does, in the fixed frame (Hi-ROS eq. 5).
 
         Raises LogError also for a frame that no transform joins to the fixed frame.
         """
-        for _, frame in self.detections_by_topic():
-            yield frame
+        return frames_of(self.blocks())
 
     def detections_by_topic(self) -> Iterator[tuple[str, Frame]]:
         """Yield what :meth:`detections` does, each frame with its topic."""
-        fixed = self.fixed_frame
+        for topics, block in self._blocks_in(self.fixed_frame):
+            yield from zip(topics, block.frames(), strict=True)
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield what :meth:`detections` does, a chunk's messages at once where that can be."""
+        for _, block in self._blocks_in(self.fixed_frame):
+            yield block
+
+    def _blocks_in(self, fixed: str) -> Iterator[tuple[Sequence[str], Block]]:
         mover = Mover(self.transforms, fixed)
         with _named(self.path):
-            for topic, frame in self._frames_by_topic(_Digest(self, fixed)):
-                yield topic, mover(frame)
+            for topics, block in self._blocks(_Digest(self, fixed)):
+                if all(name == fixed for name in block.frame_ids):
+                    yield topics, block
+                    continue
+                for topic, frame in zip(topics, block.frames(), strict=True):
+                    yield (topic,), Block.of(mover(frame))
 
-    def _frames_by_topic(self, digest: _Digest) -> Iterator[tuple[str, Frame]]:
+    def _blocks(self, digest: _Digest) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the messages as blocks, with the topic of each."""
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
         streams = {
             camera.channel.id: _Stream(camera, self.model, self.accounts[camera.channel.topic])
             for camera in self.cameras
         }
+        rows: list[_Row] = []
         with _named(self.path):
             for message in self.reader.messages(streams.keys(), digest):
                 stream = streams[message.channel_id]
+                row = stream.row_of(message)
+                if rows and (row is None or row.batch is not rows[0].batch):
+                    yield _block_of(rows)
+                    rows = []
+                if row is not None:
+                    rows.append(row)
+                    continue
                 for frame in stream.frames_of(message, strict=self.strict):
-                    yield stream.topic, frame
+                    yield (stream.topic,), Block.of(frame)
+        if rows:
+            yield _block_of(rows)
+
+
+class _Row(NamedTuple):
+    """A message that is taken as it lies in its batch."""
+
+    batch: Batch
+    place: int
+    stamp: int
+    log_time: int
+    source: str
+    frame_id: str
+    topic: str
+
+
+def _block_of(rows: list[_Row]) -> tuple[Sequence[str], Block]:
+    """Return messages of one batch, and their topics."""
+    batches, places, stamps, log_times, sources, frame_ids, topics = zip(*rows, strict=True)
+    batch: Batch = batches[0]
+    return topics, Block(
+        np.array(stamps, np.int64),
+        np.array(log_times, np.int64),
+        sources,
+        frame_ids,
+        batch.rows[np.array(places)],
+        batch.people,
+    )
 
 
 class _Digest:
@@ -246,7 +295,32 @@ class _Stream:
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
         self._decoder = Decoder(model, topic=camera.channel.topic, layout=camera.layout)
         self._account = account
-        self._previous: dict[str, Frame] = {}
+        self._previous: dict[str, _Last] = {}
+
+    def row_of(self, message: Message) -> _Row | None:
+        """Account for a message that is right as it is; None = see :meth:`frames_of`."""
+        if message.note is None:
+            return None
+        batch, place = message.note
+        said = batch.said(place)
+        if said is None:
+            return None
+        times = said.times
+        source = said.source if times else self._only or said.source
+        last = self._previous.get(source)
+        if times and (min(times) < 0 or (last is not None and last.may_be_repeated(times))):
+            return None
+        account = self._account
+        account.read += 1
+        account.used += 1
+        if said.cleaned:
+            account.cleaned.update(said.cleaned)
+        stamp = self._stamp(times, said.stamp, message.log_time)
+        self._previous[source] = _Last(times, (batch.people, batch.bounds[place][0]))
+        return _Row(
+            batch, place, stamp, message.log_time, self._name(source), said.frame_id.lstrip("/"),
+            self.topic,
+        )  # fmt: skip
 
     def frames_of(self, message: Message, *, strict: bool) -> list[Frame]:
         """Decode, clean and name what a message holds, and account for it."""
@@ -277,7 +351,7 @@ class _Stream:
         """Return the frames of a message, cleaned, and what was taken out of each."""
         if message.note is not None:
             batch, row = message.note
-            found = batch.frame(row, message.data, message.log_time, self.topic)
+            found = batch.frame(row, message.log_time)
             if found is not None:
                 return [found]
         return [clean(f) for f in self._decoder.decode_all(message.data, message.log_time)]
@@ -285,37 +359,61 @@ class _Stream:
     def _fresh(self, frame: Frame) -> Frame:
         """Return the frame named, stamped and without what was said before."""
         source = frame.source if frame.n_people else self._only or frame.source
-        times = frame.stamps.tolist()
-        stamp = max([0, *times]) or max(0, frame.stamp)
-        if not stamp:
-            self._account.untimed += 1
-        if times and min(times) < 0:
-            frame = frame.replace(stamps=np.maximum(frame.stamps, 0))
+        stamp = self._stamp(frame.stamps.tolist(), frame.stamp, frame.log_time)
         frame = frame.replace(
-            stamp=stamp or frame.log_time,
-            source=self._names.get(source, source or self._account.topic),
+            stamp=stamp,
+            stamps=np.maximum(frame.stamps, 0),
+            source=self._name(source),
             frame_id=frame.frame_id.lstrip("/"),
         )
-        last, self._previous[source] = self._previous.get(source), frame
-        if last is None:
-            return frame
-        fresh = _without_repeats(frame, last)
+        last, self._previous[source] = self._previous.get(source), _Last.of(frame)
+        fresh = frame if last is None else last.without_repeats(frame)
         self._account.stale += frame.n_people - fresh.n_people
         return fresh
 
+    def _stamp(self, times: list[int], header: int, log_time: int) -> int:
+        """Return the time of a message, ns, and count those that have none."""
+        stamp = max([0, *times]) or max(0, header)
+        if not stamp:
+            self._account.untimed += 1
+        return stamp or log_time
 
-def _without_repeats(frame: Frame, last: Frame) -> Frame:
-    """Leave out people whose source time and numbers are those of somebody in the last frame."""
-    stamps, before = frame.stamps.tolist(), last.stamps.tolist()
-    if set(stamps).isdisjoint(before):
-        return frame
-    said = {(before[q], *_numbers(last, q)) for q in range(last.n_people) if before[q]}
-    fresh = [p for p in range(frame.n_people) if (stamps[p], *_numbers(frame, p)) not in said]
-    return frame if len(fresh) == frame.n_people else frame.select(fresh)
+    def _name(self, source: str) -> str:
+        """Return what a camera goes by."""
+        return self._names.get(source, source or self._account.topic)
 
 
-def _numbers(frame: Frame, person: int) -> tuple[bytes, bytes]:
-    return frame.markers[person].tobytes(), frame.links[person].tobytes()
+@dataclass(frozen=True, slots=True)
+class _Last:
+    """What a camera said last."""
+
+    times: list[int]
+    """Source time of each person, ns."""
+    place: tuple[People, int]
+    """Where its people are, and the row of the first."""
+
+    @classmethod
+    def of(cls, frame: Frame) -> _Last:
+        return cls(frame.stamps.tolist(), (Block.of(frame).people, 0))
+
+    def may_be_repeated(self, times: list[int]) -> bool:
+        """Whether somebody has a source time that somebody had in this message."""
+        return any(time in self.times for time in times if time)
+
+    def without_repeats(self, frame: Frame) -> Frame:
+        """Leave out people whose source time and numbers are those of somebody in here."""
+        times = frame.stamps.tolist()
+        if not self.may_be_repeated(times):
+            return frame
+        people, begin = self.place
+        said = {(t, *_numbers(people, row)) for row, t in enumerate(self.times, begin) if t}
+        here = Block.of(frame).people
+        fresh = [p for p, time in enumerate(times) if (time, *_numbers(here, p)) not in said]
+        return frame if len(fresh) == frame.n_people else frame.select(fresh)
+
+
+def _numbers(people: People, row: int) -> tuple[bytes, bytes]:
+    return people.markers[row].tobytes(), people.links[row].tobytes()
 
 
 def open_log(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiros_mcap import notes
+from hiros_mcap.blocks import Block
 from hiros_mcap.events import TOO_LATE
 from hiros_mcap.log import Log
-from hiros_mcap.skeletons import UNTRACKED, Frame
+from hiros_mcap.skeletons import UNTRACKED
 from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,
@@ -27,6 +28,7 @@ from hiros_mcap.systems import Run
 _GAP = 1_000_000_000  # ns: a pause of a camera that does not count for its rate
 _JUMP = 10_000_000_000  # ns: no recorder delays a message by so much more than the one before
 _LOOKED_AT = 20  # frames of each camera in which people are looked at
+_LAGS = 500  # messages of each camera whose delay is looked at
 _LARGE_M = 50.0  # no room is so large
 
 
@@ -57,16 +59,16 @@ class Stopwatch:
             self._switch(before)
 
     def timed(
-        self, name: str, frames: Iterable[Frame], sink: Callable[[Frame], None]
-    ) -> Iterator[Frame]:
-        """Yield ``frames``, charging the making of each to ``name`` and its sink to "write"."""
+        self, name: str, blocks: Iterable[Block], sink: Callable[[Block], None]
+    ) -> Iterator[Block]:
+        """Yield ``blocks``, charging the making of each to ``name`` and its sink to "write"."""
         switch = self._switch
         before = switch(name)
-        for frame in frames:
+        for block in blocks:
             switch("write")
-            sink(frame)
+            sink(block)
             switch(before)
-            yield frame
+            yield block
             before = switch(name)
         switch(before)
 
@@ -81,8 +83,12 @@ class _Rhythm:
     lag: int = 0
     jumps: int = 0
     farthest: int = 0
+    lags: list[int] = field(default_factory=list)
+    """ns between the time and the log time of the first messages."""
 
     def beat(self, stamp: int, log_time: int) -> None:
+        if len(self.lags) < _LAGS:
+            self.lags.append(log_time - stamp)
         jump = abs(log_time - stamp - self.lag)
         if self.last and jump > _JUMP:
             self.jumps += 1
@@ -108,13 +114,14 @@ class _Looks:
     doubted: bool = True
     """Whether every marker has the confidence 0."""
 
-    def look(self, frame: Frame) -> None:
-        if frame.n_people and self.frames[frame.source] < _LOOKED_AT:
-            self.frames[frame.source] += 1
-            known = frame.positions[~np.isnan(frame.positions)]
-            if known.size:
-                self.sizes.append(float(np.median(np.abs(known))))
-                self.doubted &= bool((frame.marker_confidences == 0).all())
+    def look(self, block: Block) -> None:
+        for i, source in enumerate(block.sources):
+            if self.frames[source] < _LOOKED_AT and (frame := block.frame(i)).n_people:
+                self.frames[source] += 1
+                known = frame.positions[~np.isnan(frame.positions)]
+                if known.size:
+                    self.sizes.append(float(np.median(np.abs(known))))
+                    self.doubted &= bool((frame.marker_confidences == 0).all())
 
     def reasons(self) -> Iterator[str]:
         """Say why nobody was found, where that can be seen."""
@@ -150,43 +157,48 @@ class Observer:
         self._log, self._run, self._chain = log, run, tuple(chain)
         self._rhythms: dict[str, _Rhythm] = {}
         self._people: dict[int, _Seen] = {}
-        self._seen_by: dict[str, set[bytes]] = {}
+        self._seen_by: defaultdict[str, set[int]] = defaultdict(set)
         self._written: Counter[str] = Counter()
-        self._lag: dict[str, list[int]] = {}
         self._looks = _Looks()
 
-    def see_input(self, frame: Frame) -> None:
-        """Note the rhythm of the camera, and how its frames look."""
-        self._rhythms.setdefault(frame.source, _Rhythm()).beat(frame.stamp, frame.log_time)
-        self._looks.look(frame)
-        lag = self._lag.setdefault(frame.source, [])
-        if len(lag) < 500:
-            lag.append(frame.log_time - frame.stamp)
+    def see_input(self, block: Block) -> None:
+        """Note the rhythm of the cameras, and how their frames look."""
+        self._looks.look(block)
+        times = zip(block.sources, block.stamps.tolist(), block.log_times.tolist(), strict=True)
+        for source, stamp, log_time in times:
+            rhythm = self._rhythms.get(source)
+            if rhythm is None:
+                rhythm = self._rhythms[source] = _Rhythm()
+            rhythm.beat(stamp, log_time)
 
-    def see_output(self, channel: str, frame: Frame) -> None:
-        """Note who is in a frame of a stage."""
-        self._written[channel] += 1
+    def see_output(self, channel: str, block: Block) -> None:
+        """Note who is in the frames of a stage."""
+        self._written[channel] += len(block)
+        if channel != "tracked" and channel != self._chain[-1]:
+            return
+        ids = block.people.ids.tolist()
+        groups = [ids[begin:end] for begin, end in block.rows.tolist()]
         if channel == "tracked":
-            self._seen_by.setdefault(frame.source, set()).add(frame.ids.tobytes())
+            for source, group in zip(block.sources, groups, strict=True):
+                self._seen_by[source].update(group)
         if channel == self._chain[-1]:
-            self._note(frame)
+            for stamp, group in zip(block.stamps.tolist(), groups, strict=True):
+                self._note(stamp, group)
 
-    def _note(self, frame: Frame) -> None:
+    def _note(self, stamp: int, people: list[int]) -> None:
         """Note the people of a frame of the last stage."""
-        for person in frame.ids.tolist():
+        for person in people:
             if person != UNTRACKED:
-                seen = self._people.setdefault(person, _Seen(frame.stamp, frame.stamp))
+                seen = self._people.get(person)
+                if seen is None:
+                    seen = self._people[person] = _Seen(stamp, stamp)
                 seen.frames += 1
-                seen.first = min(seen.first, frame.stamp)
-                seen.last = max(seen.last, frame.stamp)
+                seen.first = min(seen.first, stamp)
+                seen.last = max(seen.last, stamp)
 
     def _cameras_of(self, person: int) -> tuple[str, ...]:
         """Names of the cameras whose tracked frames hold a person, sorted."""
-        return tuple(
-            source
-            for source, groups in sorted(self._seen_by.items())
-            if any(person in np.frombuffer(ids, np.int32) for ids in groups)
-        )
+        return tuple(source for source, ids in sorted(self._seen_by.items()) if person in ids)
 
     def summary(self, target: str | None) -> Summary:
         """Everything noted so far."""
@@ -291,7 +303,7 @@ class Observer:
                     f"{notes.duration(rhythm.farthest * 1e-9)}): it was set, or a message has a "
                     "wrong time"
                 )
-        lags = {s: sorted(lag)[len(lag) // 2] for s, lag in self._lag.items() if lag}
+        lags = {s: sorted(r.lags)[len(r.lags) // 2] for s, r in self._rhythms.items()}
         if len(lags) > 1:
             early, late = min(lags, key=lambda s: lags[s]), max(lags, key=lambda s: lags[s])
             apart = (lags[late] - lags[early]) * 1e-9

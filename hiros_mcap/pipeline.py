@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap._version import __version__
+from hiros_mcap.blocks import Block, frames_of
 from hiros_mcap.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skeleton_channel
 from hiros_mcap.codec import Encoder
 from hiros_mcap.config import Config, load_config, to_toml
@@ -65,19 +66,6 @@ class Watcher(Protocol):
 
     def end(self, events: Events) -> None:
         """Say that the last frame was shown, and what happened on the way."""
-
-
-class Nobody:
-    """A watcher that does not look."""
-
-    def begin(self, log: Log, chain: Sequence[str]) -> None:
-        """Do nothing."""
-
-    def frame(self, channel: str, frame: Frame) -> None:
-        """Do nothing."""
-
-    def end(self, events: Events) -> None:
-        """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,13 +153,16 @@ def process(
             limbs.people.update(_calibrate_first(log, run, chain).people)
         observer = Observer(log, run, chain, watch)
         observer.notes += _unmatched(log, options)
-        watcher = watcher or Nobody()
-        watcher.begin(log, chain)
+        show: Sink = _unseen
+        if watcher is not None:
+            watcher.begin(log, chain)
+            show = _shown_to(watcher)
         if target is None:
-            _consume(_frames(log, run, chain, observer, watcher.frame), log, progress)
+            _consume(_blocks(log, run, chain, observer, show), log, progress)
         else:
-            _write(log, run, chain, observer, Path(target), options, progress, watcher)
-        watcher.end(run.events)
+            _write(log, run, chain, observer, Path(target), options, progress, show)
+        if watcher is not None:
+            watcher.end(run.events)
         _refuse_skipped(log, observer, options.strict)
         if options.limbs_out:
             limbs.save(options.limbs_out)
@@ -196,28 +187,42 @@ def _stages(run: Run, chain: Sequence[str]) -> Stages:
     return {name: table[name] for name in chain}
 
 
-Sink = Callable[[str, Frame], None]
+Sink = Callable[[str, Block], None]
 DETECTIONS = "detections"
 
 
-def _frames(
+def _blocks(
     log: Log, run: Run, chain: Sequence[str], observer: Observer, sink: Sink
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Join the stages: each pulls from the one before; every output is observed and written."""
 
-    def detected(frame: Frame) -> None:
-        observer.see_input(frame)
-        sink(DETECTIONS, frame)
+    def detected(block: Block) -> None:
+        observer.see_input(block)
+        sink(DETECTIONS, block)
 
-    def made(name: str, frame: Frame) -> None:
-        observer.see_output(name, frame)
-        sink(name, frame)
+    def made(name: str, block: Block) -> None:
+        observer.see_output(name, block)
+        sink(name, block)
 
     timed = observer.watch.timed
-    frames = timed("read", log.detections(), detected)
+    blocks = timed("read", log.blocks(), detected)
     for name, stage in _stages(run, chain).items():
-        frames = timed(name, stage(frames), partial(made, name))
-    yield from frames
+        blocks = timed(name, stage(blocks), partial(made, name))
+    yield from blocks
+
+
+def _shown_to(watcher: Watcher) -> Sink:
+    """Show a watcher the frames of blocks one by one."""
+
+    def show(channel: str, block: Block) -> None:
+        for frame in block.frames():
+            watcher.frame(channel, frame)
+
+    return show
+
+
+def _unseen(channel: str, block: Block) -> None:
+    """Show nobody anything."""
 
 
 def _takes_two_passes(run: Run, chain: Sequence[str]) -> bool:
@@ -233,18 +238,18 @@ def _is_hiros(run: Run) -> bool:
 def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
     """First of two passes: everything before the optimizer, to measure the limbs."""
     blind = replace(run, events=Events(), limbs=LimbTable())
-    frames: Iterable[Frame] = log.detections()
+    blocks = log.blocks()
     for stage in _stages(blind, chain[: chain.index("optimized")]).values():
-        frames = stage(frames)
-    return calibrate(frames, run.model, run.config.optimize, run.events)
+        blocks = stage(blocks)
+    return calibrate(frames_of(blocks), run.model, run.config.optimize, run.events)
 
 
-def _consume(frames: Iterator[Frame], log: Log, progress: Progress | None) -> None:
+def _consume(blocks: Iterator[Block], log: Log, progress: Progress | None) -> None:
     """Run to the end, telling how far it is."""
     progress = progress or Silent()
     start, end = log.span
-    for frame in frames:
-        progress.update(frame.log_time - start, end - start)
+    for block in blocks:
+        progress.update(int(block.log_times[-1]) - start, end - start)
     progress.update(end - start, end - start)
 
 
@@ -256,7 +261,7 @@ def _write(
     target: Path,
     options: ProcessOptions,
     progress: Progress | None,
-    watcher: Watcher,
+    show: Sink,
 ) -> None:
     """Run and write; nothing appears at ``target`` unless everything went well."""
     encoder = Encoder(log.model)
@@ -267,19 +272,21 @@ def _write(
         by_stamp = run.config.output.log_time == "stamp"
         export = _marker_export(writer, log, run, by_stamp=by_stamp) if options.markers else None
 
-        def sink(channel: str, frame: Frame) -> None:
-            watcher.frame(channel, frame)
+        def sink(channel: str, block: Block) -> None:
+            show(channel, block)
             if channel != DETECTIONS:
-                copier.until(frame.log_time)
-                writer.write_into(
-                    channels[channel],
-                    frame.stamp if by_stamp else frame.log_time,
-                    lambda space: encoder.encode_into(space, frame),
-                )
+                copier.until(int(block.log_times[0]))
+                for frame in block.frames():
+                    writer.write_into(
+                        channels[channel],
+                        frame.stamp if by_stamp else frame.log_time,
+                        partial(encoder.encode_into, frame=frame),
+                    )
             if export is not None and channel == chain[-1]:
-                export.write(frame)
+                for frame in block.frames():
+                    export.write(frame)
 
-        _consume(_frames(log, run, chain, observer, sink), log, progress)
+        _consume(_blocks(log, run, chain, observer, sink), log, progress)
         with observer.watch.timing("write"):
             copier.finish()
             _refuse_skipped(log, observer, options.strict)

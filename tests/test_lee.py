@@ -11,6 +11,7 @@ import pytest
 from builders import Room, moved, room, same
 from scipy.spatial.transform import Rotation
 
+from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.evaluate.logs import read_channel
@@ -32,7 +33,7 @@ def pair() -> Room:
 @cache
 def tracked() -> list[Frame]:
     stages = SYSTEMS["lee"].stages(Run(pair().model, cameras=pair().cameras, fixed_frame="world"))
-    return list(stages["tracked"](pair().frames))
+    return list(by_frame(stages["tracked"])(pair().frames))
 
 
 def after_tracking(system: str, frames: list[Frame], *overrides: str) -> list[Frame]:
@@ -40,7 +41,7 @@ def after_tracking(system: str, frames: list[Frame], *overrides: str) -> list[Fr
     config = load_config(None, overrides, system=system)
     stages = SYSTEMS[system].stages(Run(pair().model, config, fixed_frame="world"))
     for name in chain_of(system)[1:]:
-        frames = list(stages[name](frames))
+        frames = list(by_frame(stages[name])(frames))
     return frames
 
 

@@ -10,6 +10,7 @@ import pytest
 from builders import Room, moved, room
 from scipy.spatial.transform import Rotation
 
+from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import evaluate
@@ -31,7 +32,7 @@ def through(name: str, frames: Iterable[Frame], where: Room) -> list[Frame]:
     run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
     result, table = list(frames), SYSTEMS[name].stages(run)
     for stage in chain_of(name):
-        result = list(table[stage](result))
+        result = list(by_frame(table[stage])(result))
     return result
 
 

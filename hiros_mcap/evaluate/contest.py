@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
@@ -201,7 +202,7 @@ def _run_stages(entry: Entry, room: _Room, frames: list[Frame]) -> tuple[list[Fr
     start = time.process_time()
     stream: Iterator[Frame] = iter(frames)
     for stage in chain_of(entry.system, entry.stages):
-        stream = table[stage](stream)
+        stream = by_frame(table[stage])(stream)
     result = list(stream)
     return result, time.process_time() - start
 

@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from hiros_mcap.kernels.averaging import (
+    load_views,
     mean_columns,
     mean_confidence,
     mean_people,
@@ -541,16 +542,8 @@ def _settle_flips(
     return AGREED
 
 
-@njit(
-    "void(int64, int64, int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
-    " float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], int64[::1], int64[::1],"
-    " float64[:,:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,:,::1], int32[::1],"
-    " int32[:,::1], float64[::1], int64[::1], float64[::1], float64[:,:,::1], float64[:,::1],"
-    " float64[:,:,::1], float64[:,::1], int64[:,::1])",
-    cache=True,
-    nogil=True,
-)
-def fuse(
+@njit(cache=True, nogil=True)
+def _fuse(
     stamp: int,
     n: int,
     whose: Stamps,
@@ -578,24 +571,7 @@ def fuse(
     out_link_confidences: Floats,
     counts: Stamps,
 ) -> None:
-    """Merge a whole buffer: settle flips, vote, average (H25).
-
-    Parameters
-    ----------
-    stamp : merged time, ns.
-    n, whose, trust, markers, confidences, links, link_confidences : the views, as
-        :func:`hiros_mcap.kernels.averaging.load_views` left them; overwritten.
-    rows : (P,) bank row of each output row. The bank, by row: ``seen``, ``facing_seen`` and
-        ``facing_since`` (S,) stamps, 0 = never; ``positions``, ``velocities``, ``turns``,
-        ``bias``; brought to ``stamp``.
-    mirror, pairs : of the skeleton's symmetry.
-    numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
-        pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
-        stages/merge.py packs them).
-    out_stamps, out_trust, out, out_confidences, out_links, out_link_confidences : (P, ...) rows
-        without views untouched.
-    counts : (2, C) votes lost and flips, by camera; added to.
-    """
+    """Merge an instant: settle flips, vote, average (H25); see :func:`fuse`."""
     person_of, cameras = whose[0, :n], whose[1, :n]
     verdicts, outliers = np.zeros(n, np.int64), np.zeros(n, np.int64)
     n_markers, n_links = markers.shape[1], links.shape[1]
@@ -670,3 +646,90 @@ def fuse(
         counts[0, cameras[k]] += outliers[k]
         counts[1, cameras[k]] += verdicts[k] != KEPT
     mean_people(stamp, person_of, whose[2, :n], trust[:n], numbers[11] > 0.0, out_stamps, out_trust)
+
+
+@njit(
+    "void(int64[::1], int64[:,::1], int64[:,::1], int32[::1], float64[::1], float64[:,:,::1],"
+    " float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1], float64[::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1],"
+    " int64[::1], int64[::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1],"
+    " float64[:,:,:,::1], int32[::1], int32[:,::1], float64[::1], int32[::1], int64[::1],"
+    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
+    " int64[:,::1])",
+    cache=True,
+    nogil=True,
+)
+def fuse(
+    stamps: Stamps,
+    ends: Stamps,
+    parts: Stamps,
+    ids: Ints,
+    trust: Floats,
+    markers: Floats,
+    confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    whose: Stamps,
+    view_trust: Floats,
+    view_markers: Floats,
+    view_confidences: Floats,
+    view_links: Floats,
+    view_link_confidences: Floats,
+    rows: Stamps,
+    seen: Stamps,
+    facing_seen: Stamps,
+    facing_since: Stamps,
+    positions: Floats,
+    velocities: Floats,
+    turns: Floats,
+    bias: Floats,
+    mirror: Ints,
+    pairs: Ints,
+    numbers: Floats,
+    out_ids: Ints,
+    out_stamps: Stamps,
+    out_trust: Floats,
+    out: Floats,
+    out_confidences: Floats,
+    out_links: Floats,
+    out_link_confidences: Floats,
+    counts: Stamps,
+) -> None:
+    """Merge instant after instant: settle flips, vote, average (H25).
+
+    Parameters
+    ----------
+    stamps, ends : (Q,) merged times, ns; (Q + 1, 2) output row and message before which each
+        instant ends, from (0, 0) on.
+    parts : (K, 4) of each message its people's first row, the one after the last, time and camera.
+    ids, trust, markers, confidences, links, link_confidences : (P, ...) the people.
+    whose, view_trust, ..., view_link_confidences : room for the views of any instant, as
+        :func:`hiros_mcap.kernels.averaging.load_views` fills it.
+    rows : bank row of each output row. The bank, by row: ``seen``, ``facing_seen`` and
+        ``facing_since`` (S,) stamps, 0 = never; ``positions``, ``velocities``, ``turns``,
+        ``bias``; brought to the last instant that shows the person.
+    mirror, pairs : of the skeleton's symmetry.
+    numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
+        pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
+        stages/merge.py packs them).
+    out_ids : says whom each output row is to show; rows without views stay untouched in the other
+        outputs ``out_stamps``, ``out_trust``, ``out``, ..., ``out_link_confidences``.
+    counts : (2, C) votes lost and flips, by camera; added to.
+    """
+    carry = numbers[11] > 0.0
+    for q in range(len(stamps)):
+        a, b = ends[q, 0], ends[q + 1, 0]
+        n = 0
+        for k in range(ends[q, 1], ends[q + 1, 1]):
+            c, d = parts[k, 0], parts[k, 1]
+            n = load_views(
+                n, parts[k, 3], parts[k, 2], stamps[q], carry, out_ids[a:b], ids[c:d], trust[c:d],
+                markers[c:d], confidences[c:d], links[c:d], link_confidences[c:d], whose,
+                view_trust, view_markers, view_confidences, view_links, view_link_confidences,
+            )  # fmt: skip
+        _fuse(
+            stamps[q], n, whose, view_trust, view_markers, view_confidences, view_links,
+            view_link_confidences, rows[a:b], seen, facing_seen, facing_since, positions,
+            velocities, turns, bias, mirror, pairs, numbers, out_stamps[a:b], out_trust[a:b],
+            out[a:b], out_confidences[a:b], out_links[a:b], out_link_confidences[a:b], counts,
+        )  # fmt: skip

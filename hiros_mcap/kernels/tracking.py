@@ -665,16 +665,8 @@ def _take_over(source: Floats, confidences: Floats, least: float, person: int, o
     return some
 
 
-@njit(
-    "int64(int64, int64[::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
-    " float64[:,:,::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1], float64[::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int32[::1],"
-    " float64[::1], float64[::1], float64[::1], float64[:,:,::1], float64[:,:,::1],"
-    " float64[:,::1], int64[::1], int64[::1])",
-    cache=True,
-    nogil=True,
-)
-def follow(
+@njit(cache=True, nogil=True)
+def _follow(
     stamp: int,
     rows: Stamps,
     motion: Floats,
@@ -698,15 +690,8 @@ def follow(
     gap: Floats,
     match: Stamps,
     fault: Stamps,
-) -> int:
-    """Take over a message: find the track of each person among ``rows``, and move it.
-
-    ``association`` and ``dynamics`` are the numbers of :func:`associate` and :func:`update`;
-    ``least`` the confidences below which a skeleton is left out, and a marker or link absent.
-    Outputs: ``out_markers``, ``out_links``, copies with the tracks' velocities; ``gap`` and
-    ``match`` as in :func:`associate`; ``fault`` (P,) USABLE, EMPTY or DOUBTFUL. Returns how many
-    usable people are of no track.
-    """
+) -> None:
+    """Take over a message: find the track of each person among ``rows``, and move it."""
     n_people = len(confidences)
     wanted, flipped = np.empty(n_people, np.bool_), np.empty(n_people, np.bool_)
     for j in range(n_people):
@@ -722,13 +707,99 @@ def follow(
             stamp, rows, motion, seen, turn, spin, turn_seen, out_markers, marker_confidences,
             out_links, link_confidences, mirror, association, wanted, gap, match, flipped,
         )  # fmt: skip
-    left = 0
     row_of = np.empty(n_people, np.int64)
     for j in range(n_people):
         row_of[j] = rows[match[j]] if match[j] >= 0 else -1
-        left += wanted[j] and match[j] < 0
     update(
         stamp, row_of, motion, spread, seen, turn, spin, turn_spread, turn_seen, out_markers,
         marker_confidences, out_links, flipped, mirror, dynamics,
     )  # fmt: skip
-    return left
+
+
+@njit(
+    "UniTuple(int64, 2)(int64[::1], int64[:,::1], boolean[::1], int64, int64[::1], int32[::1],"
+    " float64[:,:,:,::1], float64[:,:,::1], int64[:,::1], float64[:,:,::1], float64[:,:,:,::1],"
+    " float64[:,:,::1], int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
+    " float64[:,:,::1], float64[:,::1], int32[::1], float64[::1], float64[::1], float64[::1],"
+    " int32[::1], float64[:,:,::1], float64[:,:,::1], int64[::1], float64[::1], int64[::1],"
+    " int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def follow(
+    stamps: Stamps,
+    places: Stamps,
+    pause: Flags,
+    expiry: int,
+    rows: Stamps,
+    persons: Ints,
+    motion: Floats,
+    spread: Floats,
+    seen: Stamps,
+    turn: Floats,
+    spin: Floats,
+    turn_spread: Floats,
+    turn_seen: Stamps,
+    confidences: Floats,
+    markers: Floats,
+    marker_confidences: Floats,
+    links: Floats,
+    link_confidences: Floats,
+    mirror: Ints,
+    association: Floats,
+    dynamics: Floats,
+    least: Floats,
+    out_ids: Ints,
+    out_markers: Floats,
+    out_links: Floats,
+    latest: Stamps,
+    gap: Floats,
+    match: Stamps,
+    fault: Stamps,
+) -> tuple[int, int]:
+    """Take over messages: find the track of each person among ``rows``, and move it.
+
+    Stops before a message, not the first, that is not older than ``expiry``, ns; and after one
+    that wants a pause or has somebody who is of no track.
+
+    Parameters
+    ----------
+    stamps, places, pause : (K,), (K, 2), (K,) time of each message, ns, the first row of its
+        people and the one after the last, and whether to stop after it.
+    rows, persons : (T,) bank row and id of each track.
+    confidences, markers, marker_confidences, links, link_confidences : (P, ...) of everybody.
+    association, dynamics : the numbers of :func:`associate` and :func:`update`.
+    least : confidences below which a skeleton is left out, and a marker or link absent.
+    out_ids, out_markers, out_links : (P, ...) ids, left alone where there is none, and copies with
+        the tracks' velocities.
+    latest : (T,) last time at which each track was seen, where that is later.
+    gap : room for T times the people of any message; those of the last one, as (T, P) numbers of
+        :func:`associate`.
+    match, fault : (P,) as in :func:`associate`; USABLE, EMPTY or DOUBTFUL.
+
+    Returns
+    -------
+    How many messages were taken over, and 1 if the last of them made it stop.
+    """
+    for i in range(len(stamps)):
+        stamp, a, b = stamps[i], places[i, 0], places[i, 1]
+        if i > 0 and stamp >= expiry:
+            return i, 0
+        _follow(
+            stamp, rows, motion, spread, seen, turn, spin, turn_spread, turn_seen,
+            confidences[a:b], markers[a:b], marker_confidences[a:b], links[a:b],
+            link_confidences[a:b], mirror, association, dynamics, least, out_markers[a:b],
+            out_links[a:b], gap[: len(rows) * (b - a)].reshape((len(rows), b - a)), match[a:b],
+            fault[a:b],
+        )  # fmt: skip
+        stop = pause[i]
+        for j in range(a, b):
+            k = match[j]
+            if k < 0:
+                stop = True
+            else:
+                out_ids[j] = persons[k]
+                latest[k] = max(latest[k], stamp)
+        if stop:
+            return i + 1, 1
+    return len(stamps), 0

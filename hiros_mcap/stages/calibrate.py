@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
+from hiros_mcap.blocks import Block, People
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import limbs as kernels
 from hiros_mcap.limbs import Limb, LimbTable, link_keys
@@ -232,37 +233,48 @@ class Calibration:
         self._start: int | None = None
         self._checked = 0
 
-    def observe(self, frame: Frame) -> None:
-        """Measure everybody in the frame; settle whoever is due."""
+    def measure(self, people: People) -> tuple[Floats, Floats]:
+        """Lengths (P, L), m, of everybody's links, NaN = not seen, and what each counts."""
+        lengths = np.empty((len(people.ids), self._model.n_links))
+        weights = np.empty_like(lengths)
+        if self._params.calibration != "off":
+            kernels.measure(
+                people.markers, people.marker_confidences, self._links, lengths, weights
+            )
+        return lengths, weights
+
+    def observe(
+        self, stamp: int, ids: list[int], measured: tuple[Floats, Floats], begin: int, end: int
+    ) -> None:
+        """Take the rows ``begin`` to ``end`` of what was measured; settle whoever is due."""
         if self._start is None:
-            self._start = self._checked = frame.stamp
+            self._start = self._checked = stamp
         if self._params.calibration == "off":
             return
-        lengths = np.empty((frame.n_people, self._model.n_links))
-        weights = np.empty_like(lengths)
-        kernels.measure(frame.markers, frame.marker_confidences, self._links, lengths, weights)
-        wanted = self._in_window(frame.stamp)
-        for row, identity in enumerate(frame.ids.tolist()):
+        lengths, weights = measured
+        wanted = self._in_window(stamp)
+        for row in range(begin, end):
+            identity = ids[row]
             if identity < 0 or identity in self._given:
                 continue
-            person = self._people.get(identity) or self._meet(identity, frame.stamp)
-            person.last = frame.stamp
+            person = self._people.get(identity) or self._meet(identity, stamp)
+            person.last = stamp
             if wanted:
                 self._measure(identity, person, lengths[row], weights[row])
-            if person.waiting and frame.stamp - person.first >= self._params.lookahead * _SECOND:
+            if person.waiting and stamp - person.first >= self._params.lookahead * _SECOND:
                 self._settle(identity, person)
-        if frame.stamp - self._checked > _SECOND:
-            self._check_absent(frame.stamp)
+        if stamp - self._checked > _SECOND:
+            self._check_absent(stamp)
 
-    def waits_for(self, frame: Frame) -> bool:
-        """Whether somebody in the frame may get lengths soon, so that it is worth holding back."""
-        people = (self._people.get(identity) for identity in frame.ids.tolist())
+    def waits_for(self, ids: list[int]) -> bool:
+        """Whether one of these people may get lengths soon, so that it is worth holding back."""
+        people = map(self._people.get, ids)
         return any(person is not None and person.waiting for person in people)
 
-    def nominal(self, frame: Frame) -> Floats:
-        """(P, L) lengths to use for the frame, m, NaN where there are none; advances them."""
-        lengths = np.full((frame.n_people, self._model.n_links), np.nan)
-        for row, identity in enumerate(frame.ids.tolist()):
+    def nominal(self, ids: list[int]) -> Floats:
+        """(P, L) lengths to use in a frame, m, NaN where there are none; advances them."""
+        lengths = np.full((len(ids), self._model.n_links), np.nan)
+        for row, identity in enumerate(ids):
             if identity in self._given:
                 lengths[row] = self._given[identity]
             elif (person := self._people.get(identity)) and (known := person.known):
@@ -420,6 +432,8 @@ def calibrate(
     patient = params.model_copy(update={"lookahead": math.inf, "calibration": "auto"})
     calibration = Calibration(model, patient, events or Events(), LimbTable())
     for frame in frames:
-        calibration.observe(frame)
+        people = Block.of(frame).people
+        measured = calibration.measure(people)
+        calibration.observe(frame.stamp, frame.ids.tolist(), measured, 0, frame.n_people)
     calibration.finish()
     return calibration.limbs

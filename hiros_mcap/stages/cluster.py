@@ -201,9 +201,9 @@ class _Clusterer:
             params.memory * 1e9 if params.previous_helps else -1.0,
         ], np.float64)  # fmt: skip
 
-    def fuse(self, instant: Instant) -> Frame:
+    def fuse(self, instant: Instant[Frame]) -> Frame:
         """Merge the views of an instant into one frame at its time."""
-        frames = instant.frames
+        frames = instant.messages
         people = sorted({i for frame in frames for i in frame.ids.tolist()} - {UNTRACKED})
         fixed = self.fixed_frame or frames[0].frame_id
         out = Frame.empty(

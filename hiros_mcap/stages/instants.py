@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -11,71 +12,89 @@ from hiros_mcap.events import TOO_LATE, Events
 from hiros_mcap.kernels.averaging import load_views
 from hiros_mcap.skeletons import STATE, Floats, Frame, SkeletonModel, Stamps
 
+T = TypeVar("T")
+
 
 @dataclass(frozen=True, slots=True)
-class Instant:
+class Instant(Generic[T]):
     """One message of each camera that sent one."""
 
-    frames: Sequence[Frame]
+    messages: Sequence[T]
     """Sorted by source, so that nothing depends on which camera was first."""
     stamp: int
     """Mean time of the messages, ns."""
     log_time: int
     """Log time, ns, of the message that completed the instant."""
 
-    @classmethod
-    def of(cls, buffer: Mapping[str, Frame], log_time: int) -> Instant:
-        """Make an instant of a message per source."""
-        frames = tuple(buffer[source] for source in sorted(buffer))
-        return cls(frames, sum(frame.stamp for frame in frames) // len(frames), log_time)
 
+class Instants(Generic[T]):
+    """Gathers one message per camera (Hi-ROS 2023, section 3.2).
 
-def instants(
-    frames: Iterable[Frame], cameras: int, max_delta_time: float, events: Events
-) -> Iterator[Instant]:
-    """Gather one message per camera (Hi-ROS 2023, section 3.2).
+    Times of instants never decrease: a message older than the last one is left out. Two have the
+    same time where messages do: cameras triggered together, before all of them are known.
 
     Parameters
     ----------
-    frames : of all cameras, roughly in time order.
     cameras : messages that complete an instant (third trigger); 0 = as many as sources are known.
     max_delta_time : s between the oldest and the newest message of an instant (second trigger).
         A second message of the same camera starts a new one, too (first trigger).
     events : counts "too late to be merged".
-
-    Yields
-    ------
-    Instants whose times never decrease: a frame older than the last one is left out. Two have the
-    same time where messages do: cameras triggered together, before all of them are known.
     """
-    buffer: dict[str, Frame] = {}
-    known: set[str] = set()
-    newest = 0
+
+    def __init__(self, cameras: int, max_delta_time: float, events: Events) -> None:
+        self._cameras, self._span, self._events = cameras, max_delta_time * 1e9, events
+        self._buffer: dict[str, tuple[int, T]] = {}
+        self._known: set[str] = set()
+        self._newest = 0
+        self._log_time = 0
+        """Of the latest message in the buffer."""
+
+    def add(self, stamp: int, source: str, log_time: int, message: T) -> list[Instant[T]]:
+        """Take a message; return the instants that it completes: none, one or two."""
+        done: list[Instant[T]] = []
+        self._known.add(source)
+        if stamp < self._newest:
+            self._events.count(TOO_LATE, source)
+            return done
+        if self._buffer and self._closes(stamp, source):
+            done.append(self._close(log_time))
+        self._log_time = max(log_time, self._log_time) if self._buffer else log_time
+        self._buffer[source] = stamp, message
+        if len(self._buffer) >= (self._cameras or len(self._known)):
+            done.append(self._close(log_time))
+        return done
+
+    def rest(self) -> list[Instant[T]]:
+        """Return the instant that no further message will complete, if there is one."""
+        return [self._close(self._log_time)] if self._buffer else []
+
+    def _closes(self, stamp: int, source: str) -> bool:
+        """Whether a message belongs to a later instant: same camera again, or too late."""
+        if source in self._buffer:
+            return True
+        stamps = [stamp, *(time for time, _ in self._buffer.values())]
+        return max(stamps) - min(stamps) > self._span
+
+    def _close(self, log_time: int) -> Instant[T]:
+        buffer, self._buffer = self._buffer, {}
+        messages = [buffer[source] for source in sorted(buffer)]
+        self._newest = sum(stamp for stamp, _ in messages) // len(messages)
+        return Instant([message for _, message in messages], self._newest, log_time)
+
+
+def instants(
+    frames: Iterable[Frame], cameras: int, max_delta_time: float, events: Events
+) -> Iterator[Instant[Frame]]:
+    """Yield what :class:`Instants` gathers from frames of all cameras, roughly in time order."""
+    gathered: Instants[Frame] = Instants(cameras, max_delta_time, events)
     for frame in frames:
-        known.add(frame.source)
-        if frame.stamp < newest:
-            events.count(TOO_LATE, frame.source)
-            continue
-        if buffer and _closes(buffer, frame, max_delta_time):
-            instant = Instant.of(buffer, frame.log_time)
-            newest, buffer = instant.stamp, {}
-            yield instant
-        buffer[frame.source] = frame
-        if len(buffer) >= (cameras or len(known)):
-            instant = Instant.of(buffer, frame.log_time)
-            newest, buffer = instant.stamp, {}
-            yield instant
-    if buffer:
-        yield Instant.of(buffer, max(f.log_time for f in buffer.values()))
+        yield from gathered.add(frame.stamp, frame.source, frame.log_time, frame)
+    yield from gathered.rest()
 
 
-def _closes(buffer: dict[str, Frame], frame: Frame, max_delta_time: float) -> bool:
-    """Whether a message belongs to a later instant: same camera again, or too late."""
-    if frame.source in buffer:
-        return True
-    stamps = [f.stamp for f in buffer.values()]
-    span = max(*stamps, frame.stamp) - min(*stamps, frame.stamp)
-    return span > max_delta_time * 1e9
+Room = tuple[Stamps, Floats, Floats, Floats, Floats, Floats]
+"""Of N views: (3, N) row in the output, camera and time, ns; confidences, markers, their
+confidences, links, their confidences."""
 
 
 class Views:
@@ -85,12 +104,18 @@ class Views:
         self._model = model
         self._room = self._make(16)
 
-    def _make(self, views: int) -> tuple[Stamps, Floats, Floats, Floats, Floats, Floats]:
+    def _make(self, views: int) -> Room:
         m, n = self._model.n_markers, self._model.n_links
         return (
             np.empty((3, views), np.int64), np.empty(views), np.empty((views, m, STATE)),
             np.empty((views, m)), np.empty((views, n, STATE)), np.empty((views, n)),
         )  # fmt: skip
+
+    def room(self, views: int) -> Room:
+        """Arrays for so many views or more; their contents are lost."""
+        if views > len(self._room[1]):
+            self._room = self._make(2 * views)
+        return self._room
 
     def load(
         self, out: Frame, frames: Sequence[Frame], cameras: Sequence[int], *, carry: bool
@@ -107,14 +132,11 @@ class Views:
         How many views, and arrays with room for them or more: (3, N) row in ``out``, camera and
         time, ns, of each; confidences, markers, their confidences, links, their confidences.
         """
-        most = sum(len(frame.ids) for frame in frames)
-        if most > len(self._room[1]):
-            self._room = self._make(2 * most)
-        n = 0
+        room, n = self.room(sum(len(frame.ids) for frame in frames)), 0
         for frame, camera in zip(frames, cameras, strict=True):
             n = load_views(
                 n, camera, frame.stamp, out.stamp, carry, out.ids, frame.ids, frame.confidences,
                 frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
-                *self._room,
+                *room,
             )  # fmt: skip
-        return n, *self._room
+        return n, *room

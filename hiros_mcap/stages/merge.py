@@ -10,11 +10,13 @@ thrown away; what is left is averaged robustly; a person between two sightings i
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from hiros_mcap.blocks import Block, Part, People, frames_of, join
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import merging as kernels
 from hiros_mcap.params import Params
@@ -27,7 +29,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
-from hiros_mcap.stages.instants import Instant, Views, instants
+from hiros_mcap.stages.instants import Instant, Instants, Views
 from hiros_mcap.symmetry import symmetry_of
 
 
@@ -112,8 +114,6 @@ class MergeParams(Params):
 class _Bank:
     """What is remembered of each person, as arrays that the kernel takes; rows are reused."""
 
-    _FORGET = 10_000_000_000  # ns after which a person who is not merged any more is forgotten
-
     def __init__(self, model: SkeletonModel) -> None:
         self.rows: dict[int, int] = {}
         self.cameras: dict[str, int] = {}
@@ -145,10 +145,10 @@ class _Bank:
                 self.bias = np.concatenate([self.bias, np.zeros_like(self.bias)], axis=1)
         return self.cameras[source]
 
-    def forget(self, stamp: int) -> None:
-        """Free the rows of people who were last merged long before ``stamp``."""
-        gone = [p for p, row in self.rows.items() if stamp - self.seen[row] > self._FORGET]
-        self.free += [self.rows.pop(person) for person in gone]
+    def forget(self, person: int) -> None:
+        """Free the row of a person, if there is one."""
+        if person in self.rows:
+            self.free.append(self.rows.pop(person))
 
     def _grow(self, size: int) -> None:
         old = len(self.seen)
@@ -184,17 +184,64 @@ def merge(
     One frame per buffer, at the mean time of its messages, people sorted by id. Times never
     decrease: a frame that is older than what was merged before is counted and left out.
     """
+    return frames_of(merge_blocks(map(Block.of, frames), model, params, events, fixed_frame))
+
+
+def merge_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: MergeParams | None = None,
+    events: Events | None = None,
+    fixed_frame: str = "",
+) -> Iterator[Block]:
+    """Do what :func:`merge` does, a block at a time."""
     params = params or MergeParams()
     events = events or Events()
     merger = _Merger(model, params, events, fixed_frame)
-    for instant in instants(frames, params.cameras, params.max_delta_time, events):
-        yield merger.fuse(instant)
+    gathered: Instants[Part] = Instants(params.cameras, params.max_delta_time, events)
+    for block in blocks:
+        ready: list[Instant[Part]] = []
+        messages = zip(block.stamps.tolist(), block.sources, block.log_times.tolist(), strict=True)
+        for i, (stamp, source, log_time) in enumerate(messages):
+            ready += gathered.add(stamp, source, log_time, (block, i))
+        yield from merger.fuse(ready)
+    yield from merger.fuse(gathered.rest())
+
+
+@dataclass(slots=True)
+class _Last:
+    """Where a person was last merged from views."""
+
+    stamp: int
+    row: int
+    people: People = field(init=False)
+    """Of which it is a row."""
+
+
+@dataclass(slots=True)
+class _Plan:
+    """What is to be merged, and into which rows of the output."""
+
+    parts: list[tuple[int, int, int, int]] = field(default_factory=list)
+    """Of each message: first row of its people, the one after the last, time, camera."""
+    ends: list[tuple[int, int]] = field(default_factory=list)
+    """Of each instant: output row after its last, message after its last."""
+    ids: list[int] = field(default_factory=list)
+    rows: list[int] = field(default_factory=list)
+    """Of each output row: the person, and the person's row in the bank."""
+    made: list[_Last] = field(default_factory=list)
+    carried: list[tuple[int, int, _Last]] = field(default_factory=list)
+    """(output row, time, last sighting) of people whom no message shows."""
+    views: int = 0
+    """Most views of an instant."""
 
 
 class _Merger:
-    """Merges one buffer at a time; remembers each person's last merged pose."""
+    """Merges some instants at a time; remembers each person's last merged pose."""
 
     _HORIZON = 0.2  # s for which a past pose is carried on and may vote
+    _FORGET = 10_000_000_000  # ns after which a person who is not merged any more is forgotten
+    _SPAN = 5_000_000_000  # ns of instants that are merged at once; nobody is forgotten meanwhile
 
     def __init__(
         self, model: SkeletonModel, params: MergeParams, events: Events, fixed_frame: str
@@ -206,7 +253,7 @@ class _Merger:
         self.symmetry = symmetry_of(model)
         self.bank = _Bank(model)
         self.views = Views(model)
-        self.last: dict[int, tuple[Frame, int]] = {}
+        self.last: dict[int, _Last] = {}
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
             self._HORIZON, params.max_position_delta, params.max_orientation_delta,
@@ -216,58 +263,98 @@ class _Merger:
             params.compensate_motion, params.bias_time,
         ], np.float64)  # fmt: skip
 
-    def fuse(self, instant: Instant) -> Frame:
-        """Merge the messages of an instant into one frame at its time."""
-        frames, stamp, log_time = instant.frames, instant.stamp, instant.log_time
-        seen = {i for frame in frames for i in frame.ids.tolist()} - {UNTRACKED}
-        people = sorted(seen | self._bridged(seen, stamp))
-        fixed = self.fixed_frame or frames[0].frame_id
-        out = Frame.empty(
-            len(people), self.model, stamp=stamp, log_time=log_time, source=fixed, frame_id=fixed
-        )
-        out.ids[:] = people
-        if seen:
-            self._merge(out, people, frames)
-        for row, person in enumerate(people):
-            if person in seen:
-                self.last[person] = (out, row)
-            else:
-                self._carry(out, row, *self.last[person])
-        return out
+    def fuse(self, instants: Iterable[Instant[Part]]) -> Iterator[Block]:
+        """Merge the messages of each instant into one frame at its time."""
+        together: list[Instant[int]] = []
+        of: Block | None = None
+        for instant in instants:
+            block = instant.messages[0][0]
+            places = [i for _, i in instant.messages]
+            if any(other is not block for other, _ in instant.messages):
+                block, places = join(instant.messages), list(range(len(places)))
+            if of is not None and (
+                block is not of or instant.stamp - together[0].stamp > self._SPAN
+            ):
+                yield self._fuse(of, together)
+                together = []
+            of = block
+            together.append(Instant(places, instant.stamp, instant.log_time))
+        if of is not None:
+            yield self._fuse(of, together)
+
+    def _fuse(self, block: Block, instants: Sequence[Instant[int]]) -> Block:
+        """Merge messages of one block, given by their places in it."""
+        bank = self.bank
+        ids, bounds, times = block.people.ids.tolist(), block.rows.tolist(), block.stamps.tolist()
+        plan = _Plan()
+        for instant in instants:
+            seen: set[int] = set()
+            views = 0
+            for i in instant.messages:
+                begin, end = bounds[i]
+                seen.update(ids[begin:end])
+                views += end - begin
+                plan.parts.append((begin, end, times[i], bank.camera(block.sources[i])))
+            seen.discard(UNTRACKED)
+            plan.views = max(plan.views, views)
+            for person in sorted(seen | self._bridged(seen, instant.stamp)):
+                row = len(plan.ids)
+                plan.ids.append(person)
+                plan.rows.append(bank.row(person))
+                if person in seen:
+                    self.last[person] = _Last(instant.stamp, row)
+                    plan.made.append(self.last[person])
+                else:
+                    plan.carried.append((row, instant.stamp, self.last[person]))
+            plan.ends.append((len(plan.ids), len(plan.parts)))
+        return self._carry_out(plan, block, instants)
 
     def _bridged(self, seen: set[int], stamp: int) -> set[int]:
         """People whom no message of the buffer shows but one of the last few did."""
-        self.bank.forget(stamp)
+        for person in [p for p, last in self.last.items() if stamp - last.stamp > self._FORGET]:
+            del self.last[person]
+            self.bank.forget(person)
         limit = self.params.bridge * 1e9
-        kept = {p: last for p, last in self.last.items() if p in self.bank.rows}
-        self.last = kept
-        return {p for p, (f, _) in kept.items() if p not in seen and 0 <= stamp - f.stamp <= limit}
+        last = self.last.items()
+        return {p for p, was in last if p not in seen and 0 <= stamp - was.stamp <= limit}
 
-    def _merge(self, out: Frame, people: list[int], frames: Sequence[Frame]) -> None:
-        """Fill the rows of the people whom the buffer shows."""
-        bank = self.bank
-        rows = np.array([bank.row(person) for person in people], np.int64)
-        cameras = [bank.camera(frame.source) for frame in frames]
-        views = self.views.load(out, frames, cameras, carry=self.params.compensate_motion)
+    def _carry_out(self, plan: _Plan, block: Block, instants: Sequence[Instant[int]]) -> Block:
+        """Merge as planned."""
+        bank, people = self.bank, block.people
+        stamps = np.array([instant.stamp for instant in instants], np.int64)
+        ends = np.array([(0, 0), *plan.ends], np.int64)
+        rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
+        out = People.absent(len(plan.ids), self.model)
+        out.ids[:] = plan.ids
+        out.stamps[:] = np.repeat(stamps, rows[:, 1] - rows[:, 0])
         counts = np.zeros((2, bank.bias.shape[1]), np.int64)
         kernels.fuse(
-            out.stamp, *views, rows, bank.seen, bank.facing_seen, bank.facing_since,
-            bank.positions, bank.velocities, bank.turns, bank.bias, self.symmetry.mirror,
-            self.symmetry.lateral, self.numbers, out.stamps, out.confidences, out.markers,
-            out.marker_confidences, out.links, out.link_confidences, counts,
+            stamps, ends, np.array(plan.parts, np.int64), people.ids, people.confidences,
+            people.markers, people.marker_confidences, people.links, people.link_confidences,
+            *self.views.room(plan.views), np.array(plan.rows, np.int64), bank.seen,
+            bank.facing_seen, bank.facing_since, bank.positions, bank.velocities, bank.turns,
+            bank.bias, self.symmetry.mirror, self.symmetry.lateral, self.numbers, out.ids,
+            out.stamps, out.confidences, out.markers, out.marker_confidences, out.links,
+            out.link_confidences, counts,
         )  # fmt: skip
+        for last in plan.made:
+            last.people = out
+        for row, stamp, last in plan.carried:
+            self._carry(out, row, stamp, last)
         for kind, numbers in zip(("outlier", "flip"), counts.tolist(), strict=True):
-            for frame, camera in zip(frames, cameras, strict=True):
-                if numbers[camera]:
-                    self.events.count(kind, frame.source, numbers[camera])
+            for source, n in zip(bank.cameras, numbers, strict=False):
+                self.events.count(kind, source, n)
+        names = [self.fixed_frame or block.frame_ids[at.messages[0]] for at in instants]
+        log_times = np.array([instant.log_time for instant in instants], np.int64)
+        return Block(stamps, log_times, names, names, rows, out)
 
-    def _carry(self, out: Frame, row: int, last: Frame, last_row: int) -> None:
+    def _carry(self, out: People, row: int, stamp: int, last: _Last) -> None:
         """Write a person who was seen a moment ago, carried on at constant velocity."""
-        dt = min((out.stamp - last.stamp) * 1e-9, self._HORIZON)
-        for name in ("markers", "marker_confidences", "links", "link_confidences"):
-            getattr(out, name)[row] = getattr(last, name)[last_row]
-        out.markers[row, :, POSITION] += dt * np.nan_to_num(last.markers[last_row, :, VELOCITY])
-        out.confidences[row] = last.confidences[last_row]
+        dt = min((stamp - last.stamp) * 1e-9, self._HORIZON)
+        for name in ("confidences", "markers", "marker_confidences", "links", "link_confidences"):
+            getattr(out, name)[row] = getattr(last.people, name)[last.row]
+        velocities = last.people.markers[last.row, :, VELOCITY]
+        out.markers[row, :, POSITION] += dt * np.nan_to_num(velocities)
         self.events.count("bridged")
 
 

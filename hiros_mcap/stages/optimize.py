@@ -27,14 +27,17 @@ exact   19.3, 20.0  0.0005, 0.0005  6.2, 7.0
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Literal
+from dataclasses import replace
+from operator import attrgetter
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from hiros_mcap.blocks import Block, People, frames_of, join
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import limbs as kernels
 from hiros_mcap.limbs import LimbTable
@@ -127,43 +130,72 @@ def optimize(
     ConfigError
         If ``limbs`` names a link that the model lacks, or Ceres is asked for and not installed.
     """
+    return frames_of(optimize_blocks(map(Block.of, frames), model, params, events, limbs))
+
+
+def optimize_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: OptimizeParams = OptimizeParams(),  # noqa: B008 - immutable
+    events: Events | None = None,
+    limbs: LimbTable | None = None,
+) -> Iterator[Block]:
+    """Do what :func:`optimize` does, a block at a time."""
     events = events if events is not None else Events()
     limbs = limbs if limbs is not None else LimbTable()
     if params.calibration == "two-pass":
         if not limbs.people:
-            frames = list(frames)
-            limbs.people.update(calibrate(frames, model, params, events).people)
+            blocks = list(blocks)
+            limbs.people.update(calibrate(frames_of(blocks), model, params, events).people)
         params = params.model_copy(update={"calibration": "off"})
     calibration = Calibration(model, params, events, limbs)
     fit = _Fit(model, params, events)
-    for frame in _held_back(frames, calibration):
-        yield fit(frame, calibration.nominal(frame))
+    for ready in _held_back(blocks, calibration):
+        for block, group in itertools.groupby(ready, key=attrgetter("block")):
+            yield fit(block, list(group))
 
 
-def _held_back(frames: Iterable[Frame], calibration: Calibration) -> Iterator[Frame]:
+class _Ready(NamedTuple):
+    """A frame whose people's lengths are settled."""
+
+    block: Block
+    place: int
+    log_time: int
+    nominal: Floats
+    """(P, L) lengths, m."""
+
+
+def _held_back(blocks: Iterable[Block], calibration: Calibration) -> Iterator[list[_Ready]]:
     """Delay frames, in order, until the calibration of everybody in them is settled.
 
-    A delayed frame gets the log time of the frame that let it go.
+    A delayed frame gets the log time of the frame that let it go. Yields what each block lets go.
     """
-    held: deque[Frame] = deque()
+    held: deque[tuple[Block, int, list[int]]] = deque()
     now = 0
-    for frame in frames:
-        calibration.observe(frame)
-        held.append(frame)
-        now = max(now, frame.log_time)
-        while held and not calibration.waits_for(held[0]):
-            yield _at(held.popleft(), now)
+
+    def release() -> _Ready:
+        block, place, people = held.popleft()
+        return _Ready(block, place, now, calibration.nominal(people))
+
+    for block in blocks:
+        ready = []
+        ids, measured = block.people.ids.tolist(), calibration.measure(block.people)
+        times = zip(
+            block.stamps.tolist(), block.log_times.tolist(), block.rows.tolist(), strict=True
+        )
+        for i, (stamp, log_time, (begin, end)) in enumerate(times):
+            calibration.observe(stamp, ids, measured, begin, end)
+            held.append((block, i, ids[begin:end]))
+            now = max(now, log_time)
+            while held and not calibration.waits_for(held[0][2]):
+                ready.append(release())
+        yield ready
     calibration.finish()
-    for frame in held:
-        yield _at(frame, now)
-
-
-def _at(frame: Frame, log_time: int) -> Frame:
-    return frame if frame.log_time == log_time else frame.replace(log_time=log_time)
+    yield [release() for _ in range(len(held))]
 
 
 class _Fit:
-    """Outlier detection and optimization of single frames (sections 3.3.2 and 3.3.3)."""
+    """Outlier detection and optimization of some frames (sections 3.3.2 and 3.3.3)."""
 
     def __init__(self, model: SkeletonModel, params: OptimizeParams, events: Events) -> None:
         self._names = model.marker_names
@@ -173,27 +205,33 @@ class _Fit:
         self._outward, self._topology = outward(model), _topology(model)
         self._solve = _solver(model, params)
 
-    def __call__(self, frame: Frame, nominal: Floats) -> Frame:
-        """Return the frame with its calibrated people optimized."""
-        rows = np.flatnonzero(~np.isnan(nominal).all(axis=1))
-        if not rows.size:
-            return frame
-        whole = len(rows) == frame.n_people
-        new = _copied(frame) if whole else _copied(frame.select(rows))
-        self._fit(new, nominal if whole else np.ascontiguousarray(nominal[rows]))
-        return new if whole else _with_rows(frame, rows, new)
+    def __call__(self, block: Block, ready: list[_Ready]) -> Block:
+        """Return frames of a block with their calibrated people optimized."""
+        out = join([(block, one.place) for one in ready])
+        log_times = np.array([one.log_time for one in ready], np.int64)
+        nominal = np.concatenate([one.nominal for one in ready])
+        known = ~np.isnan(nominal).all(axis=1)
+        if known.all():
+            self._fit(out.people, nominal)
+        elif known.any():
+            part = People(*[array[known] for array in out.people])
+            self._fit(part, nominal[known])
+            for name in ("markers", "marker_confidences", "links", "link_confidences"):
+                getattr(out.people, name)[known] = getattr(part, name)
+        return replace(out, log_times=log_times)
 
-    def _fit(self, frame: Frame, nominal: Floats) -> None:
-        """Optimize everybody in the frame, in place."""
-        points = frame.markers[:, :, POSITION].copy()
-        outlier, weights = self._find_outliers(points, nominal, frame.marker_confidences)
+    def _fit(self, people: People, nominal: Floats) -> None:
+        """Optimize everybody, in place."""
+        points = people.markers[:, :, POSITION].copy()
+        outlier, weights = self._find_outliers(points, nominal, people.marker_confidences)
         if weights is None:
             stiffness = STIFFNESS if self._params.lengths == "exact" else 0.0
-            weights = self._weigh(points, nominal, frame.marker_confidences, outlier, stiffness)
+            weights = self._weigh(points, nominal, people.marker_confidences, outlier, stiffness)
         solved, failed = self._solve(points, nominal, weights)
         self._events.count("optimizer not converged", n=failed)
         kernels.apply(
-            solved, frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
+            solved, people.markers, people.marker_confidences, people.links,
+            people.link_confidences,
             self._links, weights, outlier, self._params.outliers == "remove",
             self._params.turn_links,
         )  # fmt: skip
@@ -230,25 +268,6 @@ class _Fit:
     def _count(self, outlier: Ints) -> None:
         for marker, n in enumerate(np.count_nonzero(outlier, axis=0)):
             self._events.count("optimizer outlier", self._names[marker], int(n))
-
-
-def _copied(frame: Frame) -> Frame:
-    return frame.replace(
-        markers=frame.markers.copy(),
-        marker_confidences=frame.marker_confidences.copy(),
-        links=frame.links.copy(),
-        link_confidences=frame.link_confidences.copy(),
-    )
-
-
-def _with_rows(frame: Frame, rows: npt.NDArray[np.intp], part: Frame) -> Frame:
-    """Return the frame with some people replaced by those of ``part``."""
-    new = _copied(frame)
-    new.markers[rows] = part.markers
-    new.marker_confidences[rows] = part.marker_confidences
-    new.links[rows] = part.links
-    new.link_confidences[rows] = part.link_confidences
-    return new
 
 
 def _degrees(links: Ints, n_markers: int) -> Ints:

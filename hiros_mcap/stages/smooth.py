@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
+from hiros_mcap.blocks import Block, frames_of
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import filters as _filters
 from hiros_mcap.params import Params
@@ -170,6 +171,16 @@ def smooth(
         last = frame
     while waiting and last is not None:
         yield run.finish(waiting.popleft(), last.log_time)
+
+
+def smooth_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: FilterParams = FilterParams(),  # noqa: B008 - immutable
+    events: Events | None = None,
+) -> Iterator[Block]:
+    """Do what :func:`smooth` does, a block at a time."""
+    yield from map(Block.of, smooth(frames_of(blocks), model, params, events))
 
 
 @dataclass(slots=True)

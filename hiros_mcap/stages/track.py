@@ -12,13 +12,15 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from hiros_mcap.blocks import Block, frames_of
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.params import Params
@@ -232,14 +234,53 @@ class _Bank:
         return row
 
 
+class _Passage:
+    """A block on its way through the tracker, and what its people get there."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self.stamps = block.stamps.tolist()
+        people = block.people
+        self.people = people._replace(
+            ids=np.full(len(people.ids), UNTRACKED, np.int32),
+            markers=np.empty_like(people.markers),
+            links=np.empty_like(people.links),
+        )
+        self.match, self.fault = np.empty((2, len(people.ids)), np.int64)
+        self.most = int(np.diff(block.rows).max(initial=0))
+        """People of the largest message."""
+
+    def select(self, chosen: list[int], log_times: list[int]) -> Block:
+        """Return some of the frames, as the tracker has made them."""
+        block = self.block
+        rows = np.array(chosen, np.int64)
+        return Block(
+            block.stamps[rows],
+            np.array(log_times, np.int64),
+            [block.sources[i] for i in chosen],
+            [block.frame_ids[i] for i in chosen],
+            block.rows[rows],
+            self.people,
+        )
+
+
+_Message = tuple[_Passage, int]
+_Ready = tuple[_Message, int]
+"""A message, and its log time by now."""
+
+
 @dataclass(slots=True, eq=False)
 class _Held:
-    """A frame that waits for its people to be confirmed."""
+    """A message that waits for its people to be confirmed."""
 
-    frame: Frame
-    markers: Floats
-    links: Floats
-    """Own copies, in which velocities are filled."""
+    passage: _Passage
+    place: int
+    log_time: int
+    stamp: int
+    source: str
+    begin: int
+    end: int
+    """Rows of its people."""
     tracks: list[_Track | None]
     reasons: list[str]
     """Why a detection is of nobody; "" where it is of a track."""
@@ -248,6 +289,33 @@ class _Held:
     def settled(self) -> bool:
         """Whether no evidence that is still to come can change an id."""
         return all(body is None or body.settled for body in self.tracks)
+
+    @property
+    def markers(self) -> Floats:
+        """States with the tracks' velocities."""
+        return self.passage.people.markers[self.begin : self.end]
+
+    @property
+    def links(self) -> Floats:
+        """As markers."""
+        return self.passage.people.links[self.begin : self.end]
+
+    @property
+    def marker_confidences(self) -> Floats:
+        """As the detector gave them."""
+        return self.passage.people.marker_confidences[self.begin : self.end]
+
+    @property
+    def link_confidences(self) -> Floats:
+        """As the detector gave them."""
+        return self.passage.people.link_confidences[self.begin : self.end]
+
+    def give(self, bodies: list[_Track | None]) -> None:
+        """Note of which track each person is, and that it was seen."""
+        for j, body in enumerate(bodies):
+            if body is not None:
+                self.tracks[j] = body
+                body.seen = max(body.seen, self.stamp)
 
 
 def track(
@@ -272,65 +340,103 @@ def track(
     The same frames in order of their stamps, with ids (-1 = of nobody that counts) and with the
     tracks' velocities and accelerations where the detector gave none.
     """
+    return frames_of(track_blocks(map(Block.of, frames), model, params, events, cameras))
+
+
+def track_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: TrackParams | None = None,
+    events: Events | None = None,
+    cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Block]:
+    """Do what :func:`track` does, a block at a time."""
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
-    held: deque[_Held] = deque()
-    patience = round(params.lookahead * 1e9)
-    for frame in in_time_order(frames, params.reorder):
-        held.append(tracker.step(frame))
-        while held and (held[0].frame.stamp + patience <= frame.stamp or held[0].settled):
-            yield tracker.release(held.popleft(), frame.log_time)
-    for waiting in held:
-        yield tracker.release(waiting, held[-1].frame.log_time)
+    order: TimeOrder[_Message] = TimeOrder(params.reorder)
+    for block in blocks:
+        passage = _Passage(block)
+        ready: list[_Ready] = []
+        messages = zip(passage.stamps, block.sources, block.log_times.tolist(), strict=True)
+        for i, (stamp, source, log_time) in enumerate(messages):
+            ready += order.push(stamp, source, log_time, (passage, i))
+        yield from _grouped(tracker.take(ready))
+    yield from _grouped(tracker.take(order.rest()))
+    yield from _grouped(tracker.finish())
 
 
-def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
-    """Sort frames by (stamp, source), holding each ``delay`` seconds at most for older ones.
+def _grouped(done: Iterable[_Ready]) -> Iterator[Block]:
+    """Gather neighbours that lie in common arrays into blocks."""
+    for passage, group in itertools.groupby(done, key=lambda item: item[0][0]):
+        places, log_times = [], []
+        for (_, i), log_time in group:
+            places.append(i)
+            log_times.append(log_time)
+        yield passage.select(places, log_times)
 
-    A frame goes on when every camera has sent a younger one (a camera that has been silent for
-    ``delay`` is not waited for), and no sooner than the latest frame so far would have wanted. A
-    frame that is later still goes on at once: it is used, out of order, and not dropped. Log times
-    become those of the arrivals that let the frames go, so they never run backwards.
+
+T = TypeVar("T")
+
+
+class TimeOrder(Generic[T]):
+    """Sorts messages by (stamp, source), holding each ``delay`` seconds at most for older ones.
+
+    A message goes on when every camera has sent a younger one (a camera that has been silent for
+    ``delay`` is not waited for), and no sooner than the latest message so far would have wanted.
+    One that is later still goes on at once: it is used, out of order, and not dropped. Log times
+    become those of the arrivals that let the messages go, so they never run backwards.
     """
-    waiting: list[tuple[int, str, int, Frame]] = []
-    newest_of: dict[str, int] = {}
-    newest = now = begin = 0
-    patience = round(delay * 1e9)
-    margin = min(patience, _MARGIN)
-    count = itertools.count()
-    for frame in frames:
-        stamp, source = frame.stamp, frame.source
-        heapq.heappush(waiting, (stamp, source, next(count), frame))
-        newest, now, begin = max(newest, stamp), max(now, frame.log_time), begin or stamp
-        margin = max(margin, min(newest - stamp, patience))
+
+    def __init__(self, delay: float) -> None:
+        self._waiting: list[tuple[int, str, int, T]] = []
+        self._newest_of: dict[str, int] = {}
+        self._newest = self._now = self._begin = 0
+        self._patience = round(delay * 1e9)
+        self._margin = min(self._patience, _MARGIN)
+        self._count = itertools.count()
+
+    def push(self, stamp: int, source: str, log_time: int, item: T) -> list[tuple[T, int]]:
+        """Take a message; return those that go on now, with their log times."""
+        waiting, newest_of, patience = self._waiting, self._newest_of, self._patience
+        heapq.heappush(waiting, (stamp, source, next(self._count), item))
+        newest = self._newest = max(self._newest, stamp)
+        now = self._now = max(self._now, log_time)
+        self._begin = self._begin or stamp
+        self._margin = max(self._margin, min(newest - stamp, patience))
         newest_of[source] = max(newest_of.get(source, 0), stamp)
         horizon, everybody = newest - patience, (newest, "")
-        if begin >= horizon:  # there may be cameras that have not sent yet
+        if self._begin >= horizon:  # there may be cameras that have not sent yet
             everybody = (horizon, source)
         else:
             for name, last in newest_of.items():
                 if last > horizon and (last, name) < everybody:
                     everybody = (last, name)
-        recent = newest - margin
+        recent = newest - self._margin
+        ready = []
         while waiting:
             first = waiting[0]
             if first[0] > horizon and (first[0] > recent or first[:2] > everybody):
                 break
-            yield heapq.heappop(waiting)[3].replace(log_time=now)
-    while waiting:
-        yield heapq.heappop(waiting)[3].replace(log_time=now)
+            ready.append((heapq.heappop(waiting)[3], now))
+        return ready
+
+    def rest(self) -> list[tuple[T, int]]:
+        """Return what is left, now that nothing more comes."""
+        return [(heapq.heappop(self._waiting)[3], self._now) for _ in range(len(self._waiting))]
 
 
-def _give(held: _Held, bodies: list[_Track | None]) -> None:
-    """Note of which track each person is, and that it was seen."""
-    for j, body in enumerate(bodies):
-        if body is not None:
-            held.tracks[j] = body
-            body.seen = max(body.seen, held.frame.stamp)
+def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
+    """Sort frames as :class:`TimeOrder` does."""
+    order: TimeOrder[Frame] = TimeOrder(delay)
+    for frame in frames:
+        for ready, now in order.push(frame.stamp, frame.source, frame.log_time, frame):
+            yield ready.replace(log_time=now)
+    for ready, now in order.rest():
+        yield ready.replace(log_time=now)
 
 
 class _Tracker:
-    """The tracks of a run and one step of the paper's loop."""
+    """The tracks of a run, the paper's loop, and the messages that wait for it to be sure."""
 
     def __init__(
         self,
@@ -346,12 +452,15 @@ class _Tracker:
         self.tracks: list[_Track] = []
         self.known: list[_Track] | None = None
         self.known_rows: Stamps = np.empty(0, np.int64)
-        """The tracks that are persons, and their rows in the bank; None = to be looked up."""
+        """The tracks that are persons, their rows in the bank and ids; None = to be looked up."""
+        self.known_ids: Ints = np.empty(0, np.int32)
         self.calm = False
         """Whether every track is a person for good."""
         self.expiry = 0
         """No track is to be forgotten before this stamp."""
         self.people = itertools.count()
+        self.held: deque[_Held] = deque()
+        self.patience = round(params.lookahead * 1e9)
         symmetry = symmetry_of(model)
         self.flip_aware = params.flip_aware and symmetry.known
         self.mirror: Ints = symmetry.mirror
@@ -367,84 +476,139 @@ class _Tracker:
             params.angular_jerk, params.innovation_gate, params.max_speed,
         ])  # fmt: skip
 
-    def step(self, frame: Frame) -> _Held:
-        """Associate, update, add and remove (the three parts of section 3.1.2)."""
-        if frame.stamp >= self.expiry:
-            self._forget(frame.stamp)
-        if self.known is None:
-            self.known = [t for t in self.tracks if t.person != UNTRACKED]
-            self.known_rows = np.array([t.row for t in self.known], np.int64)
-            self.calm = all(t.settled for t in self.tracks)
-        known = self.known
-        held, gap, left = self._follow(frame, known, self.known_rows)
-        if left:
-            rest = [j for j, body in enumerate(held.tracks) if body is None and not held.reasons[j]]
+    def take(self, ready: Sequence[_Ready]) -> Iterator[_Ready]:
+        """Associate, update, add and remove (the three parts of section 3.1.2).
+
+        Yields the messages that need not be held any more, with their log times.
+        """
+        at = 0
+        while at < len(ready):
+            (passage, place), log_time = ready[at]
+            stamp = passage.stamps[place]
+            if stamp >= self.expiry:
+                self._forget(stamp)
+            if self.known is None:
+                self._look_up()
+            stop = at + 1
+            plain = self.calm and not self.held
+            while plain and stop < len(ready) and ready[stop][0][0] is passage:
+                stop += 1
+            places = [place for (_, place), _ in ready[at:stop]]
+            n, stopped, gap = self._follow(passage, places)
+            if stopped or not plain:
+                yield from ready[at : at + n - 1]
+                (_, place), log_time = ready[at + n - 1]
+                yield from self._ponder(passage, place, log_time, gap)
+            else:
+                yield from ready[at : at + n]
+            at += n
+
+    def finish(self) -> Iterator[_Ready]:
+        """Yield the messages that are still held, now that nothing more comes."""
+        last = self.held[-1].log_time if self.held else 0
+        while self.held:
+            yield self._release(self.held.popleft(), last)
+
+    def _look_up(self) -> None:
+        """Find out anew which tracks are persons."""
+        self.known = [t for t in self.tracks if t.person != UNTRACKED]
+        self.known_rows = np.array([t.row for t in self.known], np.int64)
+        self.known_ids = np.array([t.person for t in self.known], np.int32)
+        self.calm = all(t.settled for t in self.tracks)
+
+    def _follow(self, passage: _Passage, places: list[int]) -> tuple[int, bool, Floats]:
+        """Give people to the tracks of persons.
+
+        Returns how many messages were taken over, whether the last of them needs more than that,
+        and the kernel's gaps of it.
+        """
+        bank, block = self.bank, passage.block
+        known, people, out = self.known or [], block.people, passage.people
+        pause = [self.coverage.is_due(block.sources[i], passage.stamps[i]) for i in places]
+        latest = np.zeros(len(known), np.int64)
+        gap = np.empty(len(known) * passage.most)
+        rows = np.array(places, np.int64)
+        n, stopped = kernels.follow(
+            block.stamps[rows], block.rows[rows], np.array(pause), self.expiry, self.known_rows,
+            self.known_ids, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
+            bank.turn_spread, bank.turn_seen, people.confidences, people.markers,
+            people.marker_confidences, people.links, people.link_confidences, self.mirror,
+            self.association, self.dynamics, self.least, out.ids, out.markers, out.links, latest,
+            gap, passage.match, passage.fault,
+        )  # fmt: skip
+        for body, stamp in zip(known, latest.tolist(), strict=True):
+            body.seen = max(body.seen, stamp)
+        return n, bool(stopped), gap
+
+    def _ponder(
+        self, passage: _Passage, place: int, log_time: int, gap: Floats
+    ) -> Iterator[_Ready]:
+        """Do what is to be done about people who may be somebody new; let go who is settled."""
+        known = self.known or []
+        begin, end = passage.block.rows[place].tolist()
+        found = passage.match[begin:end].tolist()
+        held = _Held(
+            passage,
+            place,
+            log_time,
+            passage.stamps[place],
+            passage.block.sources[place],
+            begin,
+            end,
+            [known[i] if i >= 0 else None for i in found],
+            [_REASONS[code] for code in passage.fault[begin:end].tolist()],
+        )
+        rest = [j for j, body in enumerate(held.tracks) if body is None and not held.reasons[j]]
+        if rest:
+            gaps = gap[: len(known) * len(found)].reshape(len(known), len(found))
             tentative = [t for t in self.tracks if t.person == UNTRACKED]
-            rest = self._drop_second_bodies(held, known, gap, rest)
+            rest = self._drop_second_bodies(held, known, gaps, rest)
             self._match(held, tentative, rest)
             self._add(held, [j for j in rest if held.tracks[j] is None])
         self._judge(held)
-        return held
+        self.held.append(held)
+        while self.held and (
+            self.held[0].stamp + self.patience <= held.stamp or self.held[0].settled
+        ):
+            yield self._release(self.held.popleft(), log_time)
 
-    def _follow(self, frame: Frame, known: list[_Track], rows: Stamps) -> tuple[_Held, Floats, int]:
-        """Give people to the tracks of persons; also return the gaps and how many are left."""
-        bank, n = self.bank, frame.n_people
-        markers, links = np.empty_like(frame.markers), np.empty_like(frame.links)
-        gap = np.full((len(known), n), np.inf)
-        match, fault = np.empty(n, np.int64), np.empty(n, np.int64)
-        left = kernels.follow(
-            frame.stamp, rows, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
-            bank.turn_spread, bank.turn_seen, frame.confidences, frame.markers,
-            frame.marker_confidences, frame.links, frame.link_confidences, self.mirror,
-            self.association, self.dynamics, self.least, markers, links, gap, match, fault,
-        )  # fmt: skip
-        reasons = [_REASONS[code] for code in fault.tolist()]
-        held = _Held(frame, markers, links, [None] * n, reasons)
-        _give(held, [known[i] if i >= 0 else None for i in match.tolist()])
-        return held, gap, left
-
-    def release(self, held: _Held, log_time: int) -> Frame:
+    def _release(self, held: _Held, log_time: int) -> _Ready:
         """Write the ids that the tracks have by now."""
-        frame = held.frame
         ids = [UNTRACKED if body is None else body.person for body in held.tracks]
-        if UNTRACKED in ids:
-            for person, reason in zip(ids, held.reasons, strict=True):
-                if person == UNTRACKED:
-                    self.events.count(reason or "not confirmed", frame.source)
-        return Frame(
-            frame.stamp, max(log_time, frame.log_time), frame.source, frame.frame_id,
-            np.array(ids, np.int32), frame.stamps, frame.confidences, held.markers,
-            frame.marker_confidences, held.links, frame.link_confidences, frame.boxes,
-        )  # fmt: skip
+        held.passage.people.ids[held.begin : held.end] = ids
+        for person, reason in zip(ids, held.reasons, strict=True):
+            if person == UNTRACKED:
+                self.events.count(reason or "not confirmed", held.source)
+        return (held.passage, held.place), max(log_time, held.log_time)
 
     def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> None:
         """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update."""
-        frame, bank = held.frame, self.bank
+        bank, n = self.bank, len(held.tracks)
         if not tracks or not people:
             return
-        gap = np.empty((len(tracks), frame.n_people))
+        gap = np.empty((len(tracks), n))
         rows = np.array([t.row for t in tracks], np.int64)
-        wanted = np.zeros(frame.n_people, np.bool_)
+        wanted = np.zeros(n, np.bool_)
         wanted[people] = True
-        match = np.empty(frame.n_people, np.int64)
-        flipped = np.empty(frame.n_people, np.bool_)
+        match = np.empty(n, np.int64)
+        flipped = np.empty(n, np.bool_)
         kernels.associate(
-            frame.stamp, rows, bank.motion, bank.seen, bank.turn, bank.spin, bank.turn_seen,
-            held.markers, frame.marker_confidences, held.links, frame.link_confidences,
+            held.stamp, rows, bank.motion, bank.seen, bank.turn, bank.spin, bank.turn_seen,
+            held.markers, held.marker_confidences, held.links, held.link_confidences,
             self.mirror, self.association, wanted, gap, match, flipped,
         )  # fmt: skip
         self._update(held, [tracks[i] if i >= 0 else None for i in match.tolist()], flipped)
 
     def _update(self, held: _Held, bodies: list[_Track | None], flipped: Flags) -> None:
         """Give people to their tracks, move these, and fill the people's velocities."""
-        frame, bank = held.frame, self.bank
+        bank = self.bank
         row_of = np.array([UNTRACKED if t is None else t.row for t in bodies], np.int64)
         kernels.update(
-            frame.stamp, row_of, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
-            bank.turn_spread, bank.turn_seen, held.markers, frame.marker_confidences,
+            held.stamp, row_of, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
+            bank.turn_spread, bank.turn_seen, held.markers, held.marker_confidences,
             held.links, flipped, self.mirror, self.dynamics,
         )  # fmt: skip
-        _give(held, bodies)
+        held.give(bodies)
 
     def _drop_second_bodies(
         self, held: _Held, known: list[_Track], gap: Floats, rest: list[int]
@@ -461,8 +625,8 @@ class _Tracker:
 
     def _add(self, held: _Held, people: list[int]) -> None:
         """Start tracks of bodies that are of nobody known."""
-        stamp = held.frame.stamp
-        born: list[_Track | None] = [None] * held.frame.n_people
+        stamp = held.stamp
+        born: list[_Track | None] = [None] * len(held.tracks)
         for j in people:
             here = held.markers[j, :, :3]
             if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
@@ -476,40 +640,40 @@ class _Tracker:
 
     def _judge(self, held: _Held) -> None:
         """Weigh the evidence that this message adds to bodies that are not people yet."""
-        frame, found = held.frame, held.tracks
-        teaches = self.coverage.is_due(frame.source, frame.stamp)
+        source, found = held.source, held.tracks
+        teaches = self.coverage.is_due(source, held.stamp)
         if self.calm and not teaches:
             return
         for body in self.tracks:
             if body.settled:
                 if teaches and body in found:
-                    self.coverage.learn(frame.source, self._centre(body), frame.stamp)
+                    self.coverage.learn(source, self._centre(body), held.stamp)
                 continue
             evidence = body.evidence
             if body in found:
-                evidence.reports[frame.source] = evidence.reports.get(frame.source, 0) + 1
+                evidence.reports[source] = evidence.reports.get(source, 0) + 1
                 step = self._centre(body) - evidence.birthplace
                 evidence.travelled = max(evidence.travelled, float(np.linalg.norm(step)))
-            elif frame.source not in evidence.reports and self._ought_to_see(frame.source, body):
+            elif source not in evidence.reports and self._ought_to_see(source, body):
                 evidence.misses += 1
-            self._settle(body, frame)
+            self._settle(body, held)
             self._changed()
 
     def _changed(self) -> None:
         """Say that the tracks are others, or what is known of them."""
         self.known, self.calm, self.expiry = None, False, 0
 
-    def _settle(self, body: _Track, frame: Frame) -> None:
+    def _settle(self, body: _Track, held: _Held) -> None:
         """Make a body a person, or take that back, as the evidence now says."""
         confirmed = body.evidence.confirms(body.seen, self.params)
         if body.person == UNTRACKED and confirmed and not self._shadows(body):
             body.person = next(self.people) if body.former == UNTRACKED else body.former
             self.events.note(
-                frame.stamp, "track born", person=body.person, source=frame.source,
+                held.stamp, "track born", person=body.person, source=held.source,
                 detail=f"seen by {', '.join(sorted(body.evidence.reports))}",
             )  # fmt: skip
         elif body.person != UNTRACKED and self._refuted(body):
-            self.events.note(frame.stamp, "track doubted", person=body.person)
+            self.events.note(held.stamp, "track doubted", person=body.person)
             body.former, body.person = body.person, UNTRACKED
 
     def _refuted(self, body: _Track) -> bool:

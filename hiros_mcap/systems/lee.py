@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from hiros_mcap.blocks import by_block
 from hiros_mcap.systems.run import Run, Stages
 
 
@@ -16,15 +17,21 @@ def lee(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
     from hiros_mcap.stages.cluster import cluster
     from hiros_mcap.stages.predict import predict
-    from hiros_mcap.stages.track import track
+    from hiros_mcap.stages.track import track_blocks
 
     model, config, events = run.model, run.config, run.events
     return {
         "tracked": partial(
-            track, model=model, params=config.track, events=events, cameras=run.cameras
+            track_blocks, model=model, params=config.track, events=events, cameras=run.cameras
         ),
-        "merged": partial(
-            cluster, model=model, params=config.cluster, events=events, fixed_frame=run.fixed_frame
+        "merged": by_block(
+            partial(
+                cluster,
+                model=model,
+                params=config.cluster,
+                events=events,
+                fixed_frame=run.fixed_frame,
+            )
         ),
-        "filtered": partial(predict, model=model, params=config.predict, events=events),
+        "filtered": by_block(partial(predict, model=model, params=config.predict, events=events)),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from hiros_mcap.blocks import by_block
 from hiros_mcap.systems.run import Run, Stages
 
 
@@ -18,7 +19,7 @@ def malaguti(run: Run) -> Stages:
         events=run.events,
         limbs=run.limbs,
     )
-    return {**openptrack(run), "optimized": lengths}
+    return {**openptrack(run), "optimized": by_block(lengths)}
 
 
 def openptrack(run: Run) -> Stages:
@@ -33,7 +34,7 @@ def openptrack(run: Run) -> Stages:
         fixed_frame=run.fixed_frame,
         cameras=run.cameras,
     )
-    return {**raw(run), "merged": fuse}
+    return {**raw(run), "merged": by_block(fuse)}
 
 
 def raw(run: Run) -> Stages:
@@ -41,7 +42,7 @@ def raw(run: Run) -> Stages:
     from hiros_mcap.stages.associate import associate
 
     who = partial(associate, model=run.model, params=run.config.associate, events=run.events)
-    return {"tracked": who}
+    return {"tracked": by_block(who)}
 
 
 def maf(run: Run) -> Stages:
@@ -55,15 +56,15 @@ def maf(run: Run) -> Stages:
         events=run.events,
         fixed_frame=run.fixed_frame,
     )
-    return {**raw(run), "merged": smooth}
+    return {**raw(run), "merged": by_block(smooth)}
 
 
 def average(run: Run) -> Stages:
     """Association, then the plain mean of what the cameras see at one time."""
-    from hiros_mcap.stages.merge import merge
+    from hiros_mcap.stages.merge import merge_blocks
 
     mean = partial(
-        merge,
+        merge_blocks,
         model=run.model,
         params=run.config.merge,
         events=run.events,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from hiros_mcap.blocks import BlockStage
 from hiros_mcap.config import Config
 from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
-from hiros_mcap.skeletons import Floats, SkeletonModel, Stage
+from hiros_mcap.skeletons import Floats, SkeletonModel
 
-Stages = Mapping[str, Stage]
-"""Output channel -> the stage that fills it, in order."""
+Stages = Mapping[str, BlockStage]
+"""Output channel -> the stage that fills it, in order; ``blocks.by_frame`` takes frames."""
 
 
 @dataclass(frozen=True, slots=True)

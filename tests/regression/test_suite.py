@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from hiros_mcap.blocks import by_block, by_frame
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.pipeline import ProcessOptions, process
@@ -22,7 +23,7 @@ from hiros_mcap.regression.metrics import Threshold, load_metrics, save_metrics,
 from hiros_mcap.regression.suite import CaseResult, load_suite, run_suite
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.systems import SYSTEMS, Run
+from hiros_mcap.systems import SYSTEMS, Run, Stages
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 SUITE = """
@@ -60,10 +61,10 @@ def change_stage(monkeypatch: pytest.MonkeyPatch, name: str, wrap: Wrap) -> None
     """Let the frames of one stage pass through ``wrap``."""
     hiros = SYSTEMS["hiros"]
 
-    def changed(run: Run) -> Mapping[str, Callable[[Iterable[Frame]], Iterator[Frame]]]:
+    def changed(run: Run) -> Stages:
         table = dict(hiros.stages(run))
-        stage = table[name]
-        table[name] = lambda frames: wrap(stage(frames))
+        stage = by_frame(table[name])
+        table[name] = by_block(lambda frames: wrap(stage(frames)))
         return table
 
     monkeypatch.setitem(SYSTEMS, "hiros", replace(hiros, stages=changed))

@@ -1,0 +1,155 @@
+"""Several frames at once: what makes a run fast.
+
+A call into a compiled kernel costs as much as the kernel needs for a skeleton or two. So a log is
+read chunk by chunk, what a chunk says goes from stage to stage as one :class:`Block`, and a stage
+makes one call for all of it. A stage of frames and a stage of blocks give the same results, however
+the frames are cut into blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hiros_mcap.skeletons import (
+    BOX,
+    STATE,
+    UNTRACKED,
+    Floats,
+    Frame,
+    Ints,
+    SkeletonModel,
+    Stage,
+    Stamps,
+)
+
+
+class People(NamedTuple):
+    """Arrays of P people, each as a :class:`Frame` has it; C-contiguous."""
+
+    ids: Ints
+    stamps: Stamps
+    confidences: Floats
+    markers: Floats
+    marker_confidences: Floats
+    links: Floats
+    link_confidences: Floats
+    boxes: Floats
+
+    @classmethod
+    def absent(cls, n_people: int, model: SkeletonModel) -> People:
+        """Nobody in particular: ids UNTRACKED, stamps 0, every number NaN."""
+        p, m, n = n_people, model.n_markers, model.n_links
+        shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
+        numbers = [np.empty(shape) for shape in shapes]
+        for array in numbers:
+            array.fill(np.nan)
+        return cls(np.full(p, UNTRACKED, np.int32), np.zeros(p, np.int64), *numbers)
+
+
+_PEOPLE = attrgetter(*People._fields)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """N frames whose people are rows of common arrays, which nobody writes into any more."""
+
+    stamps: Stamps
+    """(N,) time of each frame, ns."""
+    log_times: Stamps
+    """(N,) ns."""
+    sources: Sequence[str]
+    """N names; one object for equal names, where many are."""
+    frame_ids: Sequence[str]
+    """N names of coordinate frames."""
+    rows: Stamps
+    """(N, 2) first row of each frame's people, and the row after the last."""
+    people: People
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.stamps)
+
+    @classmethod
+    def of(cls, frame: Frame) -> Block:
+        """Block of one frame, whose arrays it shares."""
+        return cls(
+            np.array([frame.stamp], np.int64),
+            np.array([frame.log_time], np.int64),
+            (frame.source,),
+            (frame.frame_id,),
+            np.array([[0, frame.n_people]], np.int64),
+            People(*_PEOPLE(frame)),
+        )
+
+    def frame(self, i: int) -> Frame:
+        """Frame ``i``; its arrays are views."""
+        begin, end = self.rows[i].tolist()
+        arrays: list[Any] = [array[begin:end] for array in self.people]
+        stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
+        return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], *arrays)
+
+    def frames(self) -> Iterator[Frame]:
+        """Every frame, in order."""
+        for i in range(len(self)):
+            yield self.frame(i)
+
+
+Part = tuple[Block, int]
+"""A frame of a block."""
+
+BlockStage = Callable[[Iterable[Block]], Iterator[Block]]
+"""A step of a system: a generator over blocks, whose frames are those of a Stage."""
+
+
+def join(parts: Sequence[Part]) -> Block:
+    """Return a block of some frames of any blocks, in this order; arrays are copied."""
+    pieces: list[tuple[People, int, int]] = []
+    rows, total = [], 0
+    for block, i in parts:
+        begin, end = block.rows[i].tolist()
+        rows.append((total, total + end - begin))
+        total += end - begin
+        if pieces and pieces[-1][0] is block.people and pieces[-1][2] == begin:
+            pieces[-1] = block.people, pieces[-1][1], end
+        else:
+            pieces.append((block.people, begin, end))
+    columns = zip(*[[array[a:b] for array in people] for people, a, b in pieces], strict=True)
+    return Block(
+        np.array([block.stamps[i] for block, i in parts], np.int64),
+        np.array([block.log_times[i] for block, i in parts], np.int64),
+        [block.sources[i] for block, i in parts],
+        [block.frame_ids[i] for block, i in parts],
+        np.array(rows, np.int64),
+        People(*map(np.concatenate, columns)),
+    )
+
+
+def frames_of(blocks: Iterable[Block]) -> Iterator[Frame]:
+    """Yield the frames of blocks one by one."""
+    for block in blocks:
+        yield from block.frames()
+
+
+def by_frame(stage: BlockStage) -> Stage:
+    """Make a stage of frames of a stage of blocks; nothing comes out later than it can."""
+
+    def run(frames: Iterable[Frame]) -> Iterator[Frame]:
+        yield from frames_of(stage(map(Block.of, frames)))
+
+    return run
+
+
+def by_block(stage: Stage) -> BlockStage:
+    """Make a stage of blocks of a stage that looks at one frame after the other."""
+
+    @wraps(stage)
+    def run(blocks: Iterable[Block]) -> Iterator[Block]:
+        yield from map(Block.of, stage(frames_of(blocks)))
+
+    return run
