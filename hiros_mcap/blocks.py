@@ -94,6 +94,18 @@ class Block:
         stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
         return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], *arrays)
 
+    def select(self, places: Sequence[int], log_times: Sequence[int]) -> Block:
+        """Return some of the frames, with other log times, of the same arrays."""
+        chosen = np.array(places, np.int64)
+        return Block(
+            self.stamps[chosen],
+            np.array(log_times, np.int64),
+            [self.sources[i] for i in places],
+            [self.frame_ids[i] for i in places],
+            self.rows[chosen],
+            self.people,
+        )
+
     def frames(self) -> Iterator[Frame]:
         """Every frame, in order."""
         for i in range(len(self)):

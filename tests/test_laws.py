@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from builders import FAULTLESS, Room, moved, room, same
 from scipy.spatial.transform import Rotation
 
+from hiros_mcap.blocks import Block, by_frame, frames_of, join
 from hiros_mcap.evaluate import Scores, evaluate
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -31,7 +33,7 @@ def through(chain: str, frames: Iterable[Frame], where: Room) -> list[Frame]:
     stages = hiros(Run(where.model, cameras=where.cameras, fixed_frame="world"))
     result = list(frames)
     for letter in chain:
-        result = list(stages[LETTERS[letter]](result))
+        result = list(by_frame(stages[LETTERS[letter]])(result))
     return result
 
 
@@ -68,8 +70,34 @@ def test_stages_stream() -> None:
     stages = hiros(Run(crossing().model, cameras=crossing().cameras, fixed_frame="world"))
     frames: Iterator[Frame] = iter(crossing().frames)
     for stage in stages.values():
-        frames = stage(frames)
+        frames = by_frame(stage)(frames)
     assert all_same(list(frames), through("TMOF", crossing().frames, crossing()))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_does_not_matter_how_frames_are_cut_into_blocks(seed: int) -> None:
+    """Also where cameras fall silent, people come and go, and time makes a leap."""
+    rng = np.random.default_rng(seed)
+    frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 40 + 9 * seed]
+    leap = 600_000_000 * seed
+    frames = frames[:150] + [
+        f.replace(stamp=f.stamp + leap, stamps=f.stamps + leap, log_time=f.log_time + leap)
+        for f in frames[150:]
+    ]
+    frames = [f.select([]) if rng.random() < 0.05 else f for f in frames]
+    expected = through("TMOF", frames, crossing())
+    stages = hiros(Run(crossing().model, cameras=crossing().cameras, fixed_frame="world"))
+    cuts = np.flatnonzero(rng.random(len(frames)) < 0.2).tolist()
+    blocks: Iterator[Block] = (
+        join([(Block.of(frame), 0) for frame in frames[a:b]])
+        for a, b in pairwise([0, *cuts, len(frames)])
+        if b > a
+    )
+    for stage in stages.values():
+        blocks = stage(blocks)
+    found = list(frames_of(blocks))
+    assert all_same(found, expected)
+    assert [frame.log_time for frame in found] == [frame.log_time for frame in expected]
 
 
 def test_tracks_move_with_the_room() -> None:

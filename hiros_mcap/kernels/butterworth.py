@@ -25,15 +25,21 @@ from hiros_mcap.kernels.filters import (
     CONTINUES,
     DELTA,
     POSE,
+    PUSH,
     RATE,
+    RUN,
     Floats,
+    Links,
+    Stamps,
     block_of,
     clear,
     difference,
     displace,
     erase,
+    follow_lengths,
     is_present,
     measure,
+    restore_lengths,
     write,
 )
 from hiros_mcap.kernels.unaligned import kernel
@@ -427,3 +433,46 @@ def butterworth_emit(
             write(elements, k, pose, motion, turning)
             if row[AGE] > 0.0 and np.isnan(confidences[k]):
                 confidences[k] = 0.5 * row[CONFIDENCE]
+
+
+@njit(RUN, cache=True, error_model="numpy", nogil=True)
+def run_butterworth(
+    jobs: Stamps,
+    numbers: Floats,
+    order: int,
+    settings: Floats,
+    limbs: Links,
+    markers: Floats,
+    links: Floats,
+    marker_confidences: Floats,
+    link_confidences: Floats,
+    ring: Floats,
+    times: Floats,
+    now: Floats,
+    lengths: Floats,
+    out_markers: Floats,
+    out_links: Floats,
+    out_marker_confidences: Floats,
+    out_link_confidences: Floats,
+) -> None:
+    """Do the jobs of :func:`hiros_mcap.kernels.filters.run_state_space` with this filter."""
+    mask = ring.shape[1] - 1
+    for j in range(len(jobs)):
+        row, who, step = jobs[j, 1], jobs[j, 2], jobs[j, 3]
+        if jobs[j, 0] == PUSH:
+            times[who, step & mask] = numbers[j, 0]
+            butterworth_push(
+                markers, links, marker_confidences, link_confidences, row, ring[who], times[who],
+                step, now[who], settings[0], numbers[j, 2:], order,
+            )  # fmt: skip
+            if settings[2] > 0.0:
+                follow_lengths(markers, row, limbs, numbers[j, 1], settings[2], lengths[who])
+        else:
+            butterworth_emit(
+                ring[who], times[who], step, jobs[j, 4], numbers[j, 2:], order, settings[1],
+                out_markers, out_links, out_marker_confidences, out_link_confidences, row,
+            )  # fmt: skip
+            if settings[2] > 0.0:
+                restore_lengths(
+                    out_markers, row, limbs, lengths[who], int(settings[3]), settings[4]
+                )

@@ -25,6 +25,7 @@ from hiros_mcap.kernels.unaligned import kernel
 
 Floats = npt.NDArray[np.float64]
 Links = npt.NDArray[np.int32]
+Stamps = npt.NDArray[np.int64]
 
 # Columns of a ring (R, T, COLUMNS). POSE to CONFIDENCE are common to every filter, POSE to BEND
 # being what the filter predicted (state space) or filtered (Butterworth).
@@ -44,6 +45,15 @@ NOW_COVARIANCE = 10
 NOW_AGE = 16
 NOW_CONFIDENCE = 17
 STATE = 18
+
+# Kinds of jobs, and the signature of what does them.
+PUSH, EMIT = 0, 1
+RUN = (
+    "void(int64[:,::1], float64[:,::1], int64, float64[::1], int32[:,::1], float64[:,:,::1],"
+    " float64[:,:,::1], float64[:,::1], float64[:,::1], float64[:,:,:,::1], float64[:,::1],"
+    " float64[:,:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1],"
+    " float64[:,::1])"
+)
 
 DIFFUSE = 1e6  # initial variance over that of a measurement
 
@@ -578,3 +588,58 @@ def restore_lengths(
         if worst <= tolerance:
             return sweep + 1
     return sweeps
+
+
+@njit(RUN, cache=True, error_model="numpy", nogil=True)
+def run_state_space(
+    jobs: Stamps,
+    numbers: Floats,
+    order: int,
+    settings: Floats,
+    limbs: Links,
+    markers: Floats,
+    links: Floats,
+    marker_confidences: Floats,
+    link_confidences: Floats,
+    ring: Floats,
+    times: Floats,
+    now: Floats,
+    lengths: Floats,
+    out_markers: Floats,
+    out_links: Floats,
+    out_marker_confidences: Floats,
+    out_link_confidences: Floats,
+) -> None:
+    """Do one job after the other: take over people's poses, write estimates.
+
+    Parameters
+    ----------
+    jobs : (J, 5) PUSH or EMIT; row of the person's pose in ``markers`` or in ``out_markers``; row
+        in the bank; number of the step; at EMIT, the step before which the data end.
+    numbers : (J, 4) at PUSH, time of the step and since the person's last one, s; the two numbers
+        of the tuning.
+    settings : max_gap, bridge, time constant of the lengths (0 = lengths are not kept), s; sweeps
+        and tolerance of :func:`restore_lengths`.
+    limbs : (L, 2). The bank, by row: ``ring``, ``times``, ``now``, ``lengths``.
+    markers, ..., out_link_confidences : (P, ...) poses to take over; and to be replaced.
+    """
+    mask = ring.shape[1] - 1
+    for j in range(len(jobs)):
+        row, who, step = jobs[j, 1], jobs[j, 2], jobs[j, 3]
+        if jobs[j, 0] == PUSH:
+            times[who, step & mask] = numbers[j, 0]
+            state_space_push(
+                markers, links, marker_confidences, link_confidences, row, ring[who], times[who],
+                step, now[who], settings[0], numbers[j, 2:], order,
+            )  # fmt: skip
+            if settings[2] > 0.0:
+                follow_lengths(markers, row, limbs, numbers[j, 1], settings[2], lengths[who])
+        else:
+            state_space_emit(
+                ring[who], times[who], step, jobs[j, 4], numbers[j, 2:], order, settings[1],
+                out_markers, out_links, out_marker_confidences, out_link_confidences, row,
+            )  # fmt: skip
+            if settings[2] > 0.0:
+                restore_lengths(
+                    out_markers, row, limbs, lengths[who], int(settings[3]), settings[4]
+                )

@@ -207,18 +207,20 @@ class _Fit:
 
     def __call__(self, block: Block, ready: list[_Ready]) -> Block:
         """Return frames of a block with their calibrated people optimized."""
-        out = join([(block, one.place) for one in ready])
-        log_times = np.array([one.log_time for one in ready], np.int64)
+        places, log_times = [one.place for one in ready], [one.log_time for one in ready]
         nominal = np.concatenate([one.nominal for one in ready])
         known = ~np.isnan(nominal).all(axis=1)
+        if not known.any():
+            return block.select(places, log_times)
+        out = join([(block, i) for i in places])
         if known.all():
             self._fit(out.people, nominal)
-        elif known.any():
+        else:
             part = People(*[array[known] for array in out.people])
             self._fit(part, nominal[known])
             for name in ("markers", "marker_confidences", "links", "link_confidences"):
                 getattr(out.people, name)[known] = getattr(part, name)
-        return replace(out, log_times=log_times)
+        return replace(out, log_times=np.array(log_times, np.int64))
 
     def _fit(self, people: People, nominal: Floats) -> None:
         """Optimize everybody, in place."""

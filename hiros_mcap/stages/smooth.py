@@ -10,16 +10,15 @@ out in the order they came in, each with the log time of the frame that complete
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from statistics import median
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from hiros_mcap.blocks import Block, frames_of
+from hiros_mcap.blocks import Block, Part, People, frames_of, join
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import filters as _filters
 from hiros_mcap.params import Params
@@ -35,6 +34,8 @@ _SHORTEST = 0.002
 """Least sample time in s to design for; nothing that sees people is faster."""
 _HIGHEST = 0.4
 """Highest cut-off over the sample rate; half of the rate cannot be filtered at all."""
+_AT_ONCE = 16
+"""Most frames that are filtered in one call: each takes room in the rings."""
 _SWEEPS, _TOLERANCE = 30, 2e-3
 """Limit of the projections onto the limb lengths, and their relative accuracy."""
 
@@ -103,8 +104,7 @@ class _Method:
     """The kernels of one filter and the number of columns that they keep per track."""
 
     tune: Callable[[int, float, float, int], float]
-    push: Callable[..., None]
-    emit: Callable[..., None]
+    run: Callable[..., None]
     ring_columns: int
     state_columns: int
     age_column: int
@@ -115,8 +115,7 @@ def _method(params: FilterParams) -> _Method:
     if params.method == "state_space":
         return _Method(
             _filters.state_space_noise,
-            _filters.state_space_push,
-            _filters.state_space_emit,
+            _filters.run_state_space,
             _filters.COLUMNS,
             _filters.STATE,
             _filters.NOW_AGE,
@@ -125,8 +124,7 @@ def _method(params: FilterParams) -> _Method:
 
     return _Method(
         butterworth.butterworth_rate,
-        butterworth.butterworth_push,
-        butterworth.butterworth_emit,
+        butterworth.run_butterworth,
         butterworth.COLUMNS,
         butterworth.STATE + 3 * (params.order - 1),
         butterworth.NOW_AGE,
@@ -157,20 +155,7 @@ def smooth(
     first frame at or beyond stamp + lookahead, or of the last frame before a gap longer than
     ``max_gap`` or the end.
     """
-    run = _Run(model, params, Events() if events is None else events)
-    waiting: deque[_Waiting] = deque()
-    patience = max(params.lookahead - _JITTER, 0.0) * 1e9
-    last: Frame | None = None
-    for frame in frames:
-        if last is not None and frame.stamp - last.stamp > params.max_gap * 1e9:
-            while waiting:
-                yield run.finish(waiting.popleft(), last.log_time)
-        waiting.append(run.take(frame))
-        while waiting and frame.stamp - waiting[0].frame.stamp >= patience:
-            yield run.finish(waiting.popleft(), frame.log_time)
-        last = frame
-    while waiting and last is not None:
-        yield run.finish(waiting.popleft(), last.log_time)
+    return frames_of(smooth_blocks(map(Block.of, frames), model, params, events))
 
 
 def smooth_blocks(
@@ -180,15 +165,21 @@ def smooth_blocks(
     events: Events | None = None,
 ) -> Iterator[Block]:
     """Do what :func:`smooth` does, a block at a time."""
-    yield from map(Block.of, smooth(frames_of(blocks), model, params, events))
+    run = _Run(model, params, Events() if events is None else events)
+    for block in blocks:
+        for start in range(0, len(block), _AT_ONCE):
+            yield from run.take(block, range(start, min(start + _AT_ONCE, len(block))))
+    yield from run.rest()
 
 
-@dataclass(slots=True)
-class _Waiting:
+class _Waiting(NamedTuple):
     """A frame whose look-ahead is not complete, and where each filtered person's data are."""
 
-    frame: Frame
-    rows: list[tuple[int, _Person, int]]
+    part: Part
+    stamp: int
+    source: str
+    people: list[tuple[int, _Person, int]]
+    """Row in the frame, who, and the number of the step."""
 
 
 class _Rhythm:
@@ -200,7 +191,7 @@ class _Rhythm:
         self._stamp: int | None = None
         self._tuned_to = 0.0
         self.period = 1 / 30
-        self.tuning: Floats = np.zeros(2)
+        self.tuning = 0.0, 0.0
         self._tune()
 
     def beat(self, stamp: int) -> None:
@@ -221,154 +212,220 @@ class _Rhythm:
             self._events.count("filter: cut-off lowered", self._source)
         ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / period))
         corner = self._method.tune(params.order, cutoff, period, ahead)
-        self.tuning = np.array([corner, period])
+        self.tuning = corner, period
         self._tuned_to = period
 
 
+@dataclass(slots=True, eq=False)
 class _Person:
-    """The tracks of one person: their filters' states and a ring of the steps still waited for."""
+    """How far the filters of one person are; their numbers are a row of the bank."""
+
+    row: int
+    start: int
+    """Time of the first step, ns."""
+    stamp: int
+    """Time of the last one."""
+    n_steps: int = 0
+    first: int = 0
+    """The step that is estimated next."""
+
+
+class _Bank:
+    """The filters of all people, as arrays that the kernels take; rows are reused."""
 
     def __init__(self, model: SkeletonModel, method: _Method) -> None:
+        self._method = method
+        self._free: list[int] = []
         n_tracks = 2 * (model.n_markers + model.n_links)
-        self.now = np.zeros((n_tracks, method.state_columns))
-        self.now[:, method.age_column] = np.inf
-        self.ring = np.zeros((4, n_tracks, method.ring_columns))
-        self.ring[:, :, _filters.AGE] = np.inf
-        self.times = np.zeros(4)
-        self.lengths = np.zeros((model.n_links, 2))
-        self.n_steps = 0
-        self.first = 0
-        self.start = self.stamp = 0
+        self.now: Floats = np.zeros((0, n_tracks, method.state_columns))
+        self.ring: Floats = np.zeros((0, 4, n_tracks, method.ring_columns))
+        """The steps that are still waited for, and the one before."""
+        self.times: Floats = np.zeros((0, 4))
+        """s since the person's start, of the steps in the ring."""
+        self.lengths: Floats = np.zeros((0, model.n_links, 2))
 
-    def step(self, stamp: int) -> int:
-        """Make room for a step at ``stamp``, ns; return its number."""
-        if self.n_steps == 0:
-            self.start = stamp
-        if self.n_steps - self.first + 2 > len(self.times):  # + the step before the first
-            self._grow()
-        self.times[self.n_steps % len(self.times)] = (stamp - self.start) * 1e-9
-        self.stamp = stamp
-        self.n_steps += 1
-        return self.n_steps - 1
+    def take(self) -> int:
+        """Give a row of a person who has no steps yet."""
+        if not self._free:
+            self._add_rows(max(8, 2 * len(self.now)))
+        row = self._free.pop()
+        for array in (self.now, self.ring, self.times, self.lengths):
+            array[row] = 0.0
+        self.now[row, :, self._method.age_column] = np.inf
+        self.ring[row, :, :, _filters.AGE] = np.inf
+        return row
 
-    def _grow(self) -> None:
-        old = np.arange(max(self.first - 1, 0), self.n_steps)
-        size = len(self.times)
-        ring, times = np.zeros((2 * size, *self.ring.shape[1:])), np.zeros(2 * size)
-        ring[:, :, _filters.AGE] = np.inf
-        ring[old % (2 * size)] = self.ring[old % size]
-        times[old % (2 * size)] = self.times[old % size]
+    def give_back(self, row: int) -> None:
+        """Say that a row is not needed any more."""
+        self._free.append(row)
+
+    def make_room(self, steps: int, people: Iterable[_Person]) -> None:
+        """Let the ring hold so many steps of everybody, keeping those of ``people``."""
+        size = self.ring.shape[1]
+        if steps <= size:
+            return
+        while size < steps:
+            size *= 2
+        ring = np.zeros((len(self.ring), size, *self.ring.shape[2:]))
+        ring[..., _filters.AGE] = np.inf
+        times = np.zeros((len(self.times), size))
+        for person in people:
+            steps_kept = np.arange(max(person.first - 1, 0), person.n_steps)
+            old, new = steps_kept % self.ring.shape[1], steps_kept % size
+            ring[person.row, new] = self.ring[person.row, old]
+            times[person.row, new] = self.times[person.row, old]
         self.ring, self.times = ring, times
+
+    def _add_rows(self, size: int) -> None:
+        old = len(self.now)
+        for name in ("now", "ring", "times", "lengths"):
+            array = getattr(self, name)
+            bigger = np.zeros((size, *array.shape[1:]))
+            bigger[:old] = array
+            setattr(self, name, bigger)
+        self._free += range(size - 1, old - 1, -1)
 
 
 @dataclass(slots=True)
+class _Jobs:
+    """What the kernel is to do, one after the other."""
+
+    places: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+    """Kind, row of the person's pose, row in the bank, step, step before which data end."""
+    numbers: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Time of the step and since the last one, s; tuning."""
+    done: list[Part] = field(default_factory=list)
+    log_times: list[int] = field(default_factory=list)
+    """Of the frames that are complete then."""
+    rows: int = 0
+    """People in these."""
+
+
 class _Run:
     """One pass of the filter over a log."""
 
-    model: SkeletonModel
-    params: FilterParams
-    events: Events
-    people: dict[tuple[str, int], _Person] = field(default_factory=dict)
-    rhythms: dict[str, _Rhythm] = field(default_factory=dict)
-    limbs: npt.NDArray[np.int32] = field(init=False)
-    method: _Method = field(init=False)
+    def __init__(self, model: SkeletonModel, params: FilterParams, events: Events) -> None:
+        self._params, self._events = params, events
+        self._method = _method(params)
+        self._bank = _Bank(model, self._method)
+        self._limbs = np.ascontiguousarray(model.links)
+        self._people: dict[tuple[str, int], _Person] = {}
+        self._leaving: list[_Person] = []
+        """Who gets no more steps but may be waited for."""
+        self._rhythms: dict[str, _Rhythm] = {}
+        self._waiting: deque[_Waiting] = deque()
+        self._patience = max(params.lookahead - _JITTER, 0.0) * 1e9
+        self._last: tuple[int, int] | None = None
+        """Stamp and log time of the last frame."""
 
-    def __post_init__(self) -> None:
-        self.method = _method(self.params)
-        self.limbs = np.ascontiguousarray(self.model.links)
+    def take(self, block: Block, places: Sequence[int]) -> Iterator[Block]:
+        """Update the filters with frames of a block; yield the frames that are complete."""
+        everybody = [*self._people.values(), *self._leaving]
+        held = max((p.n_steps - p.first for p in everybody), default=0)
+        # And the step before the first.
+        self._bank.make_room(held + len(places) + 2, everybody)
+        jobs = _Jobs()
+        for i in places:
+            stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
+            if self._last and stamp - self._last[0] > self._params.max_gap * 1e9:
+                while self._waiting:
+                    self._finish(jobs, self._last[1])
+            self._waiting.append(self._push(jobs, block, i, stamp))
+            while self._waiting and stamp - self._waiting[0].stamp >= self._patience:
+                self._finish(jobs, log_time)
+            self._last = stamp, log_time
+        yield from self._carry_out(jobs, block.people)
 
-    def take(self, frame: Frame) -> _Waiting:
-        """Update the filters of the people of a frame."""
-        rhythm = self.rhythms.get(frame.source)
+    def rest(self) -> Iterator[Block]:
+        """Yield the frames that are left, now that nothing more comes."""
+        jobs = _Jobs()
+        if self._waiting and self._last:
+            people = self._waiting[0].part[0].people
+            while self._waiting:
+                self._finish(jobs, self._last[1])
+            yield from self._carry_out(jobs, people)
+
+    def _push(self, jobs: _Jobs, block: Block, i: int, stamp: int) -> _Waiting:
+        """Plan the steps of the people of a frame."""
+        source = block.sources[i]
+        rhythm = self._rhythms.get(source)
         if rhythm is None:
-            rhythm = self.rhythms[frame.source] = _Rhythm(
-                self.params, self.method, self.events, frame.source
+            rhythm = self._rhythms[source] = _Rhythm(
+                self._params, self._method, self._events, source
             )
-        rhythm.beat(frame.stamp)
-        self._forget(frame.stamp)
-        rows = []
-        identities = zip(frame.ids.tolist(), frame.stamps.tolist(), strict=True)
-        for row, (identity, given) in enumerate(identities):
-            if identity != UNTRACKED:
-                stamp = given or frame.stamp
-                person = self._person((frame.source, identity), stamp)
-                if person is None:
-                    self.events.count("filter: time not increasing", frame.source)
-                    continue
-                rows.append((row, person, self._push(frame, row, person, stamp)))
-        return _Waiting(frame, rows)
+        rhythm.beat(stamp)
+        self._forget(stamp)
+        begin, end = block.rows[i].tolist()
+        ids, times = block.people.ids[begin:end].tolist(), block.people.stamps[begin:end].tolist()
+        found = []
+        for row, (identity, given) in enumerate(zip(ids, times, strict=True)):
+            if identity == UNTRACKED:
+                continue
+            now = given or stamp
+            person = self._person((source, identity), now)
+            if person is None:
+                self._events.count("filter: time not increasing", source)
+                continue
+            before = person.stamp if person.n_steps else now - int(rhythm.period * 1e9)
+            step, person.stamp = person.n_steps, now
+            person.n_steps += 1
+            jobs.places.append((_filters.PUSH, begin + row, person.row, step, 0))
+            jobs.numbers.append(
+                ((now - person.start) * 1e-9, (now - before) * 1e-9, *rhythm.tuning)
+            )
+            found.append((row, person, step))
+        return _Waiting((block, i), stamp, source, found)
 
     def _forget(self, stamp: int) -> None:
-        limit = stamp - self.params.max_gap * 1e9
-        for key in [key for key, person in self.people.items() if person.stamp < limit]:
-            del self.people[key]
+        limit = stamp - self._params.max_gap * 1e9
+        for key in [key for key, person in self._people.items() if person.stamp < limit]:
+            self._leaving.append(self._people.pop(key))
 
     def _person(self, key: tuple[str, int], stamp: int) -> _Person | None:
         """Return who goes on, or starts anew after a gap; None when time stands still."""
-        person = self.people.get(key)
+        person = self._people.get(key)
         if person is not None and stamp <= person.stamp:
             return None
-        if person is None or stamp - person.stamp > self.params.max_gap * 1e9:
-            person = self.people[key] = _Person(self.model, self.method)
+        if person is not None and stamp - person.stamp > self._params.max_gap * 1e9:
+            self._leaving.append(person)
+            person = None
+        if person is None:
+            person = self._people[key] = _Person(self._bank.take(), stamp, stamp)
         return person
 
-    def _push(self, frame: Frame, row: int, person: _Person, stamp: int) -> int:
-        params, rhythm = self.params, self.rhythms[frame.source]
-        before = person.stamp if person.n_steps else stamp - int(rhythm.period * 1e9)
-        step = person.step(stamp)
-        self.method.push(
-            frame.markers,
-            frame.links,
-            frame.marker_confidences,
-            frame.link_confidences,
-            row,
-            person.ring,
-            person.times,
-            step,
-            person.now,
-            params.max_gap,
-            rhythm.tuning,
-            params.order,
-        )
-        if params.keep_lengths:
-            _filters.follow_lengths(
-                frame.markers,
-                row,
-                self.limbs,
-                (stamp - before) * 1e-9,
-                params.length_time,
-                person.lengths,
-            )
-        return step
-
-    def finish(self, waiting: _Waiting, log_time: int) -> Frame:
-        """Write the estimates into a copy of the frame, with all the data there are by now."""
-        frame, params = waiting.frame, self.params
-        out = frame.replace(
-            log_time=log_time,
-            markers=frame.markers.copy(),
-            links=frame.links.copy(),
-            marker_confidences=frame.marker_confidences.copy(),
-            link_confidences=frame.link_confidences.copy(),
-        )
-        for row, person, step in waiting.rows:
-            self.method.emit(
-                person.ring,
-                person.times,
-                step,
-                person.n_steps,
-                self.rhythms[frame.source].tuning,
-                params.order,
-                params.bridge,
-                out.markers,
-                out.links,
-                out.marker_confidences,
-                out.link_confidences,
-                row,
-            )
+    def _finish(self, jobs: _Jobs, log_time: int) -> None:
+        """Plan to write the estimates of the frame that waits longest, with all the data so far."""
+        waiting = self._waiting.popleft()
+        tuning = self._rhythms[waiting.source].tuning
+        for row, person, step in waiting.people:
+            jobs.places.append((_filters.EMIT, jobs.rows + row, person.row, step, person.n_steps))
+            jobs.numbers.append((0.0, 0.0, *tuning))
             person.first = step + 1
-            if params.keep_lengths:
-                _filters.restore_lengths(
-                    out.markers, row, self.limbs, person.lengths, _SWEEPS, _TOLERANCE
-                )
-        return out
+        block, i = waiting.part
+        jobs.rows += int(block.rows[i, 1] - block.rows[i, 0])
+        jobs.done.append(waiting.part)
+        jobs.log_times.append(log_time)
+
+    def _carry_out(self, jobs: _Jobs, people: People) -> Iterator[Block]:
+        """Do as planned; ``people`` are those whose steps are."""
+        params, bank = self._params, self._bank
+        out = join(jobs.done) if jobs.done else None
+        into = people if out is None else out.people
+        self._method.run(
+            np.array(jobs.places, np.int64).reshape(-1, 5),
+            np.array(jobs.numbers, np.float64).reshape(-1, 4),
+            params.order,
+            np.array([
+                params.max_gap, params.bridge, params.length_time if params.keep_lengths else 0.0,
+                _SWEEPS, _TOLERANCE,
+            ]),
+            self._limbs, people.markers, people.links, people.marker_confidences,
+            people.link_confidences, bank.ring, bank.times, bank.now, bank.lengths, into.markers,
+            into.links, into.marker_confidences, into.link_confidences,
+        )  # fmt: skip
+        for person in self._leaving:
+            if person.first == person.n_steps:
+                bank.give_back(person.row)
+        self._leaving = [person for person in self._leaving if person.first < person.n_steps]
+        if out is not None:
+            yield replace(out, log_times=np.array(jobs.log_times, np.int64))

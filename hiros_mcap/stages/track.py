@@ -13,7 +13,7 @@ import heapq
 import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -250,18 +250,9 @@ class _Passage:
         self.most = int(np.diff(block.rows).max(initial=0))
         """People of the largest message."""
 
-    def select(self, chosen: list[int], log_times: list[int]) -> Block:
+    def select(self, places: list[int], log_times: list[int]) -> Block:
         """Return some of the frames, as the tracker has made them."""
-        block = self.block
-        rows = np.array(chosen, np.int64)
-        return Block(
-            block.stamps[rows],
-            np.array(log_times, np.int64),
-            [block.sources[i] for i in chosen],
-            [block.frame_ids[i] for i in chosen],
-            block.rows[rows],
-            self.people,
-        )
+        return replace(self.block.select(places, log_times), people=self.people)
 
 
 _Message = tuple[_Passage, int]

@@ -9,6 +9,7 @@ import pytest
 from builders import room
 
 from hiros_cli.evaluation import show_paper
+from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import Config
 from hiros_mcap.evaluate import evaluate, tables
 from hiros_mcap.evaluate.paper import (
@@ -140,7 +141,8 @@ def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger() -> None:
         frames = where.frames
         if action == "free_static":
             frames = [turned_round(f) if f.source == "camera_1" else f for f in frames]
-        stages = hiros(Run(where.model, cameras=where.cameras, fixed_frame="world"))
+        table = hiros(Run(where.model, cameras=where.cameras, fixed_frame="world"))
+        stages = {name: by_frame(stage) for name, stage in table.items()}
         tracked = list(stages["tracked"](frames))
         filtered = stages["filtered"](stages["merged"](tracked))
         before, after = (
