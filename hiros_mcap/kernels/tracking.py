@@ -651,17 +651,14 @@ def update(
 
 
 @kernel
-def _take_over(source: Floats, confidences: Floats, least: float, person: int, out: Floats) -> bool:
-    """Copy a person's states, those of too little confidence as absent; whether any is there."""
+def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -> bool:
+    """Make a person's states of too little confidence absent; whether any is there."""
     some = False
-    for m in range(source.shape[1]):
+    for m in range(states.shape[1]):
         if confidences[person, m] < least:
-            for c in range(source.shape[2]):
-                out[person, m, c] = np.nan
-            continue
-        for c in range(source.shape[2]):
-            out[person, m, c] = source[person, m, c]
-        some = some or not math.isnan(source[person, m, 0])
+            for c in range(states.shape[2]):
+                states[person, m, c] = np.nan
+        some = some or not math.isnan(states[person, m, 0])
     return some
 
 
@@ -685,8 +682,6 @@ def _follow(
     association: Floats,
     dynamics: Floats,
     least: Floats,
-    out_markers: Floats,
-    out_links: Floats,
     gap: Floats,
     match: Stamps,
     fault: Stamps,
@@ -695,8 +690,8 @@ def _follow(
     n_people = len(confidences)
     wanted, flipped = np.empty(n_people, np.bool_), np.empty(n_people, np.bool_)
     for j in range(n_people):
-        some = _take_over(markers, marker_confidences, least[1], j, out_markers)
-        _take_over(links, link_confidences, least[1], j, out_links)
+        some = _leave_out(markers, marker_confidences, least[1], j)
+        _leave_out(links, link_confidences, least[1], j)
         fault[j] = EMPTY
         if some:
             fault[j] = DOUBTFUL if confidences[j] < least[0] else USABLE
@@ -704,15 +699,15 @@ def _follow(
         match[j] = -1
     if len(rows):
         associate(
-            stamp, rows, motion, seen, turn, spin, turn_seen, out_markers, marker_confidences,
-            out_links, link_confidences, mirror, association, wanted, gap, match, flipped,
+            stamp, rows, motion, seen, turn, spin, turn_seen, markers, marker_confidences,
+            links, link_confidences, mirror, association, wanted, gap, match, flipped,
         )  # fmt: skip
     row_of = np.empty(n_people, np.int64)
     for j in range(n_people):
         row_of[j] = rows[match[j]] if match[j] >= 0 else -1
     update(
-        stamp, row_of, motion, spread, seen, turn, spin, turn_spread, turn_seen, out_markers,
-        marker_confidences, out_links, flipped, mirror, dynamics,
+        stamp, row_of, motion, spread, seen, turn, spin, turn_spread, turn_seen, markers,
+        marker_confidences, links, flipped, mirror, dynamics,
     )  # fmt: skip
 
 
@@ -721,8 +716,7 @@ def _follow(
     " float64[:,:,:,::1], float64[:,:,::1], int64[:,::1], float64[:,:,::1], float64[:,:,:,::1],"
     " float64[:,:,::1], int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
     " float64[:,:,::1], float64[:,::1], int32[::1], float64[::1], float64[::1], float64[::1],"
-    " int32[::1], float64[:,:,::1], float64[:,:,::1], int64[::1], float64[::1], int64[::1],"
-    " int64[::1])",
+    " int32[::1], int64[::1], float64[::1], int64[::1], int64[::1])",
     cache=True,
     nogil=True,
 )
@@ -749,9 +743,7 @@ def follow(
     association: Floats,
     dynamics: Floats,
     least: Floats,
-    out_ids: Ints,
-    out_markers: Floats,
-    out_links: Floats,
+    ids: Ints,
     latest: Stamps,
     gap: Floats,
     match: Stamps,
@@ -767,11 +759,11 @@ def follow(
     stamps, places, pause : (K,), (K, 2), (K,) time of each message, ns, the first row of its
         people and the one after the last, and whether to stop after it.
     rows, persons : (T,) bank row and id of each track.
-    confidences, markers, marker_confidences, links, link_confidences : (P, ...) of everybody.
+    confidences, markers, marker_confidences, links, link_confidences : (P, ...) of everybody;
+        ``markers`` and ``links`` get the tracks' velocities.
     association, dynamics : the numbers of :func:`associate` and :func:`update`.
     least : confidences below which a skeleton is left out, and a marker or link absent.
-    out_ids, out_markers, out_links : (P, ...) ids, left alone where there is none, and copies with
-        the tracks' velocities.
+    ids : (P,) written where somebody is of a track.
     latest : (T,) last time at which each track was seen, where that is later.
     gap : room for T times the people of any message; those of the last one, as (T, P) numbers of
         :func:`associate`.
@@ -788,8 +780,8 @@ def follow(
         _follow(
             stamp, rows, motion, spread, seen, turn, spin, turn_spread, turn_seen,
             confidences[a:b], markers[a:b], marker_confidences[a:b], links[a:b],
-            link_confidences[a:b], mirror, association, dynamics, least, out_markers[a:b],
-            out_links[a:b], gap[: len(rows) * (b - a)].reshape((len(rows), b - a)), match[a:b],
+            link_confidences[a:b], mirror, association, dynamics, least,
+            gap[: len(rows) * (b - a)].reshape((len(rows), b - a)), match[a:b],
             fault[a:b],
         )  # fmt: skip
         stop = pause[i]
@@ -798,7 +790,7 @@ def follow(
             if k < 0:
                 stop = True
             else:
-                out_ids[j] = persons[k]
+                ids[j] = persons[k]
                 latest[k] = max(latest[k], stamp)
         if stop:
             return i + 1, 1

@@ -9,7 +9,7 @@ thrown away; what is left is averaged robustly; a person between two sightings i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -218,22 +218,31 @@ class _Last:
     """Of which it is a row."""
 
 
-@dataclass(slots=True)
 class _Plan:
     """What is to be merged, and into which rows of the output."""
 
-    parts: list[tuple[int, int, int, int]] = field(default_factory=list)
-    """Of each message: first row of its people, the one after the last, time, camera."""
-    ends: list[tuple[int, int]] = field(default_factory=list)
-    """Of each instant: output row after its last, message after its last."""
-    ids: list[int] = field(default_factory=list)
-    rows: list[int] = field(default_factory=list)
-    """Of each output row: the person, and the person's row in the bank."""
-    made: list[_Last] = field(default_factory=list)
-    carried: list[tuple[int, int, _Last]] = field(default_factory=list)
-    """(output row, time, last sighting) of people whom no message shows."""
-    views: int = 0
-    """Most views of an instant."""
+    def __init__(self) -> None:
+        self.instants: list[Instant[Part]] = []
+        self.blocks: list[tuple[Block, int]] = []
+        """Where the messages are, and the first instant whose they are."""
+        self.parts: list[tuple[int, int, int, int]] = []
+        """Of each message: first row of its people, the one after the last, time, camera."""
+        self.ends: list[tuple[int, int]] = [(0, 0)]
+        """Output row and message before which each instant ends, and the next begins."""
+        self.people: list[int] = []
+        self.bank_rows: list[int] = []
+        """Of each output row: the person, and the person's row in the bank."""
+        self.made: list[_Last] = []
+        self.carried: list[tuple[int, int, _Last]] = []
+        """(output row, time, last sighting) of people whom no message shows."""
+        self.views = 0
+        """Most views of an instant."""
+
+    def begin(self, block: Block, instant: int) -> None:
+        """Go on with the messages of another block."""
+        self.blocks.append((block, instant))
+        self.ids, self.rows = block.people.ids.tolist(), block.rows.tolist()
+        self.times = block.stamps.tolist()
 
 
 class _Merger:
@@ -265,49 +274,43 @@ class _Merger:
 
     def fuse(self, instants: Iterable[Instant[Part]]) -> Iterator[Block]:
         """Merge the messages of each instant into one frame at its time."""
-        together: list[Instant[int]] = []
-        of: Block | None = None
-        for instant in instants:
-            block = instant.messages[0][0]
-            places = [i for _, i in instant.messages]
-            if any(other is not block for other, _ in instant.messages):
-                block, places = join(instant.messages), list(range(len(places)))
-            if of is not None and (
-                block is not of or instant.stamp - together[0].stamp > self._SPAN
-            ):
-                yield self._fuse(of, together)
-                together = []
-            of = block
-            together.append(Instant(places, instant.stamp, instant.log_time))
-        if of is not None:
-            yield self._fuse(of, together)
-
-    def _fuse(self, block: Block, instants: Sequence[Instant[int]]) -> Block:
-        """Merge messages of one block, given by their places in it."""
-        bank = self.bank
-        ids, bounds, times = block.people.ids.tolist(), block.rows.tolist(), block.stamps.tolist()
         plan = _Plan()
         for instant in instants:
-            seen: set[int] = set()
-            views = 0
-            for i in instant.messages:
-                begin, end = bounds[i]
-                seen.update(ids[begin:end])
-                views += end - begin
-                plan.parts.append((begin, end, times[i], bank.camera(block.sources[i])))
-            seen.discard(UNTRACKED)
-            plan.views = max(plan.views, views)
-            for person in sorted(seen | self._bridged(seen, instant.stamp)):
-                row = len(plan.ids)
-                plan.ids.append(person)
-                plan.rows.append(bank.row(person))
-                if person in seen:
-                    self.last[person] = _Last(instant.stamp, row)
-                    plan.made.append(self.last[person])
-                else:
-                    plan.carried.append((row, instant.stamp, self.last[person]))
-            plan.ends.append((len(plan.ids), len(plan.parts)))
-        return self._carry_out(plan, block, instants)
+            if plan.instants and instant.stamp - plan.instants[0].stamp > self._SPAN:
+                yield self._carry_out(plan)
+                plan = _Plan()
+            self._plan(plan, instant)
+        if plan.instants:
+            yield self._carry_out(plan)
+
+    def _plan(self, plan: _Plan, instant: Instant[Part]) -> None:
+        """Add an instant."""
+        bank = self.bank
+        block, places = instant.messages[0][0], [i for _, i in instant.messages]
+        if any(other is not block for other, _ in instant.messages):
+            block, places = join(instant.messages), list(range(len(places)))
+        if not plan.blocks or block is not plan.blocks[-1][0]:
+            plan.begin(block, len(plan.instants))
+        seen: set[int] = set()
+        views = 0
+        for i in places:
+            begin, end = plan.rows[i]
+            seen.update(plan.ids[begin:end])
+            views += end - begin
+            plan.parts.append((begin, end, plan.times[i], bank.camera(block.sources[i])))
+        seen.discard(UNTRACKED)
+        plan.views = max(plan.views, views)
+        for person in sorted(seen | self._bridged(seen, instant.stamp)):
+            row = len(plan.people)
+            plan.people.append(person)
+            plan.bank_rows.append(bank.row(person))
+            if person in seen:
+                self.last[person] = _Last(instant.stamp, row)
+                plan.made.append(self.last[person])
+            else:
+                plan.carried.append((row, instant.stamp, self.last[person]))
+        plan.instants.append(instant)
+        plan.ends.append((len(plan.people), len(plan.parts)))
 
     def _bridged(self, seen: set[int], stamp: int) -> set[int]:
         """People whom no message of the buffer shows but one of the last few did."""
@@ -318,25 +321,29 @@ class _Merger:
         last = self.last.items()
         return {p for p, was in last if p not in seen and 0 <= stamp - was.stamp <= limit}
 
-    def _carry_out(self, plan: _Plan, block: Block, instants: Sequence[Instant[int]]) -> Block:
+    def _carry_out(self, plan: _Plan) -> Block:
         """Merge as planned."""
-        bank, people = self.bank, block.people
-        stamps = np.array([instant.stamp for instant in instants], np.int64)
-        ends = np.array([(0, 0), *plan.ends], np.int64)
+        bank = self.bank
+        stamps = np.array([instant.stamp for instant in plan.instants], np.int64)
+        log_times = np.array([instant.log_time for instant in plan.instants], np.int64)
+        ends, parts = np.array(plan.ends, np.int64), np.array(plan.parts, np.int64)
         rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
-        out = People.absent(len(plan.ids), self.model)
-        out.ids[:] = plan.ids
+        bank_rows, room = np.array(plan.bank_rows, np.int64), self.views.room(plan.views)
+        out = People.absent(len(plan.people), self.model)
+        out.ids[:] = plan.people
         out.stamps[:] = np.repeat(stamps, rows[:, 1] - rows[:, 0])
         counts = np.zeros((2, bank.bias.shape[1]), np.int64)
-        kernels.fuse(
-            stamps, ends, np.array(plan.parts, np.int64), people.ids, people.confidences,
-            people.markers, people.marker_confidences, people.links, people.link_confidences,
-            *self.views.room(plan.views), np.array(plan.rows, np.int64), bank.seen,
-            bank.facing_seen, bank.facing_since, bank.positions, bank.velocities, bank.turns,
-            bank.bias, self.symmetry.mirror, self.symmetry.lateral, self.numbers, out.ids,
-            out.stamps, out.confidences, out.markers, out.marker_confidences, out.links,
-            out.link_confidences, counts,
-        )  # fmt: skip
+        starts = [start for _, start in plan.blocks]
+        for (block, a), b in zip(plan.blocks, [*starts[1:], len(stamps)], strict=True):
+            people = block.people
+            kernels.fuse(
+                stamps[a:b], ends[a : b + 1], parts, people.ids, people.confidences,
+                people.markers, people.marker_confidences, people.links, people.link_confidences,
+                *room, bank_rows, bank.seen, bank.facing_seen, bank.facing_since, bank.positions,
+                bank.velocities, bank.turns, bank.bias, self.symmetry.mirror,
+                self.symmetry.lateral, self.numbers, out.ids, out.stamps, out.confidences,
+                out.markers, out.marker_confidences, out.links, out.link_confidences, counts,
+            )  # fmt: skip
         for last in plan.made:
             last.people = out
         for row, stamp, last in plan.carried:
@@ -344,8 +351,8 @@ class _Merger:
         for kind, numbers in zip(("outlier", "flip"), counts.tolist(), strict=True):
             for source, n in zip(bank.cameras, numbers, strict=False):
                 self.events.count(kind, source, n)
-        names = [self.fixed_frame or block.frame_ids[at.messages[0]] for at in instants]
-        log_times = np.array([instant.log_time for instant in instants], np.int64)
+        firsts = [instant.messages[0] for instant in plan.instants]
+        names = [self.fixed_frame or block.frame_ids[i] for block, i in firsts]
         return Block(stamps, log_times, names, names, rows, out)
 
     def _carry(self, out: People, row: int, stamp: int, last: _Last) -> None:

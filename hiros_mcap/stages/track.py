@@ -14,13 +14,14 @@ import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from hiros_mcap.blocks import Block, frames_of
+from hiros_mcap.blocks import Block, Part, frames_of, join
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.params import Params
@@ -235,29 +236,20 @@ class _Bank:
 
 
 class _Passage:
-    """A block on its way through the tracker, and what its people get there."""
+    """Messages on their way through the tracker, as its own copy, which gets ids and velocities."""
 
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        self.stamps = block.stamps.tolist()
-        people = block.people
-        self.people = people._replace(
-            ids=np.full(len(people.ids), UNTRACKED, np.int32),
-            markers=np.empty_like(people.markers),
-            links=np.empty_like(people.links),
-        )
-        self.match, self.fault = np.empty((2, len(people.ids)), np.int64)
-        self.most = int(np.diff(block.rows).max(initial=0))
+    def __init__(self, ready: Sequence[tuple[Part, int]]) -> None:
+        block = join([part for part, _ in ready])
+        block.people.ids.fill(UNTRACKED)
+        self.block = replace(block, log_times=np.array([now for _, now in ready], np.int64))
+        self.stamps, self.log_times = block.stamps.tolist(), [now for _, now in ready]
+        self.match, self.fault = np.empty((2, len(block.people.ids)), np.int64)
+        self.most = int(np.diff(block.rows).max())
         """People of the largest message."""
 
-    def select(self, places: list[int], log_times: list[int]) -> Block:
-        """Return some of the frames, as the tracker has made them."""
-        return replace(self.block.select(places, log_times), people=self.people)
 
-
-_Message = tuple[_Passage, int]
-_Ready = tuple[_Message, int]
-"""A message, and its log time by now."""
+_Ready = tuple[_Passage, int, int]
+"""A message that need not be held any more: where it is, its place there, its log time."""
 
 
 @dataclass(slots=True, eq=False)
@@ -284,22 +276,22 @@ class _Held:
     @property
     def markers(self) -> Floats:
         """States with the tracks' velocities."""
-        return self.passage.people.markers[self.begin : self.end]
+        return self.passage.block.people.markers[self.begin : self.end]
 
     @property
     def links(self) -> Floats:
         """As markers."""
-        return self.passage.people.links[self.begin : self.end]
+        return self.passage.block.people.links[self.begin : self.end]
 
     @property
     def marker_confidences(self) -> Floats:
         """As the detector gave them."""
-        return self.passage.people.marker_confidences[self.begin : self.end]
+        return self.passage.block.people.marker_confidences[self.begin : self.end]
 
     @property
     def link_confidences(self) -> Floats:
         """As the detector gave them."""
-        return self.passage.people.link_confidences[self.begin : self.end]
+        return self.passage.block.people.link_confidences[self.begin : self.end]
 
     def give(self, bodies: list[_Track | None]) -> None:
         """Note of which track each person is, and that it was seen."""
@@ -344,26 +336,24 @@ def track_blocks(
     """Do what :func:`track` does, a block at a time."""
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
-    order: TimeOrder[_Message] = TimeOrder(params.reorder)
+    order: TimeOrder[Part] = TimeOrder(params.reorder)
     for block in blocks:
-        passage = _Passage(block)
-        ready: list[_Ready] = []
-        messages = zip(passage.stamps, block.sources, block.log_times.tolist(), strict=True)
+        ready: list[tuple[Part, int]] = []
+        messages = zip(block.stamps.tolist(), block.sources, block.log_times.tolist(), strict=True)
         for i, (stamp, source, log_time) in enumerate(messages):
-            ready += order.push(stamp, source, log_time, (passage, i))
-        yield from _grouped(tracker.take(ready))
-    yield from _grouped(tracker.take(order.rest()))
+            ready += order.push(stamp, source, log_time, (block, i))
+        if ready:
+            yield from _grouped(tracker.take(_Passage(ready)))
+    if ready := order.rest():
+        yield from _grouped(tracker.take(_Passage(ready)))
     yield from _grouped(tracker.finish())
 
 
 def _grouped(done: Iterable[_Ready]) -> Iterator[Block]:
     """Gather neighbours that lie in common arrays into blocks."""
-    for passage, group in itertools.groupby(done, key=lambda item: item[0][0]):
-        places, log_times = [], []
-        for (_, i), log_time in group:
-            places.append(i)
-            log_times.append(log_time)
-        yield passage.select(places, log_times)
+    for passage, group in itertools.groupby(done, key=itemgetter(0)):
+        _, places, log_times = zip(*group, strict=True)
+        yield passage.block.select(places, log_times)
 
 
 T = TypeVar("T")
@@ -467,32 +457,27 @@ class _Tracker:
             params.angular_jerk, params.innovation_gate, params.max_speed,
         ])  # fmt: skip
 
-    def take(self, ready: Sequence[_Ready]) -> Iterator[_Ready]:
+    def take(self, passage: _Passage) -> Iterator[_Ready]:
         """Associate, update, add and remove (the three parts of section 3.1.2).
 
-        Yields the messages that need not be held any more, with their log times.
+        Yields the messages, of this passage or an earlier one, that need not be held any more.
         """
-        at = 0
-        while at < len(ready):
-            (passage, place), log_time = ready[at]
-            stamp = passage.stamps[place]
-            if stamp >= self.expiry:
-                self._forget(stamp)
+        stamps, at = passage.stamps, 0
+        while at < len(stamps):
+            if stamps[at] >= self.expiry:
+                self._forget(stamps[at])
             if self.known is None:
                 self._look_up()
-            stop = at + 1
             plain = self.calm and not self.held
-            while plain and stop < len(ready) and ready[stop][0][0] is passage:
-                stop += 1
-            places = [place for (_, place), _ in ready[at:stop]]
-            n, stopped, gap = self._follow(passage, places)
+            n, stopped, gap = self._follow(passage, at, len(stamps) if plain else at + 1)
             if stopped or not plain:
-                yield from ready[at : at + n - 1]
-                (_, place), log_time = ready[at + n - 1]
-                yield from self._ponder(passage, place, log_time, gap)
-            else:
-                yield from ready[at : at + n]
+                n -= 1
+            for place in range(at, at + n):
+                yield passage, place, passage.log_times[place]
             at += n
+            if stopped or not plain:
+                yield from self._ponder(passage, at, gap)
+                at += 1
 
     def finish(self) -> Iterator[_Ready]:
         """Yield the messages that are still held, now that nothing more comes."""
@@ -507,33 +492,31 @@ class _Tracker:
         self.known_ids = np.array([t.person for t in self.known], np.int32)
         self.calm = all(t.settled for t in self.tracks)
 
-    def _follow(self, passage: _Passage, places: list[int]) -> tuple[int, bool, Floats]:
-        """Give people to the tracks of persons.
+    def _follow(self, passage: _Passage, at: int, stop: int) -> tuple[int, bool, Floats]:
+        """Give people of messages to the tracks of persons.
 
         Returns how many messages were taken over, whether the last of them needs more than that,
         and the kernel's gaps of it.
         """
-        bank, block = self.bank, passage.block
-        known, people, out = self.known or [], block.people, passage.people
-        pause = [self.coverage.is_due(block.sources[i], passage.stamps[i]) for i in places]
+        bank, block, people = self.bank, passage.block, passage.block.people
+        known = self.known or []
+        messages = zip(block.sources[at:stop], passage.stamps[at:stop], strict=True)
+        pause = [self.coverage.is_due(source, stamp) for source, stamp in messages]
         latest = np.zeros(len(known), np.int64)
         gap = np.empty(len(known) * passage.most)
-        rows = np.array(places, np.int64)
         n, stopped = kernels.follow(
-            block.stamps[rows], block.rows[rows], np.array(pause), self.expiry, self.known_rows,
-            self.known_ids, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
-            bank.turn_spread, bank.turn_seen, people.confidences, people.markers,
+            block.stamps[at:stop], block.rows[at:stop], np.array(pause), self.expiry,
+            self.known_rows, self.known_ids, bank.motion, bank.spread, bank.seen, bank.turn,
+            bank.spin, bank.turn_spread, bank.turn_seen, people.confidences, people.markers,
             people.marker_confidences, people.links, people.link_confidences, self.mirror,
-            self.association, self.dynamics, self.least, out.ids, out.markers, out.links, latest,
-            gap, passage.match, passage.fault,
+            self.association, self.dynamics, self.least, people.ids, latest, gap, passage.match,
+            passage.fault,
         )  # fmt: skip
         for body, stamp in zip(known, latest.tolist(), strict=True):
             body.seen = max(body.seen, stamp)
         return n, bool(stopped), gap
 
-    def _ponder(
-        self, passage: _Passage, place: int, log_time: int, gap: Floats
-    ) -> Iterator[_Ready]:
+    def _ponder(self, passage: _Passage, place: int, gap: Floats) -> Iterator[_Ready]:
         """Do what is to be done about people who may be somebody new; let go who is settled."""
         known = self.known or []
         begin, end = passage.block.rows[place].tolist()
@@ -541,7 +524,7 @@ class _Tracker:
         held = _Held(
             passage,
             place,
-            log_time,
+            passage.log_times[place],
             passage.stamps[place],
             passage.block.sources[place],
             begin,
@@ -561,16 +544,16 @@ class _Tracker:
         while self.held and (
             self.held[0].stamp + self.patience <= held.stamp or self.held[0].settled
         ):
-            yield self._release(self.held.popleft(), log_time)
+            yield self._release(self.held.popleft(), held.log_time)
 
     def _release(self, held: _Held, log_time: int) -> _Ready:
         """Write the ids that the tracks have by now."""
         ids = [UNTRACKED if body is None else body.person for body in held.tracks]
-        held.passage.people.ids[held.begin : held.end] = ids
+        held.passage.block.people.ids[held.begin : held.end] = ids
         for person, reason in zip(ids, held.reasons, strict=True):
             if person == UNTRACKED:
                 self.events.count(reason or "not confirmed", held.source)
-        return (held.passage, held.place), max(log_time, held.log_time)
+        return held.passage, held.place, max(log_time, held.log_time)
 
     def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> None:
         """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update."""
