@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.blocks import People
+from hiros_mcap.blocks import Block, People
 from hiros_mcap.errors import LogError
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cdr_encode, cleaning
@@ -494,6 +494,7 @@ class Encoder:
     def __init__(self, model: SkeletonModel) -> None:
         self.model = model
         self._tables = _Tables.of(model)
+        self._most = np.array([model.max_markers, model.max_links], np.int64)
         self._out = np.empty(0, np.uint8)
 
     def encode(self, frame: Frame, source: str | None = None) -> bytes:
@@ -504,36 +505,49 @@ class Encoder:
         Raises :class:`LogError` if a stamp lies beyond the years 1901 to 2038 that messages can
         express, and :class:`ValueError` for arrays that do not fit each other or the model.
         """
-        size = self.encode_into(self._out, frame, source)
-        if size < 0:
-            self._out = np.empty(-2 * size, np.uint8)
-            size = self.encode_into(self._out, frame, source)
-        return self._out[:size].tobytes()
+        block = Block.of(frame if source is None else frame.replace(source=source))
+        while isinstance(ends := self.encode_into(block, self._out), int):
+            self._out = np.empty(2 * ends, np.uint8)
+        return self._out[: ends[0]].tobytes()
 
     def encode_into(
-        self, out: npt.NDArray[np.uint8], frame: Frame, source: str | None = None
-    ) -> int:
-        """Write the message of :meth:`encode` to the front of ``out``; return its length.
+        self,
+        block: Block,
+        out: npt.NDArray[np.uint8],
+        first: int = 0,
+        gap: int = 0,
+        limit: int = 1,
+    ) -> list[int] | int:
+        """Write the messages of a block from frame ``first`` on to the front of ``out``.
 
-        Minus the number of bytes that are enough, and nothing written, if ``out`` has fewer.
+        Each comes ``gap`` bytes behind the one before it, the first too. It ends with the first
+        message that reaches byte ``limit``, or for which there is no room. Returns where each
+        message ends, or how many bytes are enough if there is no room for one. Raises as
+        :meth:`encode` does.
         """
-        size = cdr_encode.encode(
-            out,
-            _as_array(frame.frame_id.encode()),
-            _as_array((frame.source if source is None else source).encode()),
-            frame.stamp,
-            self.model.max_markers,
-            self.model.max_links,
-            *self._tables,
-            frame.ids,
-            frame.stamps,
-            *_measured(frame),
-        )
-        if size == -cdr_encode.SHAPE:
+        texts: dict[str, tuple[int, int]] = {}
+        joined = b""
+        places = []
+        for pair in zip(block.frame_ids[first:], block.sources[first:], strict=True):
+            for text in pair:
+                if text not in texts:
+                    data = text.encode()
+                    texts[text] = len(joined), len(joined) + len(data)
+                    joined += data
+            places.append((*texts[pair[0]], *texts[pair[1]]))
+        ends = np.empty(len(places), np.int64)
+        people = block.people
+        n = cdr_encode.encode(
+            out, gap, limit, _as_array(joined), np.array(places, np.int64), block.stamps[first:],
+            block.rows[first:], self._most, *self._tables, people.ids, people.stamps,
+            people.confidences, people.markers, people.marker_confidences, people.links,
+            people.link_confidences, people.boxes, ends,
+        )  # fmt: skip
+        if n == -cdr_encode.SHAPE:
             raise ValueError("the arrays of the frame do not fit each other or the model")
-        if size == -cdr_encode.STAMP:
+        if n == -cdr_encode.STAMP:
             raise LogError("a stamp lies outside the years 1901 to 2038")
-        return int(size)
+        return -int(n) if n < 0 else ends[:n].tolist()
 
 
 def _measured(frame: Frame) -> tuple[Any, ...]:

@@ -276,12 +276,10 @@ def _write(
             show(channel, block)
             if channel != DETECTIONS:
                 copier.until(int(block.log_times[0]))
-                for frame in block.frames():
-                    writer.write_into(
-                        channels[channel],
-                        frame.stamp if by_stamp else frame.log_time,
-                        partial(encoder.encode_into, frame=frame),
-                    )
+                times = block.stamps if by_stamp else block.log_times
+                writer.write_into(
+                    channels[channel], times.tolist(), partial(encoder.encode_into, block)
+                )
             if export is not None and channel == chain[-1]:
                 for frame in block.frames():
                     export.write(frame)

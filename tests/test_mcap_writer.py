@@ -131,19 +131,34 @@ def test_messages_larger_than_a_chunk_and_empty_ones_are_written(out):
     ]
 
 
-def test_a_message_can_be_written_where_it_is_to_lie(out):
-    def fill(space):
-        if len(space) < 100_000:
-            return -100_000
-        space[:5] = list(b"hello")
-        return 5
+def test_messages_can_be_written_where_they_are_to_lie(out):
+    """Into a room that is too small at first, and over several chunks."""
+    said = [bytes([65 + k]) * (k % 9) for k in range(60)]
+
+    def fill(space, first, gap, limit):
+        ends, at = [], 0
+        for message in said[first:]:
+            end = at + gap + len(message)
+            if ends and (at >= limit or end > len(space)):
+                break
+            if end > len(space):
+                return end
+            space[at + gap : end] = list(message)
+            ends.append(end)
+            at = end
+        return ends
 
     with McapWriter(out, chunk_size=500) as writer:
+        writer._batch.room = writer._batch.room[:50]
         channel = writer.add_channel("/a", 0)
-        for time in range(3):
-            writer.write_into(channel, time, fill)
+        writer.write_into(channel, range(60), fill)
+        writer.write(channel, 60, b"last")
         writer.commit()
-    assert [m[2] for m in by_library(out)] == [b"hello"] * 3
+        assert len(writer._indexes) > 3
+    assert [m[2] for m in by_library(out)] == [*said, b"last"]
+    with McapReader(out) as reader:
+        messages = list(reader.messages())
+        assert [(m.sequence, m.log_time) for m in messages] == [(k, k) for k in range(61)]
 
 
 def test_an_empty_log_is_a_valid_log(out):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import struct
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -38,11 +38,16 @@ _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
 
 
+Room = npt.NDArray[np.uint8]
+Fill = Callable[[Room, int, int, int], list[int] | int]
+"""See :meth:`McapWriter.write_into`."""
+
+
 @dataclass(slots=True)
 class _Batch:
     """The chunk that is being filled."""
 
-    room: npt.NDArray[np.uint8]
+    room: Room
     """Its records, one after the other, and space for more."""
     size: int = 0
     index: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
@@ -83,7 +88,7 @@ class McapWriter:
         self._times: list[int] = []
         self._reserved = (0, 0)
         self._batch = _Batch(np.empty(chunk_size + _SPARE, np.uint8))
-        self._rooms: deque[npt.NDArray[np.uint8]] = deque()
+        self._rooms: deque[Room] = deque()
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
@@ -175,56 +180,66 @@ class McapWriter:
         """
         payload = np.frombuffer(data, np.uint8) if len(data) else np.empty(0, np.uint8)
 
-        def fill(space: npt.NDArray[np.uint8]) -> int:
-            if len(space) < len(payload):
-                return -len(payload)
-            space[: len(payload)] = payload
-            return len(payload)
+        def fill(space: Room, _first: int, gap: int, _limit: int) -> list[int] | int:
+            end = gap + len(payload)
+            if len(space) < end:
+                return end
+            space[gap:end] = payload
+            return [end]
 
-        self.write_into(channel_id, log_time, fill, publish_time=publish_time, sequence=sequence)
+        self.write_into(channel_id, [log_time], fill, publish_time=publish_time, sequence=sequence)
 
     def write_into(
         self,
         channel_id: int,
-        log_time: int,
-        fill: Callable[[npt.NDArray[np.uint8]], int],
+        log_times: Sequence[int],
+        fill: Fill,
         *,
         publish_time: int | None = None,
         sequence: int | None = None,
     ) -> None:
-        """Add a message that ``fill`` writes where it is to lie, which spares a copy.
+        """Add messages that ``fill`` writes where they are to lie, which spares a copy.
 
-        ``fill`` is given space and returns how many bytes of it it took, or minus the number that
-        it needs if there are fewer; then it is called again.
+        ``fill(space, first, gap, limit)`` writes messages from number ``first`` on into ``space``,
+        each ``gap`` bytes behind the one before it, the first too, up to the one that reaches byte
+        ``limit`` or for which there is no room. It returns where each of them ends, or, if there is
+        no room for one, how many bytes are enough; then it is called again.
         """
         if channel_id not in self.channels:
             raise ValueError(f"there is no channel {channel_id}")
-        count, batch = self.counts[channel_id], self._batch
-        at = batch.size
-        begin = at + _MESSAGE.size
-        length = fill(batch.room[begin:])
-        if length < 0:
-            bigger = np.empty(begin - length, np.uint8)
-            bigger[:at] = batch.room[:at]
-            batch.room = bigger
-            length = fill(bigger[begin:])
-        batch.index.setdefault(channel_id, []).append((log_time, at))
-        _MESSAGE.pack_into(
-            batch.room.data,
-            at,
-            r.MESSAGE_OP,
-            r.MESSAGE_HEAD.size + length,
-            channel_id,
-            count if sequence is None else sequence,
-            log_time,
-            log_time if publish_time is None else publish_time,
-        )
-        batch.size = begin + length
-        batch.start_time = min(batch.start_time, log_time)
-        batch.end_time = max(batch.end_time, log_time)
-        self.counts[channel_id] = count + 1
-        if batch.size >= self._chunk_size:
-            self._flush()
+        first = 0
+        while first < len(log_times):
+            batch = self._batch
+            begin = batch.size
+            ends = fill(batch.room[begin:], first, _MESSAGE.size, self._chunk_size - begin)
+            if isinstance(ends, int):
+                bigger = np.empty(begin + ends, np.uint8)
+                bigger[:begin] = batch.room[:begin]
+                batch.room = bigger
+                continue
+            times = log_times[first : first + len(ends)]
+            index = batch.index.setdefault(channel_id, [])
+            at = begin
+            for number, (log_time, end) in enumerate(zip(times, ends, strict=True), first):
+                index.append((log_time, at))
+                _MESSAGE.pack_into(
+                    batch.room.data,
+                    at,
+                    r.MESSAGE_OP,
+                    begin + end - at - r.HEAD.size,
+                    channel_id,
+                    self.counts[channel_id] + number if sequence is None else sequence,
+                    log_time,
+                    log_time if publish_time is None else publish_time,
+                )
+                at = begin + end
+            batch.size = at
+            batch.start_time = min(batch.start_time, *times)
+            batch.end_time = max(batch.end_time, *times)
+            first += len(ends)
+            if batch.size >= self._chunk_size:
+                self._flush()
+        self.counts[channel_id] += len(log_times)
 
     def copy_chunk(self, reader: McapReader, chunk: r.Chunk) -> None:
         """Copy a chunk's messages of the channels taken over, bytes, times and numbers unchanged.

@@ -121,19 +121,63 @@ def _size(n_people: int, texts: int, marker_table: Table, link_table: Table) -> 
     return 24 + texts + n_people * person + 2 * _SLACK
 
 
-@kernel(
-    types.int64(
-        types.uint8[::1], _BYTES, _BYTES, types.int64, types.int64, types.int64,
-        _I2, _I2, types.uint64[::1], types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _F2,
-    ),
-)  # fmt: skip
-def encode(
+@kernel
+def _encode(
     out: Bytes,
     frame_id: Bytes,
     source: Bytes,
     stamp: int,
-    max_markers: int,
-    max_links: int,
+    most: Table,
+    marker_table: Table,
+    link_table: Table,
+    words: Words,
+    ids: Ints,
+    stamps: Table,
+    confidences: Floats,
+    flat_markers: Floats,
+    flat_marker_confidences: Floats,
+    flat_links: Floats,
+    flat_link_confidences: Floats,
+    flat_boxes: Floats,
+    begin: int,
+    end: int,
+) -> int:
+    """Write the message of the people from row ``begin`` to ``end``, which ``out`` has room for."""
+    if not _has_seconds(stamp):
+        return -STAMP
+    at = _put(out, 0, 0x0100)
+    at = _put_string(out, _put_stamp(out, at, stamp), frame_id)
+    at = _put(out, at, end - begin)
+    for person in range(begin, end):
+        if not _has_seconds(stamps[person]):
+            return -STAMP
+        at = _put_stamp(out, _put(out, at, ids[person]), stamps[person])
+        at = _put_string(out, at, source)
+        at = _pad8(out, _put(out, _put(out, at, most[0]), most[1]))
+        at = _put_doubles(out, at, confidences, person, 1)
+        at = _put_doubles(out, at, flat_boxes, person * BOX, BOX)
+        at = _put_elements(
+            out, at, marker_table, words, flat_markers, flat_marker_confidences, person
+        )
+        at = _put_elements(out, at, link_table, words, flat_links, flat_link_confidences, person)
+    return at
+
+
+@kernel(
+    types.int64(
+        types.uint8[::1], types.int64, types.int64, _BYTES, _I2, _I1, _I2, _I1,
+        _I2, _I2, types.uint64[::1], types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _F2, _I1,
+    ),
+)  # fmt: skip
+def encode(
+    out: Bytes,
+    gap: int,
+    limit: int,
+    names: Bytes,
+    name_places: Table,
+    message_stamps: Table,
+    rows: Table,
+    most: Table,
     marker_table: Table,
     link_table: Table,
     words: Words,
@@ -145,11 +189,25 @@ def encode(
     links: Floats,
     link_confidences: Floats,
     boxes: Floats,
+    ends: Table,
 ) -> int:
-    """Write a message, little-endian, into ``out``; return its length.
+    """Write messages, little-endian, one after the other into ``out``.
 
-    Negative results: -SHAPE and -STAMP for a frame that cannot be written, else minus the size
-    that ``out`` must have.
+    Parameters
+    ----------
+    gap : bytes that are left free before each message.
+    limit : no message is begun at this byte of ``out`` or later; the first one is.
+    names, name_places : texts; (N, 4) first byte and the one after the last, of each message's
+        frame_id and of its people's src_frame.
+    message_stamps, rows : (N,) ns; (N, 2) first row of its people, and the row after the last.
+    most : max_markers and max_links.
+    marker_table, link_table, words : of the model. ids to boxes : (P, ...).
+    ends : (N,) byte after each message that was written.
+
+    Returns
+    -------
+    How many messages were written. If there is no room for the first one, minus the size that
+    ``out`` must have; -SHAPE or -STAMP for frames that cannot be written.
     """
     n, m, n_links = len(ids), len(marker_table), len(link_table)
     if (
@@ -158,27 +216,25 @@ def encode(
         or links.shape != (n, n_links, STATE) or link_confidences.shape != (n, n_links)
     ):  # fmt: skip
         return -SHAPE
-    size = _size(n, len(frame_id) + len(source), marker_table, link_table)
-    if len(out) < size:
-        return -size
-    if not _has_seconds(stamp):
-        return -STAMP
-    at = _put(out, 0, 0x0100)
-    at = _put_string(out, _put_stamp(out, at, stamp), frame_id)
-    at = _put(out, at, n)
-    flat_boxes, flat_markers, flat_links = boxes.reshape(-1), markers.reshape(-1), links.reshape(-1)
-    flat_marker_confidences = marker_confidences.reshape(-1)
-    flat_link_confidences = link_confidences.reshape(-1)
-    for person in range(n):
-        if not _has_seconds(stamps[person]):
-            return -STAMP
-        at = _put_stamp(out, _put(out, at, ids[person]), stamps[person])
-        at = _put_string(out, at, source)
-        at = _pad8(out, _put(out, _put(out, at, max_markers), max_links))
-        at = _put_doubles(out, at, confidences, person, 1)
-        at = _put_doubles(out, at, flat_boxes, person * BOX, BOX)
-        at = _put_elements(
-            out, at, marker_table, words, flat_markers, flat_marker_confidences, person
-        )
-        at = _put_elements(out, at, link_table, words, flat_links, flat_link_confidences, person)
-    return at
+    at = 0
+    for i in range(len(rows)):
+        begin, end = rows[i, 0], rows[i, 1]
+        texts = name_places[i, 1] - name_places[i, 0] + name_places[i, 3] - name_places[i, 2]
+        size = at + gap + _size(end - begin, texts, marker_table, link_table)
+        if i > 0 and (at >= limit or len(out) < size):
+            return i
+        if len(out) < size:
+            return -size
+        at += gap
+        length = _encode(
+            out[at:], names[name_places[i, 0] : name_places[i, 1]],
+            names[name_places[i, 2] : name_places[i, 3]], message_stamps[i], most, marker_table,
+            link_table, words, ids, stamps, confidences, markers.reshape(-1),
+            marker_confidences.reshape(-1), links.reshape(-1), link_confidences.reshape(-1),
+            boxes.reshape(-1), begin, end,
+        )  # fmt: skip
+        if length < 0:
+            return length
+        at += length
+        ends[i] = at
+    return len(rows)
