@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping
-from itertools import count, pairwise
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import accumulate, count, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -334,7 +334,7 @@ class Said(NamedTuple):
 
 
 class Batch:
-    """What the messages of a chunk say, cleaned: Frames that share one set of arrays."""
+    """What the messages of some chunks say, cleaned; their people share one set of arrays."""
 
     def __init__(
         self,
@@ -343,20 +343,20 @@ class Batch:
         codes: Stamps,
         reports: Stamps,
         cleaned: Stamps,
-        frame_ids: list[str],
-        texts: Callable[[int, int, int], str | None],
+        moved_to: list[str],
+        texts: list[tuple[str | None, str | None]],
     ) -> None:
-        """All but ``texts`` is as ``decode_batch`` fills it.
+        """All but the lists is as ``decode_batch`` fills it.
 
-        ``frame_ids`` name the frame that a message's people were moved to; "" = they are as they
-        were measured. ``texts`` gives the text of message i between two bytes, None if it is none.
+        ``moved_to`` name the frame that each message's people were moved to; "" = they are as they
+        were measured. ``texts`` are its frame_id and src_frame; None = is not UTF-8.
         """
         self.people = people
         self.rows = np.stack([first[:-1], first[1:]], axis=1)
         """(N, 2) first row of each message's people, and the row after the last."""
         self.bounds: list[tuple[int, int]] = list(pairwise(first.tolist()))
         """``rows``."""
-        times = people.stamps.tolist()
+        times, stamps = people.stamps.tolist(), reports[:, cdr.HEADER_STAMP].tolist()
         usable = codes == cdr.OK
         usable &= (reports[:, cdr.MIXED] == 0) & (cleaned[:, cleaning.CONFIDENCE] == 0)
         kinds: dict[int, Mapping[str, int]] = {
@@ -364,14 +364,13 @@ class Batch:
         }
         self._said: list[Said | None] = [None] * len(codes)
         for i in np.flatnonzero(usable).tolist():
-            *_, stamp, header, header_end, start, end, _ = reports[i].tolist()
-            frame_id, common = texts(i, header, header_end), texts(i, start, end)
+            frame_id, common = texts[i]
             if frame_id is not None and common is not None:
                 self._said[i] = Said(
-                    stamp,
+                    stamps[i],
                     times[slice(*self.bounds[i])],
                     common or frame_id,
-                    frame_ids[i] or frame_id or common,
+                    moved_to[i] or frame_id or common,
                     kinds.get(i, _NOTHING),
                 )
 
@@ -434,9 +433,9 @@ class Poses:
 
 
 class BatchDecoder:
-    """Decodes the messages of a chunk at once; for logs, where :class:`Decoder` is for streams."""
+    """Decodes the messages of chunks at once; for logs, where :class:`Decoder` is for streams."""
 
-    _MOST = 64 * 2**20  # bytes of arrays; a chunk that needs more is decoded message by message
+    _MOST = 64 * 2**20  # bytes of arrays; what needs more is decoded message by message
 
     def __init__(self, model: SkeletonModel) -> None:
         self._tables = _Tables.of(model)
@@ -444,48 +443,59 @@ class BatchDecoder:
         self._shapes = (m, STATE), (m,), (n, STATE), (n,), (BOX,)
         self._scratch = np.empty(m + n, np.int64)
 
-    def decode(self, data: Bytes, places: Stamps, poses: Poses | None = None) -> Batch | None:
-        """Read messages of the published layout that lie in ``data`` at ``places`` (N, 2).
+    def decode(
+        self, parts: Sequence[tuple[Bytes, Stamps]], poses: Poses | None = None
+    ) -> Batch | None:
+        """Read messages of the published layout that lie in data at places (N, 2), part by part.
 
         People whose message names a frame of ``poses`` are moved by its pose. None = the messages
         would need too much memory at once.
         """
-        buffer = _as_array(data)
-        first = np.empty(len(places) + 1, np.int64)
-        reports = np.zeros((len(places), cdr.REPORT), np.int64)
-        batch_kernels.read_headers(buffer, places, reports, first)
-        people = int(first[-1])
-        if people * 8 * sum(math.prod(shape) for shape in self._shapes) > self._MOST:
+        buffers = [_as_array(data) for data, _ in parts]
+        cuts = [0, *accumulate(len(places) for _, places in parts)]
+        n = cuts[-1]
+        first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
+        for buffer, (_, places), (a, b) in zip(buffers, parts, pairwise(cuts), strict=True):
+            batch_kernels.read_headers(buffer, places, reports[a:b], first[a : b + 1])
+        rows = int(first[-1])
+        if rows * 8 * sum(math.prod(shape) for shape in self._shapes) > self._MOST:
             return None
-        arrays = People(
-            np.empty(people, np.int32),
-            np.empty(people, np.int64),
-            np.empty(people),
-            *(np.empty((people, *shape)) for shape in self._shapes),
+        people = People(
+            np.empty(rows, np.int32),
+            np.empty(rows, np.int64),
+            np.empty(rows),
+            *(np.empty((rows, *shape)) for shape in self._shapes),
         )
         poses = poses or Poses()
-        names = (places[:, :1] + reports[:, [cdr.FRAME, cdr.FRAME_END]]).tolist()
-        pose_of = np.array([poses.find(bytes(data[a:b])) for a, b in names], np.int64)
-        codes = np.empty(len(places), np.int64)
-        cleaned = np.zeros((len(places), cleaning.COUNTS), np.int64)
-        sources = np.empty((people, 2), np.int64)
-        batch_kernels.decode_batch(
-            buffer, places, *self._tables, self._scratch, reports, cleaned, codes, first, sources,
-            *arrays, pose_of, *poses.arrays,
-        )  # fmt: skip
-        frame_ids = [poses.fixed if pose >= 0 else "" for pose in pose_of.tolist()]
-        starts, known = places[:, 0].tolist(), {b"": ""}
+        codes, cleaned = np.empty(n, np.int64), np.zeros((n, cleaning.COUNTS), np.int64)
+        sources = np.empty((rows, 2), np.int64)
+        moved_to: list[str] = []
+        texts: list[tuple[str | None, str | None]] = []
+        known: dict[bytes, str | None] = {}
+        for buffer, (data, places), (a, b) in zip(buffers, parts, pairwise(cuts), strict=True):
+            names = (places[:, :1] + reports[a:b, [cdr.FRAME, cdr.FRAME_END]]).tolist()
+            pose_of = [poses.find(bytes(data[start:end])) for start, end in names]
+            moved_to += [poses.fixed if pose >= 0 else "" for pose in pose_of]
+            batch_kernels.decode_batch(
+                buffer, places, *self._tables, self._scratch, reports[a:b], cleaned[a:b],
+                codes[a:b], first[a : b + 1], sources, *people, np.array(pose_of, np.int64),
+                *poses.arrays,
+            )  # fmt: skip
+            fields = [cdr.FRAME, cdr.FRAME_END, cdr.SOURCE, cdr.SOURCE_END]
+            for i, j, k, end in (places[:, :1] + reports[a:b, fields]).tolist():
+                pair = _decoded(bytes(data[i:j]), known), _decoded(bytes(data[k:end]), known)
+                texts.append(pair)
+        return Batch(people, first, codes, reports, cleaned, moved_to, texts)
 
-        def text(i: int, start: int, end: int) -> str | None:
-            name = bytes(data[starts[i] + start : starts[i] + end])
-            if name not in known:
-                try:
-                    known[name] = name.decode()
-                except UnicodeDecodeError:
-                    return None
-            return known[name]
 
-        return Batch(arrays, first, codes, reports, cleaned, frame_ids, text)
+def _decoded(data: bytes, known: dict[bytes, str | None]) -> str | None:
+    """Return a text, None for bytes that are none; the same object for the same text."""
+    if data not in known:
+        try:
+            known[data] = data.decode()
+        except UnicodeDecodeError:
+            known[data] = None
+    return known[data]
 
 
 class Encoder:

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -196,7 +197,7 @@ class Log:
             yield from zip(topics, block.frames(), strict=True)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield what :meth:`detections` does, a chunk's messages at once where that can be."""
+        """Yield what :meth:`detections` does, some chunks' messages at once where that can be."""
         for _, block in self._blocks_in(self.fixed_frame):
             yield block
 
@@ -262,7 +263,7 @@ def _block_of(rows: list[_Row]) -> tuple[Sequence[str], Block]:
 
 
 class _Digest:
-    """Decodes a chunk's messages ahead of their use, in the thread that reads.
+    """Decodes messages ahead of their use, in the thread that reads.
 
     With ``fixed``, cameras at rest are moved to that frame on the way.
     """
@@ -274,15 +275,20 @@ class _Digest:
         for camera in log.cameras:
             self._published[camera.channel.id] = camera.layout.is_published
 
-    def __call__(self, records: Records) -> list[tuple[Batch, int] | None]:
+    def __call__(self, chunks: Sequence[Records]) -> list[list[tuple[Batch, int] | None]]:
         """Return each message's place in a batch; None = decode it on its own."""
-        notes: list[tuple[Batch, int] | None] = [None] * len(records.messages)
-        rows = np.flatnonzero(self._published[records.messages[:, CHANNEL]])
-        places = records.messages[rows][:, [START, STOP]].astype(np.int64)
-        batch = self._decoder.decode(records.data, np.ascontiguousarray(places), self._poses)
+        notes: list[list[tuple[Batch, int] | None]] = [[None] * len(c.messages) for c in chunks]
+        rows = [np.flatnonzero(self._published[c.messages[:, CHANNEL]]) for c in chunks]
+        parts = [
+            (c.data, c.messages[chosen][:, [START, STOP]].astype(np.int64, order="C"))
+            for c, chosen in zip(chunks, rows, strict=True)
+        ]
+        batch = self._decoder.decode(parts, self._poses)
         if batch is not None:
-            for i, row in enumerate(rows.tolist()):
-                notes[row] = batch, i
+            place = itertools.count()
+            for said, chosen in zip(notes, rows, strict=True):
+                for row in chosen.tolist():
+                    said[row] = batch, next(place)
         return notes
 
 

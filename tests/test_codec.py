@@ -723,7 +723,7 @@ def test_a_batch_says_of_every_message_what_the_decoder_says() -> None:
         messages.append(bytes(data))
     messages.append(gen.big_endian(Encoder(model).encode(full(model, 2))))
     data, places = in_one(messages)
-    batch = BatchDecoder(model).decode(data, places)
+    batch = BatchDecoder(model).decode([(data, places)])
     assert batch is not None
     faults = 0
     for row, message in enumerate(messages):
@@ -744,19 +744,19 @@ def test_a_batch_says_of_every_message_what_the_decoder_says() -> None:
 
 def test_a_batch_leaves_messages_of_several_cameras_to_the_decoder() -> None:
     data, places = in_one([mixed()])
-    batch = BatchDecoder(stick()).decode(data, places)
+    batch = BatchDecoder(stick()).decode([(data, places)])
     assert batch is not None
     assert batch.frame(0, 0) is None
 
 
 def test_a_batch_may_be_empty() -> None:
-    assert BatchDecoder(stick()).decode(b"", np.empty((0, 2), np.int64)) is not None
+    assert BatchDecoder(stick()).decode([(b"", np.empty((0, 2), np.int64))]) is not None
 
 
 def test_a_batch_that_claims_too_many_people_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BatchDecoder, "_MOST", 1000)
     data, places = in_one([Encoder(stick()).encode(full(stick(), 3))])
-    assert BatchDecoder(stick()).decode(data, places) is None
+    assert BatchDecoder(stick()).decode([(data, places)]) is None
 
 
 def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
@@ -764,7 +764,7 @@ def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
     frames = [full(stick(), 2).replace(frame_id=name) for name in ("map", "/map", "other", "hall")]
     messages = [Encoder(stick()).encode(frame) for frame in frames]
     poses = Poses("hall", {"map": turn, "hall": turn}.get)
-    batch = BatchDecoder(stick()).decode(*in_one(messages), poses)
+    batch = BatchDecoder(stick()).decode([in_one(messages[:1]), in_one(messages[1:])], poses)
     assert batch is not None
     found = [batch.frame(k, 0) for k in range(len(messages))]
     moved = [pair[0] for pair in found if pair]

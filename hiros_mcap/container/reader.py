@@ -8,6 +8,7 @@ overlap in time.
 
 from __future__ import annotations
 
+import itertools
 import os
 import struct
 from collections import Counter, deque
@@ -15,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -48,8 +49,11 @@ from hiros_mcap.kernels.records import (
     index_records,
 )
 
-_AHEAD_CHUNKS = 2
+_AHEAD = 2
 _AHEAD_BYTES = 64 * 2**20
+_TOGETHER = 4 * 2**20
+"""Bytes of chunks that are digested at once; each call of a digest costs as much as some messages.
+Recorders' chunks are of 0.75 to 4 MiB."""
 _FAULTS = {
     PAST_END: "a record reaches past the end of the chunk",
     SHORT_MESSAGE: "a message is shorter than its fixed fields",
@@ -130,14 +134,14 @@ class McapReader:
     def messages(
         self,
         channels: Collection[int] | None = None,
-        digest: Callable[[Records], Sequence[Any]] | None = None,
+        digest: Callable[[Sequence[Records]], Sequence[Sequence[Any]]] | None = None,
     ) -> Iterator[Message]:
         """Messages by log time; those of equal time in the order of the file.
 
         Parameters
         ----------
         channels : ids to read, None for all. Chunks without any of them are not decompressed.
-        digest : is called in the thread that reads ahead, with the chosen messages of a chunk,
+        digest : is called in the thread that reads ahead, with the chosen messages of some chunks,
             and returns a note for each of them.
 
         Raises
@@ -151,13 +155,20 @@ class McapReader:
 
         def load(chunk: Chunk) -> Records:
             loaded = self.load(chunk)
-            if chosen is not None:
-                keep = chosen[loaded.messages[:, CHANNEL]]
-                loaded = replace(loaded, messages=loaded.messages[keep])
-            return loaded if digest is None else replace(loaded, notes=digest(loaded))
+            if chosen is None:
+                return loaded
+            return replace(loaded, messages=loaded.messages[chosen[loaded.messages[:, CHANNEL]]])
+
+        def load_all(chunks: Sequence[Chunk]) -> list[Records]:
+            loaded = [load(chunk) for chunk in chunks]
+            if digest is None:
+                return loaded
+            return [replace(c, notes=said) for c, said in zip(loaded, digest(loaded), strict=True)]
 
         pending: list[Records] = []
-        for at, loaded in enumerate(read_ahead(load, wanted)):
+        together = _together(wanted) if digest else ([chunk] for chunk in wanted)
+        everything = itertools.chain.from_iterable(read_ahead(load_all, together))
+        for at, loaded in enumerate(everything):
             pending.append(loaded)
             horizon = wanted[at + 1].start_time if at + 1 < len(wanted) else None
             ready, pending = _split(pending, horizon)
@@ -238,7 +249,7 @@ class McapReader:
         # The summary may repeat the channels and not their schemas.
         known &= all(c.schema_id in schemas for c in channels.values() if c.schema_id)
         unseen = [i for i, c in enumerate(chunks) if c.counts is None or not known]
-        loaded = read_ahead(self._load_quietly, [chunks[i] for i in unseen])
+        loaded = read_ahead(self._load_quietly, ([chunks[i]] for i in unseen))
         for i, records in zip(unseen, loaded, strict=True):
             counts = Counter(records.messages[:, CHANNEL].tolist())
             chunks[i] = replace(chunks[i], counts=dict(counts))
@@ -248,8 +259,9 @@ class McapReader:
                     f"has no schema {channel.schema_id}", path=self.path, topic=channel.topic
                 )
 
-    def _load_quietly(self, chunk: Chunk) -> Records:
+    def _load_quietly(self, chunks: Sequence[Chunk]) -> Records:
         """Load a chunk without keeping its bytes."""
+        (chunk,) = chunks
         return replace(self.load(chunk), data=b"")
 
     def _count(self) -> dict[int, int]:
@@ -266,20 +278,38 @@ class McapReader:
         return dict(counts)
 
 
-def read_ahead(load: Callable[[Chunk], Records], chunks: Iterable[Chunk]) -> Iterator[Records]:
-    """Load chunks in a thread, a few ahead of their use; an error comes at its chunk's turn."""
+T = TypeVar("T")
+
+
+def read_ahead(
+    load: Callable[[Sequence[Chunk]], T], groups: Iterable[Sequence[Chunk]]
+) -> Iterator[T]:
+    """Load groups of chunks in a thread, ahead of their use; an error comes at its group's turn."""
     with ThreadPoolExecutor(1, thread_name_prefix="hiros-read") as pool:
-        waiting: deque[tuple[int, Future[Any]]] = deque()
+        waiting: deque[tuple[int, Future[T]]] = deque()
         try:
-            for chunk in chunks:
-                waiting.append((chunk.size, pool.submit(load, chunk)))
-                while len(waiting) > _AHEAD_CHUNKS or sum(n for n, _ in waiting) > _AHEAD_BYTES:
+            for chunks in groups:
+                size = sum(chunk.size for chunk in chunks)
+                waiting.append((size, pool.submit(load, chunks)))
+                while len(waiting) > _AHEAD or sum(n for n, _ in waiting) > _AHEAD_BYTES:
                     yield waiting.popleft()[1].result()
             while waiting:
                 yield waiting.popleft()[1].result()
         finally:
             for _, future in waiting:
                 future.cancel()
+
+
+def _together(chunks: Iterable[Chunk]) -> Iterator[list[Chunk]]:
+    """Group neighbours."""
+    group: list[Chunk] = []
+    for chunk in chunks:
+        if group and sum(c.size for c in group) + chunk.size > _TOGETHER:
+            yield group
+            group = []
+        group.append(chunk)
+    if group:
+        yield group
 
 
 def _by_time(table: Table) -> Table:

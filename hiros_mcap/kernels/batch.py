@@ -26,10 +26,9 @@ def read_headers(data: Bytes, places: Stamps, reports: Stamps, first: Stamps) ->
     """Find out how many people each message holds, 0 where its beginning is damaged.
 
     ``places`` (N, 2) are the first byte of each message in ``data`` and the byte after its last;
-    ``first`` (N + 1,) becomes the row of each message's first person, ``reports`` (N, REPORT) say
-    where its frame_id lies, nowhere where the beginning is damaged.
+    ``first`` (N + 1,), of which the first is given, becomes the row of each message's first person,
+    ``reports`` (N, REPORT) say where its frame_id lies, nowhere where the beginning is damaged.
     """
-    first[0] = 0
     for i in range(len(places)):
         fault, _, _ = read_header(data[places[i, 0] : places[i, 1]], reports[i])
         first[i + 1] = first[i] + (reports[i, COUNT] if fault == OK else 0)
