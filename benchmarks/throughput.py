@@ -48,9 +48,11 @@ def main() -> None:
             f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB"
         )
         for stage in summary.stages:
-            per_frame = stage.wall_s / frames * 1000
-            print(f"  {stage.name:10} {stage.wall_s:6.3f} s  {per_frame:6.3f} ms per merged frame")
-        fusing = sum(s.wall_s for s in summary.stages if s.name not in ("read", "write"))
+            per_frame = stage.cpu_s / frames * 1000
+            print(
+                f"  {stage.name:10} {stage.cpu_s:6.3f} s CPU  {per_frame:6.3f} ms per merged frame"
+            )
+        fusing = sum(s.cpu_s for s in summary.stages if s.name not in ("read", "write"))
         print(f"  tracker to filter {fusing / frames * 1000:.3f} ms per merged frame")
 
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.gathering import blank, gather
 from hiros_mcap.skeletons import (
     BOX,
     STATE,
@@ -44,12 +45,20 @@ class People(NamedTuple):
     @classmethod
     def absent(cls, n_people: int, model: SkeletonModel) -> People:
         """Nobody in particular: ids UNTRACKED, stamps 0, every number NaN."""
-        p, m, n = n_people, model.n_markers, model.n_links
+        people = cls.room(n_people, model.n_markers, model.n_links)
+        people.ids.fill(UNTRACKED)
+        people.stamps.fill(0)
+        for array in people[2:]:
+            blank(array.reshape(-1))
+        return people
+
+    @classmethod
+    def room(cls, n_people: int, n_markers: int, n_links: int) -> People:
+        """Arrays whose contents are still to come."""
+        p, m, n = n_people, n_markers, n_links
         shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
         numbers = [np.empty(shape) for shape in shapes]
-        for array in numbers:
-            array.fill(np.nan)
-        return cls(np.full(p, UNTRACKED, np.int32), np.zeros(p, np.int64), *numbers)
+        return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
 
 
 _PEOPLE = attrgetter(*People._fields)
@@ -121,24 +130,29 @@ BlockStage = Callable[[Iterable[Block]], Iterator[Block]]
 
 def join(parts: Sequence[Part]) -> Block:
     """Return a block of some frames of any blocks, in this order; arrays are copied."""
-    pieces: list[tuple[People, int, int]] = []
+    sources: dict[int, tuple[People, list[tuple[int, int, int]]]] = {}
     rows, total = [], 0
+    bounds = {id(block): block.rows.tolist() for block, _ in parts}
     for block, i in parts:
-        begin, end = block.rows[i].tolist()
+        begin, end = bounds[id(block)][i]
         rows.append((total, total + end - begin))
-        total += end - begin
-        if pieces and pieces[-1][0] is block.people and pieces[-1][2] == begin:
-            pieces[-1] = block.people, pieces[-1][1], end
+        _, pieces = sources.setdefault(id(block.people), (block.people, []))
+        if pieces and pieces[-1][1] == begin and pieces[-1][2] + begin - pieces[-1][0] == total:
+            pieces[-1] = pieces[-1][0], end, pieces[-1][2]
         else:
-            pieces.append((block.people, begin, end))
-    columns = zip(*[[array[a:b] for array in people] for people, a, b in pieces], strict=True)
+            pieces.append((begin, end, total))
+        total += end - begin
+    some = parts[0][0].people
+    joined = People.room(total, some.markers.shape[1], some.links.shape[1])
+    for people, pieces in sources.values():
+        gather(np.array(pieces, np.int64), *people, *joined)
     return Block(
         np.array([block.stamps[i] for block, i in parts], np.int64),
         np.array([block.log_times[i] for block, i in parts], np.int64),
         [block.sources[i] for block, i in parts],
         [block.frame_ids[i] for block, i in parts],
         np.array(rows, np.int64),
-        People(*map(np.concatenate, columns)),
+        joined,
     )
 
 

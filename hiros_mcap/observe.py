@@ -25,6 +25,8 @@ from hiros_mcap.summary import (
 )
 from hiros_mcap.systems import Run
 
+DETECTIONS = "detections"
+"""Name of what goes into the first stage."""
 _GAP = 1_000_000_000  # ns: a pause of a camera that does not count for its rate
 _JUMP = 10_000_000_000  # ns: no recorder delays a message by so much more than the one before
 _LOOKED_AT = 20  # frames of each camera in which people are looked at
@@ -33,25 +35,30 @@ _LARGE_M = 50.0  # no room is so large
 
 
 class Stopwatch:
-    """Times nested generators: what a stage costs without the stages that it pulls from."""
+    """Adds up the CPU time of steps, of which each pulls from the one before in the same thread."""
 
     def __init__(self) -> None:
-        self.wall: dict[str, float] = {}
+        self.cpu: defaultdict[str, float] = defaultdict(float)
+        """Of each step, s."""
         self.started = time.perf_counter()
         self._running = ""
-        self._since = self.started
+        self._since = time.thread_time()
+
+    def charge(self, name: str, seconds: float) -> None:
+        """Add what another thread did for a step."""
+        self.cpu[name] += seconds
 
     def _switch(self, name: str) -> str:
         """Charge the time since the last switch to what was running; return its name."""
-        now = time.perf_counter()
+        now = time.thread_time()
         before = self._running
-        self.wall[before] = self.wall.get(before, 0.0) + now - self._since
+        self.cpu[before] += now - self._since
         self._running, self._since = name, now
         return before
 
     @contextmanager
     def timing(self, name: str) -> Iterator[None]:
-        """Charge a block to ``name``."""
+        """Charge a block of statements to ``name``."""
         before = self._switch(name)
         try:
             yield
@@ -161,7 +168,14 @@ class Observer:
         self._written: Counter[str] = Counter()
         self._looks = _Looks()
 
-    def see_input(self, block: Block) -> None:
+    def see(self, channel: str, block: Block) -> None:
+        """Note what goes into the first stage, or comes out of any."""
+        if channel == DETECTIONS:
+            self._see_input(block)
+        else:
+            self._see_output(channel, block)
+
+    def _see_input(self, block: Block) -> None:
         """Note the rhythm of the cameras, and how their frames look."""
         self._looks.look(block)
         times = zip(block.sources, block.stamps.tolist(), block.log_times.tolist(), strict=True)
@@ -171,7 +185,7 @@ class Observer:
                 rhythm = self._rhythms[source] = _Rhythm()
             rhythm.beat(stamp, log_time)
 
-    def see_output(self, channel: str, block: Block) -> None:
+    def _see_output(self, channel: str, block: Block) -> None:
         """Note who is in the frames of a stage."""
         self._written[channel] += len(block)
         if channel != "tracked" and channel != self._chain[-1]:
@@ -211,9 +225,9 @@ class Observer:
             cameras=tuple(self.cameras()),
             people=tuple(self._person(i, self._people[i]) for i in sorted(self._people)),
             stages=tuple(
-                StageTime(name, self.watch.wall[name])
+                StageTime(name, self.watch.cpu[name])
                 for name in ("read", *self._chain, "write")
-                if name in self.watch.wall
+                if name in self.watch.cpu
             ),
             written={f"/hiros/{name}": self._written[name] for name in self._chain},
             notes=tuple(self._notes()),

@@ -27,7 +27,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Events
 from hiros_mcap.limbs import LimbTable
 from hiros_mcap.log import DAMAGED, Log, open_log
-from hiros_mcap.observe import Observer, Stopwatch
+from hiros_mcap.observe import DETECTIONS, Observer, Stopwatch
 from hiros_mcap.outputs import check_outputs
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.calibrate import calibrate
@@ -188,7 +188,6 @@ def _stages(run: Run, chain: Sequence[str]) -> Stages:
 
 
 Sink = Callable[[str, Block], None]
-DETECTIONS = "detections"
 
 
 def _blocks(
@@ -196,19 +195,16 @@ def _blocks(
 ) -> Iterator[Block]:
     """Join the stages: each pulls from the one before; every output is observed and written."""
 
-    def detected(block: Block) -> None:
-        observer.see_input(block)
-        sink(DETECTIONS, block)
-
-    def made(name: str, block: Block) -> None:
-        observer.see_output(name, block)
-        sink(name, block)
+    def seen(channel: str, block: Block) -> None:
+        observer.see(channel, block)
+        sink(channel, block)
 
     timed = observer.watch.timed
-    blocks = timed("read", log.blocks(), detected)
+    blocks = timed("read", log.blocks(), partial(seen, DETECTIONS))
     for name, stage in _stages(run, chain).items():
-        blocks = timed(name, stage(blocks), partial(made, name))
+        blocks = timed(name, stage(blocks), partial(seen, name))
     yield from blocks
+    observer.watch.charge("read", log.reader.cpu_s)
 
 
 def _shown_to(watcher: Watcher) -> Sink:
@@ -290,6 +286,7 @@ def _write(
             _refuse_skipped(log, observer, options.strict)
             _add_provenance(writer, log, run, chain, observer)
             writer.commit()
+        observer.watch.charge("write", writer.cpu_s)
 
 
 def _marker_export(writer: McapWriter, log: Log, run: Run, *, by_stamp: bool) -> MarkerExport:

@@ -74,11 +74,11 @@ class PersonSummary:
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """What one step cost, without the steps that it waited for."""
+    """What one step cost: some of them work at the same time."""
 
     name: str
-    wall_s: float
-    """s."""
+    cpu_s: float
+    """CPU time, s."""
 
 
 @dataclass(frozen=True, slots=True)

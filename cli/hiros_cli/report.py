@@ -117,9 +117,9 @@ def _times(summary: Summary) -> Table:
     order = {name: k for k, name in enumerate(STEPS)}
     return table(
         "Step",
-        ">Time",
+        ">CPU time",
         rows=[
-            (step.name, number(step.wall_s, 3, " s"))
+            (step.name, number(step.cpu_s, 3, " s"))
             for step in sorted(summary.stages, key=lambda step: order.get(step.name, len(order)))
         ],
     )

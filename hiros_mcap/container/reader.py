@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import os
 import struct
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -85,6 +86,8 @@ class McapReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._file = LogFile(path)
         self.path = self._file.path
+        self.cpu_s = 0.0
+        """CPU time, s, that handing out messages has taken in the thread that reads ahead."""
         try:
             self._contents = scan(self._file)
             self._checked: dict[int, frozenset[int]] = {}
@@ -160,10 +163,13 @@ class McapReader:
             return replace(loaded, messages=loaded.messages[chosen[loaded.messages[:, CHANNEL]]])
 
         def load_all(chunks: Sequence[Chunk]) -> list[Records]:
+            start = time.thread_time()
             loaded = [load(chunk) for chunk in chunks]
-            if digest is None:
-                return loaded
-            return [replace(c, notes=said) for c, said in zip(loaded, digest(loaded), strict=True)]
+            if digest is not None:
+                notes = digest(loaded)
+                loaded = [replace(c, notes=said) for c, said in zip(loaded, notes, strict=True)]
+            self.cpu_s += time.thread_time() - start
+            return loaded
 
         pending: list[Records] = []
         together = _together(wanted) if digest else ([chunk] for chunk in wanted)
@@ -357,7 +363,7 @@ def _merged(ready: list[Records]) -> Iterator[Message]:
         notes = [notes[k] for k in order.tolist()]
     columns = (table[:, k].tolist() for k in (CHANNEL, LOG_TIME, START, STOP))
     rest = (table[:, k].tolist() for k in (PUBLISH_TIME, SEQUENCE))
-    for part, channel, time, start, stop, publish, sequence, note in zip(
+    for part, channel, logged, start, stop, publish, sequence, note in zip(
         owner.tolist(), *columns, *rest, notes, strict=True
     ):
-        yield Message(channel, time, views[part][start:stop], publish, sequence, note)
+        yield Message(channel, logged, views[part][start:stop], publish, sequence, note)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -83,6 +84,8 @@ class McapWriter:
         self.schemas: dict[int, r.Schema] = {}
         self.channels: dict[int, r.Channel] = {}
         self.counts: Counter[int] = Counter()
+        self.cpu_s = 0.0
+        """CPU time, s, of the background thread so far."""
         self._compression = compression
         self._chunk_size = chunk_size
         self._times: list[int] = []
@@ -298,9 +301,16 @@ class McapWriter:
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
         """Queue a job of the background thread; its errors are raised by a later call."""
-        self._waiting.append(self._worker.submit(job, *args))
+        self._waiting.append(self._worker.submit(self._do, job, *args))
         while len(self._waiting) > _IN_FLIGHT:
             self._waiting.popleft().result()
+
+    def _do(self, job: Callable[..., None], *args: Any) -> None:
+        start = time.thread_time()
+        try:
+            job(*args)
+        finally:
+            self.cpu_s += time.thread_time() - start
 
     def _flush(self) -> None:
         batch = self._batch

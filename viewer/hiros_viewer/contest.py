@@ -11,7 +11,8 @@ from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import contest, contest_tables
 from hiros_mcap.evaluate.contest import Entry, Outcome
 from hiros_mcap.log import open_log
-from hiros_mcap.pipeline import DETECTIONS, ProcessOptions, process
+from hiros_mcap.observe import DETECTIONS
+from hiros_mcap.pipeline import ProcessOptions, process
 from hiros_viewer.blueprint import blueprint
 from hiros_viewer.figures import SPREAD, TRUTH, new_figure, tidy
 from hiros_viewer.page import Page

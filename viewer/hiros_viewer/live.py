@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from hiros_mcap.events import Events
 from hiros_mcap.log import Log
-from hiros_mcap.pipeline import DETECTIONS
+from hiros_mcap.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
 from hiros_viewer.replay import content_of, describe
