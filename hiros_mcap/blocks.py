@@ -16,15 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.gathering import blank, gather
+from hiros_mcap.kernels.gathering import gather
 from hiros_mcap.skeletons import (
     BOX,
     STATE,
-    UNTRACKED,
     Floats,
     Frame,
     Ints,
-    SkeletonModel,
     Stage,
     Stamps,
 )
@@ -41,16 +39,6 @@ class People(NamedTuple):
     links: Floats
     link_confidences: Floats
     boxes: Floats
-
-    @classmethod
-    def absent(cls, n_people: int, model: SkeletonModel) -> People:
-        """Nobody in particular: ids UNTRACKED, stamps 0, every number NaN."""
-        people = cls.room(n_people, model.n_markers, model.n_links)
-        people.ids.fill(UNTRACKED)
-        people.stamps.fill(0)
-        for array in people[2:]:
-            blank(array.reshape(-1))
-        return people
 
     @classmethod
     def room(cls, n_people: int, n_markers: int, n_links: int) -> People:
@@ -132,8 +120,10 @@ def join(parts: Sequence[Part]) -> Block:
     """Return a block of some frames of any blocks, in this order; arrays are copied."""
     sources: dict[int, tuple[People, list[tuple[int, int, int]]]] = {}
     rows, total = [], 0
-    bounds = {id(block): block.rows.tolist() for block, _ in parts}
+    bounds: dict[int, list[list[int]]] = {}
     for block, i in parts:
+        if id(block) not in bounds:
+            bounds[id(block)] = block.rows.tolist()
         begin, end = bounds[id(block)][i]
         rows.append((total, total + end - begin))
         _, pieces = sources.setdefault(id(block.people), (block.people, []))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hiros_mcap.kernels.unaligned import copy, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
@@ -53,10 +51,3 @@ def gather(
         _copy_rows(to_links, at, links, begin, end)
         _copy_rows(to_link_confidences, at, link_confidences, begin, end)
         _copy_rows(to_boxes, at, boxes, begin, end)
-
-
-@kernel("void(float64[::1])")
-def blank(numbers: Floats) -> None:
-    """Make numbers absent."""
-    for k in range(len(numbers)):
-        numbers[k] = np.nan

@@ -648,6 +648,16 @@ def _fuse(
     mean_people(stamp, person_of, whose[2, :n], trust[:n], numbers[11] > 0.0, out_stamps, out_trust)
 
 
+@kernel
+def _blank(states: Floats, confidences: Floats) -> None:
+    """Make states absent."""
+    for p in range(states.shape[0]):
+        for m in range(states.shape[1]):
+            confidences[p, m] = np.nan
+            for c in range(states.shape[2]):
+                states[p, m, c] = np.nan
+
+
 @njit(
     "void(int64[::1], int64[:,::1], int64[:,::1], int32[::1], float64[::1], float64[:,:,::1],"
     " float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1], float64[::1],"
@@ -712,13 +722,15 @@ def fuse(
     numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
         pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
         stages/merge.py packs them).
-    out_ids : says whom each output row is to show; rows without views stay untouched in the other
-        outputs ``out_stamps``, ``out_trust``, ``out``, ..., ``out_link_confidences``.
+    out_ids : says whom each output row is to show. ``out``, ..., ``out_link_confidences`` are
+        absent in rows without views, whose ``out_stamps`` and ``out_trust`` stay as they are.
     counts : (2, C) votes lost and flips, by camera; added to.
     """
     carry = numbers[11] > 0.0
     for q in range(len(stamps)):
         a, b = ends[q, 0], ends[q + 1, 0]
+        _blank(out[a:b], out_confidences[a:b])
+        _blank(out_links[a:b], out_link_confidences[a:b])
         n = 0
         for k in range(ends[q, 1], ends[q + 1, 1]):
             c, d = parts[k, 0], parts[k, 1]

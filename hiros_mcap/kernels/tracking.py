@@ -716,14 +716,14 @@ def _follow(
     " float64[:,:,:,::1], float64[:,:,::1], int64[:,::1], float64[:,:,::1], float64[:,:,:,::1],"
     " float64[:,:,::1], int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
     " float64[:,:,::1], float64[:,::1], int32[::1], float64[::1], float64[::1], float64[::1],"
-    " int32[::1], int64[::1], float64[::1], int64[::1], int64[::1])",
+    " int32[::1], int64[::1], float64[:,::1], float64[::1], int64[::1], int64[::1])",
     cache=True,
     nogil=True,
 )
 def follow(
     stamps: Stamps,
     places: Stamps,
-    pause: Flags,
+    teaches: Flags,
     expiry: int,
     rows: Stamps,
     persons: Ints,
@@ -745,6 +745,7 @@ def follow(
     least: Floats,
     ids: Ints,
     latest: Stamps,
+    centres: Floats,
     gap: Floats,
     match: Stamps,
     fault: Stamps,
@@ -752,18 +753,19 @@ def follow(
     """Take over messages: find the track of each person among ``rows``, and move it.
 
     Stops before a message, not the first, that is not older than ``expiry``, ns; and after one
-    that wants a pause or has somebody who is of no track.
+    that has somebody who is of no track.
 
     Parameters
     ----------
-    stamps, places, pause : (K,), (K, 2), (K,) time of each message, ns, the first row of its
-        people and the one after the last, and whether to stop after it.
+    stamps, places, teaches : (K,), (K, 2), (K,) time of each message, ns, the first row of its
+        people and the one after the last, and whether ``centres`` are wanted.
     rows, persons : (T,) bank row and id of each track.
     confidences, markers, marker_confidences, links, link_confidences : (P, ...) of everybody;
         ``markers`` and ``links`` get the tracks' velocities.
     association, dynamics : the numbers of :func:`associate` and :func:`update`.
     least : confidences below which a skeleton is left out, and a marker or link absent.
     ids : (P,) written where somebody is of a track.
+    centres : (P, 3) mean position of the tracks' markers after the message, m.
     latest : (T,) last time at which each track was seen, where that is later.
     gap : room for T times the people of any message; those of the last one, as (T, P) numbers of
         :func:`associate`.
@@ -784,14 +786,16 @@ def follow(
             gap[: len(rows) * (b - a)].reshape((len(rows), b - a)), match[a:b],
             fault[a:b],
         )  # fmt: skip
-        stop = pause[i]
+        stop = False
         for j in range(a, b):
             k = match[j]
             if k < 0:
                 stop = True
-            else:
-                ids[j] = persons[k]
-                latest[k] = max(latest[k], stamp)
+                continue
+            ids[j] = persons[k]
+            latest[k] = max(latest[k], stamp)
+            if teaches[i]:
+                centre(motion, seen, rows[k], centres[j])
         if stop:
             return i + 1, 1
     return len(stamps), 0

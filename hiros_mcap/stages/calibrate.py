@@ -396,14 +396,13 @@ class Calibration:
         return np.where(np.isnan(length) & np.isnan(other), np.nan, both)
 
     def _record(self, identity: int, person: _Person) -> None:
-        length = self._estimate(person)
         _, deviation = person.good.lengths(self._params.debias)
+        columns = self._estimate(person), np.nan_to_num(deviation), person.good.count
+        rows = zip(self._keys, *(column.tolist() for column in columns), strict=True)
         self.limbs.people[identity] = {
-            key: Limb(
-                float(length[k]), float(np.nan_to_num(deviation[k])), int(person.good.count[k])
-            )
-            for k, key in enumerate(self._keys)
-            if not np.isnan(length[k])
+            key: Limb(length, spread, count)
+            for key, length, spread, count in rows
+            if not math.isnan(length)
         }
 
     def _check_absent(self, now: int) -> None:

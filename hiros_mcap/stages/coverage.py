@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,10 +43,24 @@ class Coverage:
 
     def is_due(self, source: str, stamp: int) -> bool:
         """Whether ``source`` is worth teaching again: neighbouring frames teach nothing new."""
+        return self.lessons([source], [stamp], [0])[0]
+
+    def lessons(
+        self, sources: Sequence[str], stamps: Sequence[int], people: Sequence[int]
+    ) -> list[bool]:
+        """Which of these messages are due, if everybody in those before is learned."""
+        due, taught = [], {source: self._taught(source) for source in self._origins}
+        for source, stamp, n in zip(sources, stamps, people, strict=True):
+            last = taught.get(source)
+            due.append(last is not None and stamp - last[0] >= _interval(last[1]))
+            if last is not None and due[-1] and n:
+                taught[source] = stamp, last[1] + n
+        return due
+
+    def _taught(self, source: str) -> tuple[int, int]:
+        """When a camera was taught last, and by how many people so far."""
         view = self._views.get(source)
-        if source not in self._origins or view is None:
-            return source in self._origins
-        return stamp - view.stamp >= (_INTERVAL if view.people >= _ENOUGH else _AT_FIRST)
+        return (-_INTERVAL, 0) if view is None else (view.stamp, view.people)
 
     def learn(self, source: str, place: Floats, stamp: int) -> None:
         """Note that ``source`` reported a person at ``place`` (3,), m, in the fixed frame."""
@@ -81,6 +95,11 @@ class Coverage:
     def _inside(view: _View, direction: Floats, distance: float, margin: float) -> bool:
         near = view.nearest - margin <= distance <= view.farthest + margin
         return near and float(direction @ view.axis) >= view.narrowest
+
+
+def _interval(people: int) -> int:
+    """Ns between two lessons of a camera that so many people have taught."""
+    return _INTERVAL if people >= _ENOUGH else _AT_FIRST
 
 
 def _blocks(body: Floats, direction: Floats, distance: float) -> bool:

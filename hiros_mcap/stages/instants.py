@@ -46,6 +46,8 @@ class Instants(Generic[T]):
         self._buffer: dict[str, tuple[int, T]] = {}
         self._known: set[str] = set()
         self._newest = 0
+        self._first = self._last = 0
+        """Times of the oldest and the newest message in the buffer."""
         self._log_time = 0
         """Of the latest message in the buffer."""
 
@@ -56,10 +58,18 @@ class Instants(Generic[T]):
         if stamp < self._newest:
             self._events.count(TOO_LATE, source)
             return done
-        if self._buffer and self._closes(stamp, source):
+        buffer = self._buffer
+        if buffer and (
+            source in buffer or max(stamp, self._last) - min(stamp, self._first) > self._span
+        ):
             done.append(self._close(log_time))
-        self._log_time = max(log_time, self._log_time) if self._buffer else log_time
-        self._buffer[source] = stamp, message
+            buffer = self._buffer
+        if buffer:
+            self._log_time = max(log_time, self._log_time)
+            self._first, self._last = min(stamp, self._first), max(stamp, self._last)
+        else:
+            self._log_time, self._first, self._last = log_time, stamp, stamp
+        buffer[source] = stamp, message
         if len(self._buffer) >= (self._cameras or len(self._known)):
             done.append(self._close(log_time))
         return done
@@ -67,13 +77,6 @@ class Instants(Generic[T]):
     def rest(self) -> list[Instant[T]]:
         """Return the instant that no further message will complete, if there is one."""
         return [self._close(self._log_time)] if self._buffer else []
-
-    def _closes(self, stamp: int, source: str) -> bool:
-        """Whether a message belongs to a later instant: same camera again, or too late."""
-        if source in self._buffer:
-            return True
-        stamps = [stamp, *(time for time, _ in self._buffer.values())]
-        return max(stamps) - min(stamps) > self._span
 
     def _close(self, log_time: int) -> Instant[T]:
         buffer, self._buffer = self._buffer, {}

@@ -329,8 +329,10 @@ class _Merger:
         ends, parts = np.array(plan.ends, np.int64), np.array(plan.parts, np.int64)
         rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
         bank_rows, room = np.array(plan.bank_rows, np.int64), self.views.room(plan.views)
-        out = People.absent(len(plan.people), self.model)
+        out = People.room(len(plan.people), self.model.n_markers, self.model.n_links)
         out.ids[:] = plan.people
+        out.confidences.fill(np.nan)
+        out.boxes.fill(np.nan)
         out.stamps[:] = np.repeat(stamps, rows[:, 1] - rows[:, 0])
         counts = np.zeros((2, bank.bias.shape[1]), np.int64)
         starts = [start for _, start in plan.blocks]

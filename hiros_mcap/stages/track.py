@@ -244,8 +244,12 @@ class _Passage:
         self.block = replace(block, log_times=np.array([now for _, now in ready], np.int64))
         self.stamps, self.log_times = block.stamps.tolist(), [now for _, now in ready]
         self.match, self.fault = np.empty((2, len(block.people.ids)), np.int64)
-        self.most = int(np.diff(block.rows).max())
+        self.sizes = (block.rows[:, 1] - block.rows[:, 0]).tolist()
+        self.most = max(self.sizes)
         """People of the largest message."""
+        self.teaches = np.zeros(len(ready), np.bool_)
+        """Which messages tell what their camera looks at."""
+        self.centres = np.empty((len(block.people.ids), 3))
 
 
 _Ready = tuple[_Passage, int, int]
@@ -470,12 +474,14 @@ class _Tracker:
                 self._look_up()
             plain = self.calm and not self.held
             n, stopped, gap = self._follow(passage, at, len(stamps) if plain else at + 1)
-            if stopped or not plain:
+            special = stopped or not plain
+            if special:
                 n -= 1
+            self._learn(passage, range(at, at + n))
             for place in range(at, at + n):
                 yield passage, place, passage.log_times[place]
             at += n
-            if stopped or not plain:
+            if special:
                 yield from self._ponder(passage, at, gap)
                 at += 1
 
@@ -500,21 +506,31 @@ class _Tracker:
         """
         bank, block, people = self.bank, passage.block, passage.block.people
         known = self.known or []
-        messages = zip(block.sources[at:stop], passage.stamps[at:stop], strict=True)
-        pause = [self.coverage.is_due(source, stamp) for source, stamp in messages]
+        passage.teaches[at:stop] = self.coverage.lessons(
+            block.sources[at:stop], passage.stamps[at:stop], passage.sizes[at:stop]
+        )
         latest = np.zeros(len(known), np.int64)
         gap = np.empty(len(known) * passage.most)
         n, stopped = kernels.follow(
-            block.stamps[at:stop], block.rows[at:stop], np.array(pause), self.expiry,
+            block.stamps[at:stop], block.rows[at:stop], passage.teaches[at:stop], self.expiry,
             self.known_rows, self.known_ids, bank.motion, bank.spread, bank.seen, bank.turn,
             bank.spin, bank.turn_spread, bank.turn_seen, people.confidences, people.markers,
             people.marker_confidences, people.links, people.link_confidences, self.mirror,
-            self.association, self.dynamics, self.least, people.ids, latest, gap, passage.match,
-            passage.fault,
+            self.association, self.dynamics, self.least, people.ids, latest, passage.centres,
+            gap, passage.match, passage.fault,
         )  # fmt: skip
         for body, stamp in zip(known, latest.tolist(), strict=True):
             body.seen = max(body.seen, stamp)
         return n, bool(stopped), gap
+
+    def _learn(self, passage: _Passage, places: range) -> None:
+        """Learn what cameras look at from messages of which everybody is a person."""
+        for i in places:
+            if passage.teaches[i]:
+                begin, end = passage.block.rows[i].tolist()
+                source, stamp = passage.block.sources[i], passage.stamps[i]
+                for row in sorted(range(begin, end), key=passage.match.__getitem__):
+                    self.coverage.learn(source, passage.centres[row], stamp)
 
     def _ponder(self, passage: _Passage, place: int, gap: Floats) -> Iterator[_Ready]:
         """Do what is to be done about people who may be somebody new; let go who is settled."""
