@@ -24,6 +24,8 @@ Result = TypeVar("Result")
 
 _PATIENCE_S = 10.0
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+_told_to_leave: list[int] = []
+"""The exit code, in a process that the first one has stopped."""
 _STOPPING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
 
 
@@ -161,6 +163,11 @@ def _work(connection: Connection) -> None:
             _answer(connection, function, connection.recv())
     except (EOFError, OSError):
         return  # the first process has no more tasks, or is gone
+    except Exception:
+        # Python turns what is raised while it makes a class into an error of its own.
+        if _told_to_leave:
+            raise SystemExit(_told_to_leave[0]) from None
+        raise
 
 
 def _obey() -> None:
@@ -180,7 +187,8 @@ def _leave(signum: int, _: FrameType | None) -> None:
     # that has already come and waits for its handler.
     for each in _STOPPING:
         signal.signal(each, _go_on)
-    raise SystemExit(128 + signum)
+    _told_to_leave.append(128 + signum)
+    raise SystemExit(_told_to_leave[0])
 
 
 def _go_on(_: int, __: FrameType | None) -> None:
@@ -188,15 +196,17 @@ def _go_on(_: int, __: FrameType | None) -> None:
 
 
 def _only_faults(unraisable: Any) -> None:
-    """Keep quiet about a ``SystemExit`` that was raised where Python drops exceptions."""
-    if not isinstance(unraisable.exc_value, SystemExit):
+    """Keep quiet about a ``SystemExit`` that Python dropped, and about what comes of it."""
+    if not (_told_to_leave or isinstance(unraisable.exc_value, SystemExit)):
         sys.__unraisablehook__(unraisable)
 
 
 def _answer(connection: Connection, function: Callable[..., Any], task: tuple[Any, ...]) -> None:
     try:
         answer = True, function(*task)
-    except Exception as error:  # noqa: BLE001  raised again by whoever asked for the task
+    except Exception as error:  # raised again by whoever asked for the task
+        if _told_to_leave:
+            raise
         error.add_note(f"in a process of its own:\n{traceback.format_exc()}")
         answer = False, error
     connection.send(answer)

@@ -137,18 +137,24 @@ class Stop:
             raise Interrupted(self._signum)
 
     def _lost(self, unraisable: sys.UnraisableHookArgs) -> None:
-        if not isinstance(unraisable.exc_value, Interrupted):
-            self._report_lost(unraisable)
-        else:
+        if isinstance(unraisable.exc_value, Interrupted):
             _soon()
+        elif self.exit_code is None:
+            self._report_lost(unraisable)
+
+
+_DELICATE = ("threading", "concurrent.futures", "llvmlite")
 
 
 def _may_hold_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python is in the midst of its own code for threads, or of finding a module."""
+    """Whether it is in the midst of Python's code for threads, or of finding a module, or of LLVM.
+
+    What LLVM has half made, it stumbles over when the process ends.
+    """
     if frame is not None and frame.f_globals.get("__name__") == "importlib._bootstrap":
         return True
     while frame is not None:
-        if str(frame.f_globals.get("__name__")).startswith(("threading", "concurrent.futures")):
+        if str(frame.f_globals.get("__name__")).startswith(_DELICATE):
             return True
         frame = frame.f_back
     return False

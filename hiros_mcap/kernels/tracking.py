@@ -65,6 +65,23 @@ def norm3(x: float, y: float, z: float) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
+@kernel
+def _predict_markers(
+    stamp: int, rows: Stamps, motion: Floats, seen: Stamps, horizon: float, out: Floats
+) -> None:
+    """Positions of :func:`predict`."""
+    for i in range(len(rows)):
+        row = rows[i]
+        for m in range(motion.shape[1]):
+            if seen[row, m] == 0:
+                for c in range(3):
+                    out[i, m, c] = np.nan
+                continue
+            dt = min(max((stamp - seen[row, m]) * 1e-9, 0.0), horizon)
+            for c in range(3):
+                out[i, m, c] = motion[row, m, 0, c] + dt * motion[row, m, 1, c]
+
+
 @kernel(
     "void(int64, int64[::1], float64[:,:,:,::1], int64[:,::1], float64[:,:,::1],"
     " float64[:,:,:,::1], int64[:,::1], float64, float64[:,:,::1], float64[:,:,::1])",
@@ -86,16 +103,9 @@ def predict(
     Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
     Unseen markers and links become NaN. Outputs are (len(rows), M, 3) and (len(rows), L, 4).
     """
+    _predict_markers(stamp, rows, motion, seen, horizon, out_positions)
     for i in range(len(rows)):
         row = rows[i]
-        for m in range(motion.shape[1]):
-            if seen[row, m] == 0:
-                for c in range(3):
-                    out_positions[i, m, c] = np.nan
-                continue
-            dt = min(max((stamp - seen[row, m]) * 1e-9, 0.0), horizon)
-            for c in range(3):
-                out_positions[i, m, c] = motion[row, m, 0, c] + dt * motion[row, m, 1, c]
         for k in range(turn.shape[1]):
             if turn_seen[row, k] == 0:
                 for c in range(4):
@@ -271,6 +281,94 @@ def distances(
                 )  # fmt: skip
 
 
+@kernel
+def _far(
+    positions: Floats, markers: Floats, confidences: Floats, weights: Floats, mirror: Ints,
+    by_confidence: bool, most: float, limit: float,
+) -> float:  # fmt: skip
+    """:func:`_mirrored_distance`, or infinite as soon as that is known to be beyond ``limit``.
+
+    ``most`` is the greatest confidence; no weight is above 1.
+    """
+    total = norm = 0.0
+    n = positions.shape[0]
+    for m in range(n):
+        other = mirror[m]
+        d = norm3(
+            positions[m, 0] - markers[other, 0],
+            positions[m, 1] - markers[other, 1],
+            positions[m, 2] - markers[other, 2],
+        )
+        if not math.isnan(d):
+            weight = weights[m]
+            if by_confidence and not math.isnan(confidences[other]):
+                weight *= confidences[other]
+            norm += weight
+            total += weight * d
+        if (m & 7) == 7 and total > limit * (norm + (n - 1 - m) * most):
+            return np.inf
+    return total / norm if norm > 0.0 else np.inf
+
+
+@kernel
+def _pair_up(
+    positions: Floats,
+    rows: Stamps,
+    motion: Floats,
+    markers: Floats,
+    confidences: Floats,
+    mirror: Ints,
+    numbers: Floats,
+    wanted: Flags,
+    weights: Floats,
+    order: Ints,
+    gap: Floats,
+    match: Stamps,
+    flipped: Flags,
+) -> bool:
+    """Do what :func:`associate` does where there is nothing to choose; False = there is.
+
+    Then no track is near two detections, nor a detection near two tracks, and what a pair costs
+    does not matter. ``weights`` and ``order`` (M,) are scratch.
+    """
+    gate, by_confidence = numbers[1], numbers[3] > 0.0
+    for m in range(len(order)):
+        order[m] = m
+    for j in range(len(wanted)):
+        match[j] = -1
+        flipped[j] = False
+    for i in range(len(rows)):
+        if numbers[4] > 0.0:
+            _slow_down(motion[rows[i], :, 1], numbers[5], weights)
+        found = False
+        for j in range(len(wanted)):
+            most = 1.0
+            for m in range(len(order)):
+                if confidences[j, m] > most:
+                    most = confidences[j, m]
+            # Who is farther than twice the gate is certainly turned round if that brings him near.
+            near = _far(
+                positions[i], markers[j], confidences[j], weights, order, by_confidence, most,
+                2.0 * gate,
+            )  # fmt: skip
+            turned = np.inf
+            if near > _NOT_MIRRORED and numbers[9] > 0.0:
+                turned = _far(
+                    positions[i], markers[j], confidences[j], weights, mirror, by_confidence,
+                    most, gate,
+                )  # fmt: skip
+            is_turned = turned < 0.5 * near
+            gap[i, j] = turned if is_turned else near
+            if gap[i, j] > gate or not wanted[j]:
+                continue
+            if found or match[j] >= 0:
+                return False
+            found = True
+            match[j] = i
+            flipped[j] = is_turned
+    return True
+
+
 @njit("int64[::1](float64[:,::1])", cache=True, nogil=True)
 def assign(cost: Floats) -> Stamps:
     """Row assigned to each column with the least total cost; -1 = none.
@@ -369,10 +467,17 @@ def associate(
     ``numbers``: horizon, gate, weight of the angular cost, by confidence, by velocity, velocity
     decay, velocity weight, angular velocity weight, exponent, flip aware (as stages/track.py packs
     them). Outputs: ``gap`` (T, P) mean distance of each pair, the mirrored one where that is less
-    than half; ``match`` (P,) index into ``rows``, -1 = none within the gate; ``flipped`` (P,).
+    than half, infinite where it is far beyond the gate; ``match`` (P,) index into ``rows``, -1 =
+    none within the gate; ``flipped`` (P,).
     """
     n_tracks, n_people = len(rows), len(wanted)
     positions = np.empty((n_tracks, motion.shape[1], 3))
+    _predict_markers(stamp, rows, motion, seen, numbers[0], positions)
+    if _pair_up(
+        positions, rows, motion, markers, marker_confidences, mirror, numbers, wanted,
+        np.ones(motion.shape[1]), np.empty(motion.shape[1], np.int32), gap, match, flipped,
+    ):  # fmt: skip
+        return
     turns = np.empty((n_tracks, turn.shape[1], 4))
     predict(stamp, rows, motion, seen, turn, spin, turn_seen, numbers[0], positions, turns)
     linear = np.empty((n_tracks, n_people))
@@ -413,26 +518,33 @@ def centre(motion: Floats, seen: Stamps, row: int, out: Floats) -> None:
     out[0], out[1], out[2] = x / count, y / count, z / count
 
 
+Noise = tuple[float, float, float, float, float, float]
+
+
 @kernel
-def _grow(spread: Floats, row: int, m: int, dt: float, jerk: float) -> None:
-    """Covariance prediction of a constant-acceleration state driven by white jerk."""
-    p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
-    p11, p12, p22 = spread[row, m, 3], spread[row, m, 4], spread[row, m, 5]
-    h = 0.5 * dt * dt
+def _noise(dt: float, jerk: float) -> Noise:
+    """Covariance that white jerk adds to a constant-acceleration state in ``dt`` s."""
     q = jerk * jerk
     dt2 = dt * dt
     dt3 = dt2 * dt
+    return q * dt3 * dt2 / 20, q * dt2 * dt2 / 8, q * dt3 / 6, q * dt3 / 3, q * dt2 / 2, q * dt
+
+
+@kernel
+def _grow(spread: Floats, row: int, m: int, dt: float, noise: Noise) -> None:
+    """Covariance prediction of a constant-acceleration state; ``noise`` of that interval."""
+    p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
+    p11, p12, p22 = spread[row, m, 3], spread[row, m, 4], spread[row, m, 5]
+    h = 0.5 * dt * dt
+    dt2 = dt * dt
     spread[row, m, 0] = (
-        p00 + 2 * dt * p01 + 2 * h * p02 + dt2 * p11 + 2 * dt * h * p12 + h * h * p22
-        + q * dt3 * dt2 / 20
-    )  # fmt: skip
-    spread[row, m, 1] = (
-        p01 + dt * p02 + dt * p11 + (dt2 + h) * p12 + dt * h * p22 + q * dt2 * dt2 / 8
+        p00 + 2 * dt * p01 + 2 * h * p02 + dt2 * p11 + 2 * dt * h * p12 + h * h * p22 + noise[0]
     )
-    spread[row, m, 2] = p02 + dt * p12 + h * p22 + q * dt3 / 6
-    spread[row, m, 3] = p11 + 2 * dt * p12 + dt2 * p22 + q * dt3 / 3
-    spread[row, m, 4] = p12 + dt * p22 + q * dt2 / 2
-    spread[row, m, 5] = p22 + q * dt
+    spread[row, m, 1] = p01 + dt * p02 + dt * p11 + (dt2 + h) * p12 + dt * h * p22 + noise[1]
+    spread[row, m, 2] = p02 + dt * p12 + h * p22 + noise[2]
+    spread[row, m, 3] = p11 + 2 * dt * p12 + dt2 * p22 + noise[3]
+    spread[row, m, 4] = p12 + dt * p22 + noise[4]
+    spread[row, m, 5] = p22 + noise[5]
 
 
 @kernel
@@ -445,20 +557,18 @@ def _start(spread: Floats, row: int, m: int, noise: float, speed: float, boost: 
 
 @kernel
 def _absorb(
-    spread: Floats, row: int, m: int, noise: float, error: float, gate: float
+    spread: Floats, row: int, m: int, noise: float, square: float, gate: float
 ) -> tuple[float, float, float]:
-    """Kalman gain for an innovation of length ``error``; the covariance becomes the posterior.
+    """Kalman gain for an innovation of that squared length; the covariance becomes the posterior.
 
     An innovation beyond ``gate`` standard deviations gets its noise inflated until it lies on the
     gate (as eq 10 of Malaguti 2019 does): a guessed joint moves the track a little, not at all a
     real fast motion, whose innovations agree with each other.
     """
     p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
-    total = p00 + noise
-    excess = error * error / (gate * gate * total)
-    if excess > 1.0:
-        total *= excess
-    k0, k1, k2 = p00 / total, p01 / total, p02 / total
+    total = max(p00 + noise, square / (gate * gate))
+    part = 1.0 / total  # quicker than three quotients
+    k0, k1, k2 = p00 * part, p01 * part, p02 * part
     spread[row, m, 0] -= k0 * p00
     spread[row, m, 1] -= k0 * p01
     spread[row, m, 2] -= k0 * p02
@@ -484,6 +594,7 @@ def _update_markers(
 ) -> None:
     horizon, position_noise, jerk = numbers[0], numbers[1], numbers[2]
     gate, fastest = numbers[5], numbers[6]
+    interval, growth = 0.0, _noise(0.0, jerk)
     for m in range(motion.shape[1]):
         slot = mirror[m] if flipped else m
         if math.isnan(markers[person, slot, 0]):
@@ -507,18 +618,22 @@ def _update_markers(
                     boost = motion[row, m, 2, c]
                     motion[row, m, 0, c] += reach * (motion[row, m, 1, c] + 0.5 * reach * boost)
                     motion[row, m, 1, c] += reach * boost
-                _grow(spread, row, m, dt, jerk)
+                if dt != interval:  # markers are mostly seen together
+                    interval, growth = dt, _noise(dt, jerk)
+                _grow(spread, row, m, dt, growth)
                 seen[row, m] = stamp
             ex = markers[person, slot, 0] - motion[row, m, 0, 0]
             ey = markers[person, slot, 1] - motion[row, m, 0, 1]
             ez = markers[person, slot, 2] - motion[row, m, 0, 2]
-            k = _absorb(spread, row, m, noise, norm3(ex, ey, ez), gate)
+            k = _absorb(spread, row, m, noise, ex * ex + ey * ey + ez * ez, gate)
             for order in range(3):
                 motion[row, m, order, 0] += k[order] * ex
                 motion[row, m, order, 1] += k[order] * ey
                 motion[row, m, order, 2] += k[order] * ez
-            speed = norm3(motion[row, m, 1, 0], motion[row, m, 1, 1], motion[row, m, 1, 2])
-            if speed > fastest:
+            square = motion[row, m, 1, 0] ** 2 + motion[row, m, 1, 1] ** 2
+            square += motion[row, m, 1, 2] ** 2
+            if square > fastest * fastest:
+                speed = math.sqrt(square)
                 for c in range(3):
                     motion[row, m, 1, c] *= fastest / speed
                     motion[row, m, 2, c] = 0.0
@@ -558,6 +673,7 @@ def _update_links(
 ) -> None:
     horizon, orientation_noise, angular_jerk, gate = numbers[0], numbers[3], numbers[4], numbers[5]
     noise = orientation_noise * orientation_noise
+    interval, growth = 0.0, _noise(0.0, angular_jerk)
     for k in range(turn.shape[1]):
         if math.isnan(links[person, k, 3]):
             continue
@@ -584,14 +700,17 @@ def _update_links(
                 )
                 for c in range(3):
                     spin[row, k, 0, c] += reach * spin[row, k, 1, c]
-                _grow(spread, row, k, dt, angular_jerk)
+                if dt != interval:
+                    interval, growth = dt, _noise(dt, angular_jerk)
+                _grow(spread, row, k, dt, growth)
                 seen[row, k] = stamp
             e = _rotation_vector(multiply(z, (-q[0], -q[1], -q[2], q[3])))
-            gain = _absorb(spread, row, k, noise, norm3(e[0], e[1], e[2]), gate)
+            square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+            gain = _absorb(spread, row, k, noise, square, gate)
             q = multiply(exponential(gain[0] * e[0], gain[0] * e[1], gain[0] * e[2]), q)
-            norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+            scale = 1.0 / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
             for c in range(4):
-                turn[row, k, c] = q[c] / norm
+                turn[row, k, c] = q[c] * scale
             for c in range(3):
                 spin[row, k, 0, c] += gain[1] * e[c]
                 spin[row, k, 1, c] += gain[2] * e[c]
