@@ -14,6 +14,7 @@ from isal.isal_zlib import crc32
 from hiros_mcap.container.records import Bytes
 from hiros_mcap.errors import LogError
 
+_BEGIN = 16 << 20
 _PARTS = 64  # POSIX allows 16 at the least, every system of today 1024
 
 
@@ -38,6 +39,7 @@ class OutputFile:
         self.path = Path(path)
         self.offset = 0
         self.crc = 0
+        self._begun = 0
         try:
             self._target = Path(os.path.realpath(path))
             self._refuse(inputs)
@@ -64,6 +66,11 @@ class OutputFile:
                     n -= len(left.pop(0))
                 if n:
                     left[0] = left[0][n:]
+            if self.offset - self._begun >= _BEGIN and hasattr(os, "posix_fadvise"):
+                # Has the system begin to bring it to the disk, so that `sync` finds little to do.
+                length, start = self.offset - self._begun, self._begun
+                os.posix_fadvise(self._file.fileno(), start, length, os.POSIX_FADV_DONTNEED)
+                self._begun = self.offset
         except (OSError, ValueError, MemoryError) as error:
             raise self._error(error) from None
 
