@@ -32,6 +32,7 @@ from hiros_mcap.symmetry import symmetry_of
 Indices = npt.NDArray[np.intp]
 
 _REASONS = {kernels.USABLE: "", kernels.EMPTY: "no markers", kernels.DOUBTFUL: "low confidence"}
+_AT_ONCE = 64  # messages that one call follows at most: after each stop the rest is looked at anew
 _MARGIN = 100_000_000  # ns by which frames are late that are not late
 
 
@@ -473,7 +474,8 @@ class _Tracker:
             if self.known is None:
                 self._look_up()
             plain = self.calm and not self.held
-            n, stopped, gap = self._follow(passage, at, len(stamps) if plain else at + 1)
+            stop = min(len(stamps), at + (_AT_ONCE if plain else 1))
+            n, stopped, gap = self._follow(passage, at, stop)
             special = stopped or not plain
             if special:
                 n -= 1
