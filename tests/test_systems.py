@@ -94,8 +94,9 @@ def test_a_room_that_is_moved_moves_the_result(name: str) -> None:
     assert [f.ids.tolist() for f in back] == [f.ids.tolist() for f in result(name)]
     pairs = list(zip(back, result(name), strict=True))
     off = np.array([np.nanmax(np.abs(a.positions - b.positions), initial=0.0) for a, b in pairs])
-    # Rounding may tip a vote that stands at its threshold.
-    assert (off < 1e-6).mean() > 0.9
+    # Rounding may tip a vote that stands at its threshold, or lead the search for a gross outlier's
+    # place elsewhere; the filter's look-ahead and memory spread one such frame over twenty.
+    assert (off < 1e-6).mean() > 0.7
     assert off.max() < 0.05
 
 
