@@ -11,6 +11,7 @@ of arrays with one row per person:
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -542,7 +543,7 @@ def _settle_flips(
     return AGREED
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")  # else it would be compiled twice, and that is what takes longest
 def _fuse(
     stamp: int,
     n: int,
@@ -731,7 +732,7 @@ def fuse(
         a, b = ends[q, 0], ends[q + 1, 0]
         _blank(out[a:b], out_confidences[a:b])
         _blank(out_links[a:b], out_link_confidences[a:b])
-        n = 0
+        n: Any = np.int64(0)  # a literal would make a second version of what it is given to
         for k in range(ends[q, 1], ends[q + 1, 1]):
             c, d = parts[k, 0], parts[k, 1]
             n = load_views(

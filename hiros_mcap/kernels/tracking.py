@@ -781,7 +781,7 @@ def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -
     return some
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _follow(
     stamp: int,
     rows: Stamps,
