@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -216,7 +216,9 @@ class Log:
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
         streams = {
-            camera.channel.id: _Stream(camera, self.model, self.accounts[camera.channel.topic])
+            camera.channel.id: _Stream(
+                camera, self.model, self.accounts[camera.channel.topic], digest.settle
+            )
             for camera in self.cameras
         }
         rows: list[_Row] = []
@@ -271,9 +273,16 @@ class _Digest:
     def __init__(self, log: Log, fixed: str = "") -> None:
         self._decoder = BatchDecoder(log.model)
         self._poses = Poses(fixed, partial(log.transforms.at_rest, fixed=fixed)) if fixed else None
+        self._mover = Mover(log.transforms, fixed)
         self._published = np.zeros(1 << 16, np.bool_)
         for camera in log.cameras:
             self._published[camera.channel.id] = camera.layout.is_published
+
+    def settle(self, frame: Frame) -> Frame:
+        """Move a frame that was decoded on its own, if those of a batch are."""
+        if self._poses is None or self._poses.find(frame.frame_id.encode()) < 0:
+            return frame
+        return self._mover(frame.replace(frame_id=frame.frame_id.lstrip("/")))
 
     def __call__(self, chunks: Sequence[Records]) -> list[list[tuple[Batch, int] | None]]:
         """Return each message's place in a batch; None = decode it on its own."""
@@ -295,7 +304,14 @@ class _Digest:
 class _Stream:
     """One channel being read: its decoder, its account and what it said last."""
 
-    def __init__(self, camera: Camera, model: SkeletonModel, account: Account) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        model: SkeletonModel,
+        account: Account,
+        settle: Callable[[Frame], Frame],
+    ) -> None:
+        self._settle = settle
         self.topic = camera.channel.topic
         self._names = dict(camera.sources)
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
@@ -360,7 +376,8 @@ class _Stream:
             found = batch.frame(row, message.log_time)
             if found is not None:
                 return [found]
-        return [clean(f) for f in self._decoder.decode_all(message.data, message.log_time)]
+        cleaned = [clean(f) for f in self._decoder.decode_all(message.data, message.log_time)]
+        return [(self._settle(frame), counts) for frame, counts in cleaned]
 
     def _fresh(self, frame: Frame) -> Frame:
         """Return the frame named, stamped and without what was said before."""
@@ -404,7 +421,7 @@ class _Last:
 
     def may_be_repeated(self, times: list[int]) -> bool:
         """Whether somebody has a source time that somebody had in this message."""
-        return any(time in self.times for time in times if time)
+        return not (set(times) - {0}).isdisjoint(self.times)
 
     def without_repeats(self, frame: Frame) -> Frame:
         """Leave out people whose source time and numbers are those of somebody in here."""

@@ -177,6 +177,23 @@ def test_a_person_who_is_repeated_is_left_out_and_a_new_one_stays(path):
     assert log.accounts["/camera_0/skeletons"].stale == 1
 
 
+@pytest.mark.parametrize("confidence", [0.5, -1.0, 1.5])
+def test_a_repeat_is_noticed_however_it_was_decoded_and_moved(path, confidence):
+    """A confidence out of range has a message decoded on its own."""
+    both = seen(0, 2000, n=2)
+    both.markers[0] = seen(0, 1000).markers[0]
+    both.stamps[0] = 1000
+    both.marker_confidences[1] = confidence
+    with Maker(path) as log:
+        log.transforms((0, "world", "camera_0", (1.0, 2.0, 3.0), (0.6, 0.0, 0.0, 0.8)))
+        log.add(seen(0, 1000))
+        log.add(both)
+    with open_log(path) as log:
+        frames = list(log.detections())
+        assert [(f.n_people, f.frame_id) for f in frames] == [(1, "world"), (1, "world")]
+        assert log.accounts["/camera_0/skeletons"].stale == 1
+
+
 def test_what_differs_in_time_place_or_camera_is_no_repeat(path):
     with Maker(path) as log:
         log.add(seen(0, 1000, value=5))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import weakref
@@ -69,7 +70,8 @@ class OutputFile:
             if self.offset - self._begun >= _BEGIN and hasattr(os, "posix_fadvise"):
                 # Has the system begin to bring it to the disk, so that `sync` finds little to do.
                 length, start = self.offset - self._begun, self._begun
-                os.posix_fadvise(self._file.fileno(), start, length, os.POSIX_FADV_DONTNEED)
+                with contextlib.suppress(OSError):  # not every file system takes advice
+                    os.posix_fadvise(self._file.fileno(), start, length, os.POSIX_FADV_DONTNEED)
                 self._begun = self.offset
         except (OSError, ValueError, MemoryError) as error:
             raise self._error(error) from None

@@ -150,8 +150,8 @@ class McapReader:
         Raises
         ------
         LogError
-            at the message where the file turns out to be damaged; it is then also wrong to use
-            the messages before it.
+            where the file turns out to be damaged, at the message or a few chunks before it; it is
+            then also wrong to use the messages before it.
         """
         wanted = self._wanted(channels)
         chosen = None if channels is None else np.isin(np.arange(65536), list(channels))
@@ -309,11 +309,13 @@ def read_ahead(
 def _together(chunks: Iterable[Chunk]) -> Iterator[list[Chunk]]:
     """Group neighbours."""
     group: list[Chunk] = []
+    size = 0
     for chunk in chunks:
-        if group and sum(c.size for c in group) + chunk.size > _TOGETHER:
+        if group and size + chunk.size > _TOGETHER:
             yield group
-            group = []
+            group, size = [], 0
         group.append(chunk)
+        size += chunk.size
     if group:
         yield group
 

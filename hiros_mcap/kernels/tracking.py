@@ -288,7 +288,7 @@ def _far(
 ) -> float:  # fmt: skip
     """:func:`_mirrored_distance`, or infinite as soon as that is known to be beyond ``limit``.
 
-    ``most`` is the greatest confidence; no weight is above 1.
+    ``most`` is at least 1 and every confidence, of which none is negative; no weight is above 1.
     """
     total = norm = 0.0
     n = positions.shape[0]
@@ -332,6 +332,7 @@ def _pair_up(
     does not matter. ``weights`` and ``order`` (M,) are scratch.
     """
     gate, by_confidence = numbers[1], numbers[3] > 0.0
+    reach = max(gate, numbers[10])
     for m in range(len(order)):
         order[m] = m
     for j in range(len(wanted)):
@@ -346,16 +347,16 @@ def _pair_up(
             for m in range(len(order)):
                 if confidences[j, m] > most:
                     most = confidences[j, m]
-            # Who is farther than twice the gate is certainly turned round if that brings him near.
+            # Who is farther than twice the reach is certainly turned round if that brings him near.
             near = _far(
                 positions[i], markers[j], confidences[j], weights, order, by_confidence, most,
-                2.0 * gate,
+                2.0 * reach,
             )  # fmt: skip
             turned = np.inf
             if near > _NOT_MIRRORED and numbers[9] > 0.0:
                 turned = _far(
                     positions[i], markers[j], confidences[j], weights, mirror, by_confidence,
-                    most, gate,
+                    most, reach,
                 )  # fmt: skip
             is_turned = turned < 0.5 * near
             gap[i, j] = turned if is_turned else near
@@ -465,10 +466,10 @@ def associate(
     """Associate the ``wanted`` (P,) detections with the tracks in ``rows`` (eq 6 to 11).
 
     ``numbers``: horizon, gate, weight of the angular cost, by confidence, by velocity, velocity
-    decay, velocity weight, angular velocity weight, exponent, flip aware (as stages/track.py packs
-    them). Outputs: ``gap`` (T, P) mean distance of each pair, the mirrored one where that is less
-    than half, infinite where it is far beyond the gate; ``match`` (P,) index into ``rows``, -1 =
-    none within the gate; ``flipped`` (P,).
+    decay, velocity weight, angular velocity weight, exponent, flip aware, reach (as stages/track.py
+    packs them). Outputs: ``gap`` (T, P) mean distance of each pair, the mirrored one where that is
+    less than half, right within the gate and the reach, anything beyond them where it is beyond;
+    ``match`` (P,) index into ``rows``, -1 = none within the gate; ``flipped`` (P,).
     """
     n_tracks, n_people = len(rows), len(wanted)
     positions = np.empty((n_tracks, motion.shape[1], 3))

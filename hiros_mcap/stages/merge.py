@@ -250,7 +250,9 @@ class _Merger:
 
     _HORIZON = 0.2  # s for which a past pose is carried on and may vote
     _FORGET = 10_000_000_000  # ns after which a person who is not merged any more is forgotten
-    _SPAN = 5_000_000_000  # ns of instants that are merged at once; nobody is forgotten meanwhile
+    # ns of instants that are merged at once. Whoever is forgotten meanwhile is seen in none of
+    # them, so that the row can be another's at once: the kernel only touches who is seen.
+    _SPAN = 5_000_000_000
 
     def __init__(
         self, model: SkeletonModel, params: MergeParams, events: Events, fixed_frame: str

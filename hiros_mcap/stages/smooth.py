@@ -322,8 +322,9 @@ class _Run:
         """Update the filters with frames of a block; yield the frames that are complete."""
         everybody = [*self._people.values(), *self._leaving]
         held = max((p.n_steps - p.first for p in everybody), default=0)
+        new = sum(_most_often(block.people.ids[slice(*block.rows[i])].tolist()) for i in places)
         # And the step before the first.
-        self._bank.make_room(held + len(places) + 2, everybody)
+        self._bank.make_room(held + new + 2, everybody)
         jobs = _Jobs()
         for i in places:
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
@@ -429,3 +430,8 @@ class _Run:
         self._leaving = [person for person in self._leaving if person.first < person.n_steps]
         if out is not None:
             yield replace(out, log_times=np.array(jobs.log_times, np.int64))
+
+
+def _most_often(ids: list[int]) -> int:
+    """How often the most frequent id comes: once, in any frame that makes sense."""
+    return 1 if len(set(ids)) == len(ids) else max(map(ids.count, ids))

@@ -454,7 +454,7 @@ class _Tracker:
             params.horizon, params.max_distance, params.orientation_weight,
             params.weight_by_confidence, params.weight_by_velocity, params.velocity_decay,
             params.velocity_weight, params.angular_velocity_weight, params.exponent,
-            self.flip_aware,
+            self.flip_aware, params.min_distance,
         ], np.float64)  # fmt: skip
         self.least = np.array([params.min_skeleton_confidence, params.min_marker_confidence])
         self.dynamics = np.array([

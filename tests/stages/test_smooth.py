@@ -1,13 +1,15 @@
 import itertools
+import math
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from hiros_mcap.blocks import Block, frames_of, join
 from hiros_mcap.events import Events
 from hiros_mcap.kernels.filters import restore_lengths
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.smooth import FilterParams, smooth
+from hiros_mcap.stages.smooth import FilterParams, smooth, smooth_blocks
 
 MODEL = SkeletonModel.of(["root", "hand"], [("arm", 0, 1)])
 METHODS = [("state_space", 2), ("state_space", 3)] + [("butterworth", n) for n in (1, 2, 3, 4, 8)]
@@ -321,6 +323,18 @@ def test_second_row_of_one_id_passes_unchanged_and_is_counted():
     out = list(smooth(frames, MODEL, params(), events))
     assert all(f.markers[1, 0, 0] == k % 2 for k, f in enumerate(out))
     assert events.total("filter: time not increasing") == 9
+
+
+def test_it_does_not_matter_how_frames_are_cut_even_if_an_id_comes_often():
+    frames = []
+    for k in range(64):
+        frame = frame_at(k / 30, (math.sin(k), 0, 0), ids=(4, 4, 4, 4))
+        frame.stamps[:] = frame.stamp + np.arange(4) * 8_000_000
+        frames.append(frame)
+    block = join([(Block.of(frame), 0) for frame in frames])
+    found = frames_of(smooth_blocks([block], MODEL))
+    for one, other in zip(smooth(frames, MODEL), found, strict=True):
+        np.testing.assert_array_equal(one.markers, other.markers)
 
 
 def test_persons_own_time_counts():

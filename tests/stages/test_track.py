@@ -284,6 +284,14 @@ def test_a_second_body_on_a_person_is_not_a_person(since: int) -> None:
     assert events.total("second body") > 30
 
 
+def test_a_second_body_is_found_also_beyond_the_gate() -> None:
+    frames = [seen([person()] + [person(0.5)] * (k > 60), at(k)) for k in range(90)]
+    events = Events()
+    tracked = list(track(frames, MODEL, TrackParams(max_distance=0.2, min_distance=0.8), events))
+    assert all(sorted(i) == [-1, 0] for i in ids(tracked)[61:])
+    assert events.total("second body") == 29
+
+
 def test_somebody_who_enters_beside_another_gets_an_own_id() -> None:
     frames = [seen([person()] + [person(0.5)] * (k > 30), at(k)) for k in range(120)]
     assert ids(track(frames, MODEL))[-1] == [0, 1]
@@ -427,7 +435,7 @@ def test_eq6_adds_turns_to_distances(weight: float, expected: int) -> None:
     motion[:, 0, 0, 0] = 0.2, 0.1
     markers, links = np.full((1, 1, 19), np.nan), np.full((1, 1, 19), np.nan)
     markers[0, 0, :3], links[0, :, 3:7] = 0.0, about_z(0.0)
-    numbers = np.array([0.2, 0.6, weight, 1, 1, 0.25, 0.0, 0.0, 1.0, 0.0])
+    numbers = np.array([0.2, 0.6, weight, 1, 1, 0.25, 0.0, 0.0, 1.0, 0.0, 0.0])
     seen_at, match = np.ones((2, 1), np.int64), np.empty(1, np.int64)
     tracking.associate(
         1, np.arange(2), motion, seen_at, turn, np.zeros((2, 1, 2, 3)), seen_at, markers,
