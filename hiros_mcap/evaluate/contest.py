@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.blocks import by_frame
+from hiros_mcap.blocks import Block, frames_of, join
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
@@ -28,6 +28,7 @@ from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.systems import Run, chain_of, system
 from hiros_mcap.workers import run_tasks
 
+_TOGETHER = 64  # messages
 _WARM_UP = 150
 """Messages that a system is run on before it is timed: enough that people are found."""
 DEFAULT = ("hiros", "hiros-realtime", "malaguti", "lee", "openptrack", "maf", "average", "raw")
@@ -199,12 +200,16 @@ def _run_stages(entry: Entry, room: _Room, frames: list[Frame]) -> tuple[list[Fr
         room.model, config, Events(), LimbTable(), room.cameras, room.fixed_frame, entry.system
     )
     table = system(entry.system).stages(run)
+    parts = [(Block.of(frame), 0) for frame in frames]
+    # In blocks, as a run over a log has them.
+    blocks = [join(parts[k : k + _TOGETHER]) for k in range(0, len(parts), _TOGETHER)]
     start = time.process_time()
-    stream: Iterator[Frame] = iter(frames)
+    stream: Iterator[Block] = iter(blocks)
     for stage in chain_of(entry.system, entry.stages):
-        stream = by_frame(table[stage])(stream)
+        stream = table[stage](stream)
     result = list(stream)
-    return result, time.process_time() - start
+    seconds = time.process_time() - start
+    return list(frames_of(result)), seconds
 
 
 def _without_truth(task: Task, room: _Room, chosen: tuple[str, ...]) -> Outcome:
