@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import wraps
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -47,6 +46,10 @@ class People(NamedTuple):
         shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
         numbers = [np.empty(shape) for shape in shapes]
         return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
+
+    def at(self, rows: Any) -> People:
+        """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
+        return People(*[array[rows] for array in self])
 
 
 _PEOPLE = attrgetter(*People._fields)
@@ -86,10 +89,15 @@ class Block:
 
     def frame(self, i: int) -> Frame:
         """Frame ``i``; its arrays are views."""
-        begin, end = self.rows[i].tolist()
-        arrays: list[Any] = [array[begin:end] for array in self.people]
+        people = self.people.at(slice(*self.rows[i].tolist()))
         stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
-        return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], *arrays)
+        return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], *people)
+
+    def messages(self) -> Iterator[tuple[int, str, int, Part]]:
+        """Stamp, source, log time and place of every frame, in order."""
+        times = zip(self.stamps.tolist(), self.sources, self.log_times.tolist(), strict=True)
+        for i, (stamp, source, log_time) in enumerate(times):
+            yield stamp, source, log_time, (self, i)
 
     def select(self, places: Sequence[int], log_times: Sequence[int]) -> Block:
         """Return some of the frames, with other log times, of the same arrays."""
@@ -164,7 +172,6 @@ def by_frame(stage: BlockStage) -> Stage:
 def by_block(stage: Stage) -> BlockStage:
     """Make a stage of blocks of a stage that looks at one frame after the other."""
 
-    @wraps(stage)
     def run(blocks: Iterable[Block]) -> Iterator[Block]:
         yield from map(Block.of, stage(frames_of(blocks)))
 

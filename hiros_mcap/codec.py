@@ -6,7 +6,6 @@ separate step that takes out numbers that cannot be true.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import accumulate, count, pairwise
@@ -238,7 +237,8 @@ class Decoder:
             self._report,
             self._sources,
         )
-        self._resize(1)  # a guess, corrected when a message has another number of people
+        self._slots = model.n_markers, model.n_links
+        self._most_likely = 1  # people; corrected when a message has another number of them
 
     def decode(self, data: Bytes, log_time: int) -> Frame:
         """Read a message, exactly.
@@ -277,11 +277,11 @@ class Decoder:
 
     def _decode(self, data: Bytes, log_time: int) -> Frame:
         buffer = _as_array(data)
-        arrays = self._room()
+        arrays = People.room(self._most_likely, *self._slots)
         code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
         if code == cdr.PEOPLE:
-            self._resize(int(self._report[cdr.COUNT]))
-            arrays = self._room()
+            self._most_likely = int(self._report[cdr.COUNT])
+            arrays = People.room(self._most_likely, *self._slots)
             code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
         if code != cdr.OK:
             raise _fault(code, self._report, data, self._topic)
@@ -297,27 +297,6 @@ class Decoder:
         """Return each person's src_frame."""
         places = self._sources[:n_people].tolist()
         return [_text(data, start, end, self._topic) for start, end in places]
-
-    def _resize(self, n_people: int) -> None:
-        """Prepare the shapes of a Frame's arrays."""
-        p, m, n = n_people, self.model.n_markers, self.model.n_links
-        self._shapes = (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
-
-    def _room(self) -> tuple[Any, ...]:
-        """Return new arrays for a Frame, not filled."""
-        markers, marker_confidences, links, link_confidences, boxes = self._shapes
-        p = markers[0]
-        empty = np.empty
-        return (
-            empty(p, np.int32),
-            empty(p, np.int64),
-            empty(p),
-            empty(markers),
-            empty(marker_confidences),
-            empty(links),
-            empty(link_confidences),
-            empty(boxes),
-        )
 
 
 class Said(NamedTuple):
@@ -352,10 +331,8 @@ class Batch:
         were measured. ``texts`` are its frame_id and src_frame; None = is not UTF-8.
         """
         self.people = people
-        self.rows = np.stack([first[:-1], first[1:]], axis=1)
-        """(N, 2) first row of each message's people, and the row after the last."""
-        self.bounds: list[tuple[int, int]] = list(pairwise(first.tolist()))
-        """``rows``."""
+        self.rows: list[tuple[int, int]] = list(pairwise(first.tolist()))
+        """First row of each message's people, and the row after the last."""
         times, stamps = people.stamps.tolist(), reports[:, cdr.HEADER_STAMP].tolist()
         usable = codes == cdr.OK
         usable &= (reports[:, cdr.MIXED] == 0) & (cleaned[:, cleaning.CONFIDENCE] == 0)
@@ -368,7 +345,7 @@ class Batch:
             if frame_id is not None and common is not None:
                 self._said[i] = Said(
                     stamps[i],
-                    times[slice(*self.bounds[i])],
+                    times[slice(*self.rows[i])],
                     common or frame_id,
                     moved_to[i] or frame_id or common,
                     kinds.get(i, _NOTHING),
@@ -390,9 +367,8 @@ class Batch:
         said = self._said[row]
         if said is None:
             return None
-        begin, end = self.bounds[row]
-        arrays: list[Any] = [array[begin:end] for array in self.people]
-        return Frame(said.stamp, log_time, said.source, said.frame_id, *arrays), said.cleaned
+        people = self.people.at(slice(*self.rows[row]))
+        return Frame(said.stamp, log_time, said.source, said.frame_id, *people), said.cleaned
 
 
 class Poses:
@@ -439,9 +415,8 @@ class BatchDecoder:
 
     def __init__(self, model: SkeletonModel) -> None:
         self._tables = _Tables.of(model)
-        m, n = model.n_markers, model.n_links
-        self._shapes = (m, STATE), (m,), (n, STATE), (n,), (BOX,)
-        self._scratch = np.empty(m + n, np.int64)
+        self._slots = model.n_markers, model.n_links
+        self._scratch = np.empty(sum(self._slots), np.int64)
 
     def decode(
         self, parts: Sequence[tuple[Bytes, Stamps]], poses: Poses | None = None
@@ -458,14 +433,9 @@ class BatchDecoder:
         for buffer, (_, places), (a, b) in zip(buffers, parts, pairwise(cuts), strict=True):
             batch_kernels.read_headers(buffer, places, reports[a:b], first[a : b + 1])
         rows = int(first[-1])
-        if rows * 8 * sum(math.prod(shape) for shape in self._shapes) > self._MOST:
+        if rows * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
             return None
-        people = People(
-            np.empty(rows, np.int32),
-            np.empty(rows, np.int64),
-            np.empty(rows),
-            *(np.empty((rows, *shape)) for shape in self._shapes),
-        )
+        people = People.room(rows, *self._slots)
         poses = poses or Poses()
         codes, cleaned = np.empty(n, np.int64), np.zeros((n, cleaning.COUNTS), np.int64)
         sources = np.empty((rows, 2), np.int64)
@@ -473,18 +443,18 @@ class BatchDecoder:
         texts: list[tuple[str | None, str | None]] = []
         known: dict[bytes, str | None] = {}
         for buffer, (data, places), (a, b) in zip(buffers, parts, pairwise(cuts), strict=True):
-            names = (places[:, :1] + reports[a:b, [cdr.FRAME, cdr.FRAME_END]]).tolist()
-            pose_of = [poses.find(bytes(data[start:end])) for start, end in names]
+            spans = (places[:, :1] + reports[a:b, [cdr.FRAME, cdr.FRAME_END]]).tolist()
+            names = [bytes(data[start:end]) for start, end in spans]
+            pose_of = [poses.find(name) for name in names]
             moved_to += [poses.fixed if pose >= 0 else "" for pose in pose_of]
             batch_kernels.decode_batch(
                 buffer, places, *self._tables, self._scratch, reports[a:b], cleaned[a:b],
                 codes[a:b], first[a : b + 1], sources, *people, np.array(pose_of, np.int64),
                 *poses.arrays,
             )  # fmt: skip
-            fields = [cdr.FRAME, cdr.FRAME_END, cdr.SOURCE, cdr.SOURCE_END]
-            for i, j, k, end in (places[:, :1] + reports[a:b, fields]).tolist():
-                pair = _decoded(bytes(data[i:j]), known), _decoded(bytes(data[k:end]), known)
-                texts.append(pair)
+            spans = (places[:, :1] + reports[a:b, [cdr.SOURCE, cdr.SOURCE_END]]).tolist()
+            for name, (start, end) in zip(names, spans, strict=True):
+                texts.append((_decoded(name, known), _decoded(bytes(data[start:end]), known)))
         return Batch(people, first, codes, reports, cleaned, moved_to, texts)
 
 

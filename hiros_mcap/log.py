@@ -193,23 +193,25 @@ class Log:
 
     def detections_by_topic(self) -> Iterator[tuple[str, Frame]]:
         """Yield what :meth:`detections` does, each frame with its topic."""
-        for topics, block in self._blocks_in(self.fixed_frame):
+        for topics, block in self._fixed_blocks():
             yield from zip(topics, block.frames(), strict=True)
 
     def blocks(self) -> Iterator[Block]:
         """Yield what :meth:`detections` does, some chunks' messages at once where that can be."""
-        for _, block in self._blocks_in(self.fixed_frame):
+        for _, block in self._fixed_blocks():
             yield block
 
-    def _blocks_in(self, fixed: str) -> Iterator[tuple[Sequence[str], Block]]:
-        mover = Mover(self.transforms, fixed)
+    def _fixed_blocks(self) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the messages as blocks in the fixed frame, with the topic of each."""
+        fixed = self.fixed_frame
+        digest = _Digest(self, fixed)
         with _named(self.path):
-            for topics, block in self._blocks(_Digest(self, fixed)):
+            for topics, block in self._blocks(digest):
                 if all(name == fixed for name in block.frame_ids):
                     yield topics, block
                     continue
                 for topic, frame in zip(topics, block.frames(), strict=True):
-                    yield (topic,), Block.of(mover(frame))
+                    yield (topic,), Block.of(digest.mover(frame))
 
     def _blocks(self, digest: _Digest) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks, with the topic of each."""
@@ -259,7 +261,7 @@ def _block_of(rows: list[_Row]) -> tuple[Sequence[str], Block]:
         np.array(log_times, np.int64),
         sources,
         frame_ids,
-        batch.rows[np.array(places)],
+        np.array([batch.rows[i] for i in places], np.int64),
         batch.people,
     )
 
@@ -273,7 +275,7 @@ class _Digest:
     def __init__(self, log: Log, fixed: str = "") -> None:
         self._decoder = BatchDecoder(log.model)
         self._poses = Poses(fixed, partial(log.transforms.at_rest, fixed=fixed)) if fixed else None
-        self._mover = Mover(log.transforms, fixed)
+        self.mover = Mover(log.transforms, fixed)
         self._published = np.zeros(1 << 16, np.bool_)
         for camera in log.cameras:
             self._published[camera.channel.id] = camera.layout.is_published
@@ -282,7 +284,7 @@ class _Digest:
         """Move a frame that was decoded on its own, if those of a batch are."""
         if self._poses is None or self._poses.find(frame.frame_id.encode()) < 0:
             return frame
-        return self._mover(frame.replace(frame_id=frame.frame_id.lstrip("/")))
+        return self.mover(frame.replace(frame_id=frame.frame_id.lstrip("/")))
 
     def __call__(self, chunks: Sequence[Records]) -> list[list[tuple[Batch, int] | None]]:
         """Return each message's place in a batch; None = decode it on its own."""
@@ -338,7 +340,7 @@ class _Stream:
         if said.cleaned:
             account.cleaned.update(said.cleaned)
         stamp = self._stamp(times, said.stamp, message.log_time)
-        self._previous[source] = _Last(times, (batch.people, batch.bounds[place][0]))
+        self._previous[source] = _Last(times, (batch.people, batch.rows[place][0]))
         return _Row(
             batch, place, stamp, message.log_time, self._name(source), said.frame_id.lstrip("/"),
             self.topic,

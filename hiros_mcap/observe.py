@@ -178,8 +178,7 @@ class Observer:
     def _see_input(self, block: Block) -> None:
         """Note the rhythm of the cameras, and how their frames look."""
         self._looks.look(block)
-        times = zip(block.sources, block.stamps.tolist(), block.log_times.tolist(), strict=True)
-        for source, stamp, log_time in times:
+        for stamp, source, log_time, _ in block.messages():
             rhythm = self._rhythms.get(source)
             if rhythm is None:
                 rhythm = self._rhythms[source] = _Rhythm()

@@ -169,27 +169,32 @@ def _marker_distance(
 
 
 @kernel
-def _mirrored_distance(
+def _mean_distance(
     positions: Floats, markers: Floats, confidences: Floats, weights: Floats, mirror: Ints,
-    by_confidence: bool,
+    by_confidence: bool, most: float, limit: float,
 ) -> float:  # fmt: skip
-    """Weighted mean distance to the detection with its sides swapped; infinite if undefined."""
-    total = 0.0
-    norm = 0.0
-    for m in range(positions.shape[0]):
+    """Weighted mean distance to the detection with its slots changed as ``mirror`` says.
+
+    Infinite if undefined, or as soon as it is known to be beyond ``limit``. ``most`` is at least 1
+    and every confidence, of which none is negative; no weight is above 1.
+    """
+    total = norm = 0.0
+    n = positions.shape[0]
+    for m in range(n):
         other = mirror[m]
         d = norm3(
             positions[m, 0] - markers[other, 0],
             positions[m, 1] - markers[other, 1],
             positions[m, 2] - markers[other, 2],
         )
-        if math.isnan(d):
-            continue
-        weight = weights[m]
-        if by_confidence and not math.isnan(confidences[other]):
-            weight *= confidences[other]
-        norm += weight
-        total += weight * d
+        if not math.isnan(d):
+            weight = weights[m]
+            if by_confidence and not math.isnan(confidences[other]):
+                weight *= confidences[other]
+            norm += weight
+            total += weight * d
+        if (m & 7) == 7 and total > limit * (norm + (n - 1 - m) * most):
+            return np.inf
     return total / norm if norm > 0.0 else np.inf
 
 
@@ -270,44 +275,15 @@ def distances(
                 by_confidence, velocity_weight, exponent, linear[i, j : j + 1], gap[i, j : j + 1],
             )  # fmt: skip
             if gap[i, j] > _NOT_MIRRORED:
-                mirrored_gap[i, j] = _mirrored_distance(
+                mirrored_gap[i, j] = _mean_distance(
                     positions[i], markers[j], marker_confidences[j], marker_weights, mirror,
-                    by_confidence,
+                    by_confidence, 1.0, np.inf,
                 )  # fmt: skip
             if min(gap[i, j], mirrored_gap[i, j]) <= gate:
                 angular[i, j] = _link_distance(
                     turns[i], spin[row], links[j], link_confidences[j], link_weights,
                     by_confidence, angular_velocity_weight, exponent,
                 )  # fmt: skip
-
-
-@kernel
-def _far(
-    positions: Floats, markers: Floats, confidences: Floats, weights: Floats, mirror: Ints,
-    by_confidence: bool, most: float, limit: float,
-) -> float:  # fmt: skip
-    """:func:`_mirrored_distance`, or infinite as soon as that is known to be beyond ``limit``.
-
-    ``most`` is at least 1 and every confidence, of which none is negative; no weight is above 1.
-    """
-    total = norm = 0.0
-    n = positions.shape[0]
-    for m in range(n):
-        other = mirror[m]
-        d = norm3(
-            positions[m, 0] - markers[other, 0],
-            positions[m, 1] - markers[other, 1],
-            positions[m, 2] - markers[other, 2],
-        )
-        if not math.isnan(d):
-            weight = weights[m]
-            if by_confidence and not math.isnan(confidences[other]):
-                weight *= confidences[other]
-            norm += weight
-            total += weight * d
-        if (m & 7) == 7 and total > limit * (norm + (n - 1 - m) * most):
-            return np.inf
-    return total / norm if norm > 0.0 else np.inf
 
 
 @kernel
@@ -348,13 +324,13 @@ def _pair_up(
                 if confidences[j, m] > most:
                     most = confidences[j, m]
             # Who is farther than twice the reach is certainly turned round if that brings him near.
-            near = _far(
+            near = _mean_distance(
                 positions[i], markers[j], confidences[j], weights, order, by_confidence, most,
                 2.0 * reach,
             )  # fmt: skip
             turned = np.inf
             if near > _NOT_MIRRORED and numbers[9] > 0.0:
-                turned = _far(
+                turned = _mean_distance(
                     positions[i], markers[j], confidences[j], weights, mirror, by_confidence,
                     most, reach,
                 )  # fmt: skip

@@ -201,9 +201,8 @@ def merge_blocks(
     gathered: Instants[Part] = Instants(params.cameras, params.max_delta_time, events)
     for block in blocks:
         ready: list[Instant[Part]] = []
-        messages = zip(block.stamps.tolist(), block.sources, block.log_times.tolist(), strict=True)
-        for i, (stamp, source, log_time) in enumerate(messages):
-            ready += gathered.add(stamp, source, log_time, (block, i))
+        for message in block.messages():
+            ready += gathered.add(*message)
         yield from merger.fuse(ready)
     yield from merger.fuse(gathered.rest())
 

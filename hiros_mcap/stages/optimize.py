@@ -216,7 +216,7 @@ class _Fit:
         if known.all():
             self._fit(out.people, nominal)
         else:
-            part = People(*[array[known] for array in out.people])
+            part = out.people.at(known)
             self._fit(part, nominal[known])
             for name in ("markers", "marker_confidences", "links", "link_confidences"):
                 getattr(out.people, name)[known] = getattr(part, name)

@@ -344,9 +344,8 @@ def track_blocks(
     order: TimeOrder[Part] = TimeOrder(params.reorder)
     for block in blocks:
         ready: list[tuple[Part, int]] = []
-        messages = zip(block.stamps.tolist(), block.sources, block.log_times.tolist(), strict=True)
-        for i, (stamp, source, log_time) in enumerate(messages):
-            ready += order.push(stamp, source, log_time, (block, i))
+        for message in block.messages():
+            ready += order.push(*message)
         if ready:
             yield from _grouped(tracker.take(_Passage(ready)))
     if ready := order.rest():
