@@ -1,7 +1,7 @@
 """Writes an MCAP file: chunked, indexed, with every checksum, the same bytes for the same calls.
 
-Compression, checksums and writing happen in one background thread, in the order of the calls, so
-that neither timing nor the number of cores can change a byte. Neither clock nor host nor path
+Messages are laid out, compressed and written by one background thread, in the order of the calls,
+so that neither timing nor the number of cores can change a byte. Neither clock nor host nor path
 gets into the file.
 """
 
@@ -13,9 +13,8 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +34,7 @@ CHUNK_SIZE = 2 << 20
 since the threads disturb each other less often."""
 _SPARE = 1 << 16
 _IN_FLIGHT = 8
+_GATHERED = 1 << 18  # bytes of single messages that are handed over together
 _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
 
@@ -44,16 +44,35 @@ Fill = Callable[[Room, int, int, int], list[int] | int]
 """See :meth:`McapWriter.write_into`."""
 
 
-@dataclass(slots=True)
-class _Batch:
-    """The chunk that is being filled."""
+class _Single(NamedTuple):
+    """A message that is added on its own."""
 
-    room: Room
-    """Its records, one after the other, and space for more."""
-    size: int = 0
-    index: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-    start_time: int = 2**64
-    end_time: int = 0
+    channel_id: int
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+
+
+class _Batch:
+    """The chunk that is being filled, by the background thread alone."""
+
+    def __init__(self, size: int) -> None:
+        self.room: Room = np.empty(size, np.uint8)
+        """Its records, one after the other, and space for more."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin the next chunk in the same room, which is in the caches."""
+        self.size = 0
+        self.index: dict[int, list[tuple[int, int]]] = {}
+        self.start_time, self.end_time = 2**64, 0
+
+    def enlarge(self, size: int) -> None:
+        """Make room for ``size`` bytes in all."""
+        bigger = np.empty(size, np.uint8)
+        bigger[: self.size] = self.room[: self.size]
+        self.room = bigger
 
 
 class McapWriter:
@@ -90,8 +109,9 @@ class McapWriter:
         self._chunk_size = chunk_size
         self._times: list[int] = []
         self._reserved = (0, 0)
-        self._batch = _Batch(np.empty(chunk_size + _SPARE, np.uint8))
-        self._rooms: deque[Room] = deque()
+        self._batch = _Batch(chunk_size + _SPARE)
+        self._singles: list[_Single] = []
+        self._gathered = 0
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
@@ -181,68 +201,39 @@ class McapWriter:
         The publish time is the log time unless given; the sequence number counts the channel's
         messages unless given.
         """
-        payload = np.frombuffer(data, np.uint8) if len(data) else np.empty(0, np.uint8)
+        number = self._number(channel_id, 1)
+        self._singles.append(
+            _Single(
+                channel_id,
+                log_time,
+                log_time if publish_time is None else publish_time,
+                number if sequence is None else sequence,
+                bytes(data),
+            )
+        )
+        self._gathered += len(data)
+        if self._gathered >= _GATHERED:
+            self._hand_over()
 
-        def fill(space: Room, _first: int, gap: int, _limit: int) -> list[int] | int:
-            end = gap + len(payload)
-            if len(space) < end:
-                return end
-            space[gap:end] = payload
-            return [end]
-
-        self.write_into(channel_id, [log_time], fill, publish_time=publish_time, sequence=sequence)
-
-    def write_into(
-        self,
-        channel_id: int,
-        log_times: Sequence[int],
-        fill: Fill,
-        *,
-        publish_time: int | None = None,
-        sequence: int | None = None,
-    ) -> None:
+    def write_into(self, channel_id: int, log_times: Sequence[int], fill: Fill) -> None:
         """Add messages that ``fill`` writes where they are to lie, which spares a copy.
 
         ``fill(space, first, gap, limit)`` writes messages from number ``first`` on into ``space``,
         each ``gap`` bytes behind the one before it, the first too, up to the one that reaches byte
         ``limit`` or for which there is no room. It returns where each of them ends, or, if there is
-        no room for one, how many bytes are enough; then it is called again.
+        no room for one, how many bytes are enough; then it is called again. The background thread
+        calls it, after this has returned; what it raises is raised by a later call.
         """
+        self._submit(
+            self._fill, channel_id, log_times, self._number(channel_id, len(log_times)), fill
+        )
+
+    def _number(self, channel_id: int, n: int) -> int:
+        """Count messages of a channel; return the sequence number of the first."""
         if channel_id not in self.channels:
             raise ValueError(f"there is no channel {channel_id}")
-        first = 0
-        while first < len(log_times):
-            batch = self._batch
-            begin = batch.size
-            ends = fill(batch.room[begin:], first, _MESSAGE.size, self._chunk_size - begin)
-            if isinstance(ends, int):
-                bigger = np.empty(begin + ends, np.uint8)
-                bigger[:begin] = batch.room[:begin]
-                batch.room = bigger
-                continue
-            times = log_times[first : first + len(ends)]
-            index = batch.index.setdefault(channel_id, [])
-            at = begin
-            for number, (log_time, end) in enumerate(zip(times, ends, strict=True), first):
-                index.append((log_time, at))
-                _MESSAGE.pack_into(
-                    batch.room.data,
-                    at,
-                    r.MESSAGE_OP,
-                    begin + end - at - r.HEAD.size,
-                    channel_id,
-                    self.counts[channel_id] + number if sequence is None else sequence,
-                    log_time,
-                    log_time if publish_time is None else publish_time,
-                )
-                at = begin + end
-            batch.size = at
-            batch.start_time = min(batch.start_time, *times)
-            batch.end_time = max(batch.end_time, *times)
-            first += len(ends)
-            if batch.size >= self._chunk_size:
-                self._flush()
-        self.counts[channel_id] += len(log_times)
+        self.counts[channel_id] += n
+        return self.counts[channel_id] - n
 
     def copy_chunk(self, reader: McapReader, chunk: r.Chunk) -> None:
         """Copy a chunk's messages of the channels taken over, bytes, times and numbers unchanged.
@@ -256,7 +247,6 @@ class McapWriter:
         whole = counts.keys() | reader.definitions_in(chunk) <= self.channels.keys()
         if whole and chunk.index_end > chunk.end:
             self.counts.update(counts)
-            self._times += (chunk.start_time, chunk.end_time)
             self._submit(self._emit_copy, chunk, reader)
             return
         for message in reader.messages_in(chunk):
@@ -284,7 +274,7 @@ class McapWriter:
 
     def commit(self) -> None:
         """Finish the file, check it and let it appear at ``path``, replacing what was there."""
-        self._flush()
+        self._submit(self._flush)
         while self._waiting:
             self._waiting.popleft().result()
         self._summary()
@@ -301,6 +291,16 @@ class McapWriter:
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
         """Queue a job of the background thread; its errors are raised by a later call."""
+        if self._singles:
+            self._hand_over()
+        self._queue(job, *args)
+
+    def _hand_over(self) -> None:
+        """Queue the single messages so far."""
+        singles, self._singles, self._gathered = self._singles, [], 0
+        self._queue(self._add, singles)
+
+    def _queue(self, job: Callable[..., None], *args: Any) -> None:
         self._waiting.append(self._worker.submit(self._do, job, *args))
         while len(self._waiting) > _IN_FLIGHT:
             self._waiting.popleft().result()
@@ -312,16 +312,58 @@ class McapWriter:
         finally:
             self.cpu_s += time.thread_time() - start
 
+    def _add(self, singles: list[_Single]) -> None:
+        """Lay out messages that are there already."""
+        batch = self._batch
+        for single in singles:
+            end = batch.size + _MESSAGE.size + len(single.data)
+            if len(batch.room) < end:
+                batch.enlarge(end)
+            batch.room.data[end - len(single.data) : end] = single.data
+            self._head(
+                single.channel_id, single.sequence, single.log_time, single.publish_time, end
+            )
+            if batch.size >= self._chunk_size:
+                self._flush()
+
+    def _fill(self, channel_id: int, log_times: Sequence[int], number: int, fill: Fill) -> None:
+        """Have messages laid out, see :meth:`write_into`; ``number`` is that of the first."""
+        batch, first = self._batch, 0
+        while first < len(log_times):
+            begin = batch.size
+            ends = fill(batch.room[begin:], first, _MESSAGE.size, self._chunk_size - begin)
+            if isinstance(ends, int):
+                batch.enlarge(begin + ends)
+                continue
+            for end in ends:
+                self._head(
+                    channel_id, number + first, log_times[first], log_times[first], begin + end
+                )
+                first += 1
+            if batch.size >= self._chunk_size:
+                self._flush()
+
+    def _head(
+        self, channel_id: int, sequence: int, log_time: int, publish_time: int, end: int
+    ) -> None:
+        """Complete the record of the message that reaches from the batch's size to ``end``."""
+        batch = self._batch
+        at, batch.size = batch.size, end
+        _MESSAGE.pack_into(
+            batch.room.data, at, r.MESSAGE_OP, end - at - r.HEAD.size, channel_id, sequence,
+            log_time, publish_time,
+        )  # fmt: skip
+        batch.index.setdefault(channel_id, []).append((log_time, at))
+        batch.start_time = min(batch.start_time, log_time)
+        batch.end_time = max(batch.end_time, log_time)
+
     def _flush(self) -> None:
+        """Write the chunk."""
         batch = self._batch
         if batch.index:
-            # Room that was written before is in the caches, and known to the system.
-            room = self._rooms.popleft() if self._rooms else batch.room[:0]
-            self._batch = _Batch(
-                room if len(room) >= len(batch.room) else np.empty_like(batch.room)
-            )
             self._times += (batch.start_time, batch.end_time)
-            self._submit(self._emit_batch, batch)
+            self._emit_batch(batch)
+            batch.clear()
 
     def _emit_batch(self, batch: _Batch) -> None:
         data = batch.room.data[: batch.size]
@@ -340,7 +382,6 @@ class McapWriter:
             parts.append(r.record(r.MESSAGE_INDEX_OP, fixed, flat))
             at += len(parts[-1])
         self._out.write(*parts)
-        self._rooms.append(batch.room)
         self._indexes.append(
             r.ChunkIndex(
                 start_time=batch.start_time,
@@ -356,6 +397,7 @@ class McapWriter:
         )
 
     def _emit_copy(self, chunk: r.Chunk, reader: McapReader) -> None:
+        self._times += (chunk.start_time, chunk.end_time)
         raw = reader.raw(chunk)
         start, length = self._out.offset, chunk.end - chunk.offset
         offsets, at = {}, length
