@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hiros_mcap.kernels.tracking import exponential, multiply
 from hiros_mcap.kernels.unaligned import copy, kernel
@@ -50,12 +49,10 @@ def _copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
     copy(to, at * size, source, row * size, size)
 
 
-@njit(
+@kernel(
     "int64(int64, int64, int64, int64, boolean, int32[::1], int32[::1], float64[::1],"
     " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1],"
     " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1])",
-    cache=True,
-    nogil=True,
 )
 def load_views(
     at: int,
@@ -164,10 +161,8 @@ def mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Float
     return total / norm if norm > 0.0 else np.nan
 
 
-@njit(
+@kernel(
     "void(int64, int64[::1], int64[::1], float64[::1], boolean, int64[::1], float64[::1])",
-    cache=True,
-    nogil=True,
 )
 def mean_people(
     stamp: int,

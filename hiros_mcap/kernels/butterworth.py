@@ -275,8 +275,8 @@ def butterworth_push(
 ) -> None:
     """Run the tracks that are seen up to step ``step``; the others coast at their velocity.
 
-    Arguments as of :func:`state_space_push`. A track that comes back within ``max_gap`` s takes
-    the whole gap as one step, its input a straight line. ``tuning`` holds
+    Arguments as of ``_state_space_push`` in ``kernels.filters``. A track that comes back within
+    ``max_gap`` s takes the whole gap as one step, its input a straight line. ``tuning`` holds
     :func:`butterworth_rate` and the usual sample time.
     """
     n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1

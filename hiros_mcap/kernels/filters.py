@@ -40,7 +40,7 @@ INFORMATION = 16  # 1 / innovation variance; 0 = not seen
 COVARIANCE = 17  # predicted; 00 01 02 11 12 22; its first three times INFORMATION are the gain
 COLUMNS = 23
 
-# Columns of what state_space_push carries on, (T, STATE); POSE to BEND as in a ring, filtered.
+# Columns of what _state_space_push carries on, (T, STATE); POSE to BEND as in a ring, filtered.
 NOW_COVARIANCE = 10
 NOW_AGE = 16
 NOW_CONFIDENCE = 17
@@ -270,7 +270,7 @@ def predict_state(
 
 @kernel
 def covariance_step(work: Any, dt: float, noise: float, order: int, case: int) -> None:
-    """Fill rows 1 to 3 of ``work`` (4, 6) from row 0: predicted, gain and information, filtered.
+    """Fill rows 1 to 3 of ``work`` from row 0: predicted, gain and information, filtered.
 
     ``case``: 0 = the track starts, 1 = it goes on unseen, 2 = it goes on and is seen.
     """
@@ -312,14 +312,8 @@ def update_state(
         now[t, NOW_COVARIANCE + i] = work[3, i]
 
 
-@njit(
-    "void(float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64,"
-    " float64[:,:,::1], float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
-    cache=True,
-    error_model="numpy",
-    nogil=True,
-)
-def state_space_push(
+@kernel
+def _state_space_push(
     markers: Floats,
     links: Floats,
     marker_confidences: Floats,
@@ -332,18 +326,19 @@ def state_space_push(
     max_gap: float,
     tuning: Floats,
     order: int,
+    work: Floats,
 ) -> None:
     """Predict every track to step ``step``, update those that are seen, start those that are new.
 
     ``times`` (R,) are the slots' times in s, ``now`` (T, STATE) goes on from call to call,
-    the step's slot of ``ring`` is filled for :func:`state_space_emit`. A track unseen for more
-    than ``max_gap`` s starts anew. ``tuning`` holds :func:`state_space_noise`.
+    the step's slot of ``ring`` is filled for :func:`_state_space_emit`. A track unseen for more
+    than ``max_gap`` s starts anew. ``tuning`` holds :func:`state_space_noise`, ``work`` is scratch.
     """
     n_markers, n_links, mask, noise = markers.shape[1], links.shape[1], len(ring) - 1, tuning[0]
     slot = ring[step & mask]
     dt = times[step & mask] - times[(step - 1) & mask] if step > 0 else 0.0
-    z, pose, error = np.zeros(4), np.zeros(4), np.zeros(3)
-    work, twin = np.zeros((4, 6)), -1  # tracks with one history share one covariance: work's
+    z, pose, error = work[4], work[5], work[6]
+    twin = -1  # tracks with one history share one covariance: that in the first rows of work
     for block in range(4):
         of_markers, turning, start, size = block_of(block, n_markers, n_links)
         elements = markers[person] if of_markers else links[person]
@@ -470,14 +465,8 @@ def apply_adjoint(slot: Any, t: int, carried: Any, shift: Any, motion: Any) -> N
         motion[3 + c] = slot[t, BEND + c] + p02 * a0 + p12 * a1 + p22 * a2
 
 
-@njit(
-    "void(float64[:,:,::1], float64[::1], int64, int64, float64[::1], int64, float64,"
-    " float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64)",
-    cache=True,
-    error_model="numpy",
-    nogil=True,
-)
-def state_space_emit(
+@kernel
+def _state_space_emit(
     ring: Floats,
     times: Floats,
     first: int,
@@ -490,15 +479,16 @@ def state_space_emit(
     marker_confidences: Floats,
     link_confidences: Floats,
     person: int,
+    work: Floats,
 ) -> None:
     """Write the estimate at step ``first``, given all steps before ``end``, into a frame.
 
-    ``person`` is the row. Order 2 has no acceleration in its state: with a look-ahead it is the
-    smoothed process noise, without one the rate at which the velocity changed.
+    ``person`` is the row, ``work`` is scratch. Order 2 has no acceleration in its state: with a
+    look-ahead it is the smoothed process noise, without one the rate at which the velocity changed.
     """
     n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1
     slot = ring[first & mask]
-    carried, pose, shift, motion = np.zeros((3, 3)), np.zeros(4), np.zeros(3), np.zeros(6)
+    carried, pose, shift, motion = work[:3], work[3], work[4], work[5]
     dt = times[first & mask] - times[(first - 1) & mask] if first > 0 else 0.0
     for block in range(4):
         of_markers, turning, start, size = block_of(block, n_markers, n_links)
@@ -527,12 +517,7 @@ def state_space_emit(
                 confidences[k] = 0.5 * slot[t, CONFIDENCE]
 
 
-@njit(
-    "void(float64[:,:,::1], int64, int32[:,::1], float64, float64, float64[:,::1])",
-    cache=True,
-    error_model="numpy",
-    nogil=True,
-)
+@kernel
 def follow_lengths(
     markers: Floats, person: int, links: Links, dt: float, time_constant: float, lengths: Floats
 ) -> None:
@@ -553,11 +538,7 @@ def follow_lengths(
             lengths[k, 0] += (np.sqrt(square) - lengths[k, 0]) * dt / lengths[k, 1]
 
 
-@njit(
-    "int64(float64[:,:,::1], int64, int32[:,::1], float64[:,::1], int64, float64)",
-    cache=True,
-    nogil=True,
-)
+@kernel("int64(float64[:,:,::1], int64, int32[:,::1], float64[:,::1], int64, float64)")
 def restore_lengths(
     markers: Floats, person: int, links: Links, lengths: Floats, sweeps: int, tolerance: float
 ) -> int:
@@ -623,21 +604,21 @@ def run_state_space(
     limbs : (L, 2). The bank, by row: ``ring``, ``times``, ``now``, ``lengths``.
     markers, ..., out_link_confidences : (P, ...) poses to take over; and to be replaced.
     """
-    mask = ring.shape[1] - 1
+    mask, work = ring.shape[1] - 1, np.zeros((7, 6))
     for j in range(len(jobs)):
         row, who, step = jobs[j, 1], jobs[j, 2], jobs[j, 3]
         if jobs[j, 0] == PUSH:
             times[who, step & mask] = numbers[j, 0]
-            state_space_push(
+            _state_space_push(
                 markers, links, marker_confidences, link_confidences, row, ring[who], times[who],
-                step, now[who], settings[0], numbers[j, 2:], order,
+                step, now[who], settings[0], numbers[j, 2:], order, work,
             )  # fmt: skip
             if settings[2] > 0.0:
                 follow_lengths(markers, row, limbs, numbers[j, 1], settings[2], lengths[who])
         else:
-            state_space_emit(
+            _state_space_emit(
                 ring[who], times[who], step, jobs[j, 4], numbers[j, 2:], order, settings[1],
-                out_markers, out_links, out_marker_confidences, out_link_confidences, row,
+                out_markers, out_links, out_marker_confidences, out_link_confidences, row, work,
             )  # fmt: skip
             if settings[2] > 0.0:
                 restore_lengths(

@@ -12,10 +12,10 @@ no part. Loops, not slices: numba compiles them several times faster.
 from __future__ import annotations
 
 from math import atan2, pi, sqrt, tan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Floats, Ints
@@ -33,17 +33,55 @@ _DOUBT_ROUNDS = 5  # ... in so many rounds of weighing and solving.
 _PATIENCE = 6
 
 
+_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+
+
+class Work(NamedTuple):
+    """Room of the solver for one skeleton of M markers and L links.
+
+    It is the caller's: a kernel that makes arrays is slower.
+    """
+
+    diagonal: Floats
+    inverse: Floats
+    """(M, 3, 3)."""
+    blocks: Floats
+    scaled: Floats
+    """(S, 3, 3), S of them off the diagonal."""
+    slope: Floats
+    step: Floats
+    here: Floats
+    found: Floats
+    """(M, 3)."""
+    aims: Floats
+    """(L, 3)."""
+    geometry: Floats
+    """(L, 8)."""
+    weights: Floats
+    """(L, 4)."""
+    tension: Floats
+    """(L,)."""
+
+    @classmethod
+    def of(cls, n_markers: int, n_links: int, n_blocks: int) -> Work:
+        """Make room."""
+        m, n, k = n_markers, n_links, n_blocks
+        shapes = [*[(m, 3, 3)] * 2, *[(k, 3, 3)] * 2, *[(m, 3)] * 4, (n, 3), (n, 8), (n, 4), (n,)]
+        return cls(*[np.empty(shape) for shape in shapes])
+
+
+_WORK: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
+    (*[_F3] * 4, *[_F2] * 7, _F1), Work
+)
+
+
 @kernel
 def _distance(a: Floats, b: Floats) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return sqrt(x * x + y * y + z * z)
 
 
-@njit(
-    "void(float64[:,:,::1], float64[:,::1], int32[:,::1], float64[:,::1], float64[:,::1])",
-    cache=True,
-    nogil=True,
-)
+@kernel("void(float64[:,:,::1], float64[:,::1], int32[:,::1], float64[:,::1], float64[:,::1])")
 def measure(
     markers: Floats, confidences: Floats, links: Ints, lengths: Floats, weights: Floats
 ) -> None:
@@ -75,7 +113,7 @@ def _certainty(confidence: float) -> float:
     return 1.0 if np.isnan(confidence) else min(max(confidence, 0.01), 1.0)
 
 
-@njit(cache=True, nogil=True)  # without a signature: not compiled unless it is wanted
+@kernel  # without a signature: not compiled unless it is wanted
 def judge(
     points: Floats, nominal: Floats, links: Ints, outward: Ints, max_error: float, outlier: Ints
 ) -> int:
@@ -102,11 +140,9 @@ def judge(
     return found
 
 
-@njit(
+@kernel(
     "void(float64[:,:,::1], float64[:,::1], float64[:,::1], int32[:,::1], int32[::1],"
-    " int32[:,::1], float64, float64, float64, float64[:,:,::1])",
-    cache=True,
-    nogil=True,
+    " int32[:,::1], float64, float64, float64, float64[:,:,::1])"
 )
 def weigh(
     points: Floats,
@@ -179,7 +215,7 @@ def _look(x: Floats, p: int, c: int, aims: Floats, k: int, geometry: Floats) -> 
     geometry[k, 5], geometry[k, 6], geometry[k, 7] = ax * share, ay * share, az * share
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)  # makes arrays
 def energy(x: Floats, start: Floats, nominal: Floats, links: Ints, weights: Floats) -> float:
     """Energy of one skeleton at ``x`` (M, 3), eq. 14 to 19."""
     total = 0.0
@@ -365,7 +401,7 @@ def _eliminate(
                 step[m, i] -= inverse[m, i, j] * slope[m, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve_one(
     start: Floats,
     nominal: Floats,
@@ -379,6 +415,7 @@ def _solve_one(
     link_slot: Ints,
     tolerance: float,
     max_steps: int,
+    work: Work,
     x: Floats,
 ) -> int:
     """Minimize one skeleton's energy into ``x``; return 1 if ``max_steps`` were not enough.
@@ -388,12 +425,12 @@ def _solve_one(
     does at first); when that does not pay, the solver goes on from ``x`` with damped, strictly
     descending ones, which is Levenberg and Marquardt's method.
     """
-    markers, n_links = start.shape[0], links.shape[0]
-    diagonal, inverse = np.empty((markers, 3, 3)), np.empty((markers, 3, 3))
-    blocks, scaled = np.empty((row.shape[0], 3, 3)), np.empty((row.shape[0], 3, 3))
-    slope, step, here = np.empty((markers, 3)), np.empty((markers, 3)), np.empty((markers, 3))
-    tension, geometry = np.zeros(n_links), np.zeros((n_links, 8))
-    aims = np.empty((n_links, 3))
+    markers = start.shape[0]
+    diagonal, inverse, blocks, scaled = work.diagonal, work.inverse, work.blocks, work.scaled
+    slope, step, here = work.slope, work.step, work.here
+    aims, geometry, tension = work.aims, work.geometry, work.tension
+    tension[:] = 0.0
+    geometry[:] = 0.0
     _aim(start, links, weights, aims)
     for m in range(markers):
         for j in range(3):
@@ -434,12 +471,18 @@ def _solve_one(
     return 1
 
 
-@njit(
-    "int64(float64[:,:,::1], float64[:,::1], float64[:,:,::1], int32[:,::1], int32[::1],"
-    " int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], float64, int64,"
-    " float64[:,:,::1])",
-    cache=True,
-    nogil=True,
+@kernel(
+    types.int64(
+        _F3,
+        _F2,
+        _F3,
+        types.int32[:, ::1],
+        *[types.int32[::1]] * 6,
+        types.float64,
+        types.int64,
+        _WORK,
+        _F3,
+    )
 )
 def solve(
     start: Floats,
@@ -454,6 +497,7 @@ def solve(
     link_slot: Ints,
     tolerance: float,
     max_steps: int,
+    work: Work,
     x: Floats,
 ) -> int:
     """Minimize the energy of each person (P, M, 3) by Levenberg-Marquardt, into ``x``.
@@ -465,7 +509,7 @@ def solve(
     for i in range(start.shape[0]):
         failed += _solve_one(
             start[i], nominal[i], weights[i], links, order, first, row, first_pair, target,
-            link_slot, tolerance, max_steps, x[i],
+            link_slot, tolerance, max_steps, work, x[i],
         )  # fmt: skip
     return failed
 
@@ -495,11 +539,17 @@ def _doubt(x: Floats, start: Floats, links: Ints, trusted: Floats, weights: Floa
         weights[k, 3] = trusted[k, 3] * least
 
 
-@njit(
-    "int64(float64[:,:,::1], float64[:,::1], float64[:,:,::1], int32[:,::1], int32[::1],"
-    " int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], float64, int32[:,::1])",
-    cache=True,
-    nogil=True,
+@kernel(
+    types.int64(
+        _F3,
+        _F2,
+        _F3,
+        types.int32[:, ::1],
+        *[types.int32[::1]] * 6,
+        types.float64,
+        types.int32[:, ::1],
+        _WORK,
+    )
 )
 def relocate(
     points: Floats,
@@ -514,6 +564,7 @@ def relocate(
     link_slot: Ints,
     max_error: float,
     outlier: Ints,
+    work: Work,
 ) -> int:
     """Find the markers that are wrong, and put them where the others and the lengths want them.
 
@@ -524,7 +575,7 @@ def relocate(
     """
     found = 0
     steps: Any = np.int64(30)  # a literal would make a second version of the solver
-    x, weights = np.empty(points.shape[1:]), np.empty(trusted.shape[1:])
+    x, weights = work.found, work.weights
     for i in range(points.shape[0]):
         for m in range(points.shape[1]):
             outlier[i, m] = 0
@@ -536,7 +587,7 @@ def relocate(
         for _ in range(_DOUBT_ROUNDS):
             _solve_one(
                 points[i], nominal[i], weights, links, order, first, row, first_pair, target,
-                link_slot, 1e-4, steps, x,
+                link_slot, 1e-4, steps, work, x,
             )  # fmt: skip
             _doubt(x, points[i], links, trusted[i], weights)
         for m in range(points.shape[1]):
@@ -588,11 +639,9 @@ def _move(
         _turn(state, u, v, dot)
 
 
-@njit(
+@kernel(
     "void(float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
-    " int32[:,::1], float64[:,:,::1], int32[:,::1], int64, boolean)",
-    cache=True,
-    nogil=True,
+    " int32[:,::1], float64[:,:,::1], int32[:,::1], int64, boolean, float64[:,::1])"
 )
 def apply(
     solved: Floats,
@@ -605,14 +654,15 @@ def apply(
     outlier: Ints,
     remove: bool,
     turning: bool,
+    work: Floats,
 ) -> None:
     """Write the solved positions (P, M, 3) into the states of markers and links, in place.
 
     The position of a link of some weight, if it has one, moves along with its two ends; with
     ``turning`` it is also turned by the least rotation that takes its measured direction to the
-    solved one. With ``remove``, outliers and the links that touch them become absent.
+    solved one. With ``remove``, outliers and the links that touch them become absent. ``work`` is
+    room of (2, 3).
     """
-    work = np.empty((2, 3))
     for i in range(solved.shape[0]):
         for k in range(links.shape[0]):
             p, c = links[k, 0], links[k, 1]

@@ -11,10 +11,10 @@ of arrays with one row per person:
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import types
 
 from hiros_mcap.kernels.averaging import (
     load_views,
@@ -27,6 +27,9 @@ from hiros_mcap.kernels.tracking import angle_of, norm3
 from hiros_mcap.kernels.unaligned import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
+_I1, _I2, _F1 = types.int64[::1], types.int64[:, ::1], types.float64[::1]
+_F2, _F3, _F4 = types.float64[:, ::1], types.float64[:, :, ::1], types.float64[:, :, :, ::1]
+
 KEPT, FLIPPED, RELABELLED = 0, 1, 2
 AGREED, TURNED, HELD = 0, 1, 2
 
@@ -35,6 +38,51 @@ _TRUST = 3.0
 
 # Against the past alone, swapping has to leave less than this share of a view's distance to it.
 _CLEARLY = 0.75
+
+
+class Work(NamedTuple):
+    """Room for what is between input and output, for instants of up to N views.
+
+    It is the caller's: a kernel that makes arrays is twice as slow.
+    """
+
+    members: Stamps
+    verdicts: Stamps
+    outliers: Stamps
+    flags: Flags
+    """(3, N)."""
+    weights: Floats
+    """(3, N)."""
+    powers: Floats
+    link_powers: Floats
+    """(N, M) and (N, L)."""
+    past: Floats
+    past_turn: Floats
+    reference: Floats
+    """(M, 3), (L, 4) and (M, 3)."""
+    points: Floats
+    """(2, 3)."""
+    places: Floats
+    turns: Floats
+    """(N + 1, 3) and (N + 1, 4)."""
+    apart: Floats
+    alone: Floats
+    """((N + 1)^2,) each, of which what is needed is taken as a square."""
+
+    @classmethod
+    def of(cls, views: int, n_markers: int, n_links: int) -> Work:
+        """Make room."""
+        n, m, k = views, n_markers, n_links
+        members, verdicts, outliers = np.empty((3, n), np.int64)
+        shapes = (3, n), (n, m), (n, k), (m, 3), (k, 4), (m, 3), (2, 3), (n + 1, 3), (n + 1, 4)
+        numbers = [np.empty(shape) for shape in shapes]
+        squares = np.empty((2, (n + 1) ** 2))
+        return cls(members, verdicts, outliers, np.empty((3, n), np.bool_), *numbers, *squares)
+
+
+_WORK: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
+    (_I1, _I1, _I1, types.boolean[:, ::1], *[_F2] * 9, _F1, _F1), Work
+)
 
 
 @kernel
@@ -64,12 +112,8 @@ def _lateral(poses: Floats, view: int, pairs: Ints, out: Floats, row: int) -> No
     out[row, 0], out[row, 1], out[row, 2] = x / length, y / length, z / length
 
 
-@njit(
-    "void(float64[:,::1], float64[:,::1], float64[:,::1])",
-    cache=True,
-    nogil=True,
-)
-def facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
+@kernel
+def _facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
     """(N, N) angles, rad, between the facing directions of N poses; NaN = unknown.
 
     ``sides`` (N, 3) are the directions from left to right, ``pelvis`` (N, 4) the orientations of
@@ -93,11 +137,7 @@ def facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
             out[a, b] = d
 
 
-@njit(
-    "int64(float64[:,::1], float64[::1], boolean, float64)",
-    cache=True,
-    nogil=True,
-)
+@kernel("int64(float64[:,::1], float64[::1], boolean, float64)")
 def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) -> int:
     """Index whose neighbours, at a distance below ``limit``, are the right views; -1 = no view.
 
@@ -209,7 +249,7 @@ def _vote(
 ) -> int:
     """Strike out the views that are not in the largest group; return its centre."""
     n = len(usable)
-    best = largest_group(apart, weights, voter, limit)
+    best: int = largest_group(apart, weights, voter, limit)
     for k in range(n):
         if usable[k] and not apart[best, k] < limit:
             usable[k] = False
@@ -253,30 +293,30 @@ def _aligned(turns: Floats, usable: Flags, voter: bool, near: float) -> bool:
 
 @kernel
 def _merge_markers(
-    members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
-    bias: Floats, person: int, cameras: Stamps, limit: float, scale: float, learning: float,
-    apart: Floats, alone: Floats, here: Floats, two_weights: Floats, two_flags: Flags,
-    two_points: Floats, p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+    members: Stamps, views: Floats, confidences: Floats, bias: Floats, person: int,
+    cameras: Stamps, limit: float, scale: float, learning: float, work: Work, p: int, out: Floats,
+    out_confidences: Floats,
 ) -> None:  # fmt: skip
     """Merge the markers of one person's views (outlier vote, then eq 12).
 
     Parameters
     ----------
     members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
-    powers : (N, M) the confidences to a power. past : (M, 3) previous pose; NaN = no vote.
     bias, person, cameras : (S, C, M, 3), the person's row in it, (N,) the camera of each view.
     limit : m, views closer than this agree; <= 0 turns the vote off.
     scale : m, of the robust mean; <= 0 = plain eq 12.
     learning : fraction by which a camera's bias follows its offset; 0 = no bias.
-    apart, alone, here, two_weights, two_flags, two_points : scratch, (K + 1, K + 1), (K, K),
-        (K + 1, 3), (2, K), (2, K), (2, 3).
+    work : whose ``powers`` are the confidences to a power, and ``past`` (M, 3) is the previous
+        pose, NaN = no vote. Votes lost are added to its ``outliers``.
     p, out, out_confidences : row of the outputs (P, M, 19), (P, M) to fill.
-    outliers : (N,) votes lost per view, added to.
     """
     n = len(members)
-    weights, robust = two_weights[0], two_weights[1]
-    usable, lost = two_flags[0], two_flags[1]
-    start, mean = two_points[0], two_points[1]
+    powers, past, here = work.powers, work.past, work.places
+    apart = work.apart[: (n + 1) * (n + 1)].reshape((n + 1, n + 1))
+    alone = work.alone[: n * n].reshape((n, n))
+    weights, robust = work.weights[0, :n], work.weights[1, :n]
+    usable, lost = work.flags[0, :n], work.flags[1, :n]
+    start, mean = work.points[0], work.points[1]
     for m in range(views.shape[1]):
         count = 0
         for k in range(n):
@@ -325,7 +365,7 @@ def _merge_markers(
         for k in range(n):
             heaviest = max(heaviest, weights[k])
         for k in range(n):
-            outliers[members[k]] += int(lost[k])
+            work.outliers[members[k]] += int(lost[k])
             if learning > 0.0 and weights[k] > 0.0:
                 # In proportion to the weight that the view has: a guess teaches little.
                 rate = learning * weights[k] / heaviest
@@ -335,18 +375,18 @@ def _merge_markers(
 
 @kernel
 def _merge_links(
-    members: Stamps, views: Floats, confidences: Floats, powers: Floats, past: Floats,
-    limit: float, apart: Floats, alone: Floats, turns: Floats, weights: Floats, two_flags: Flags,
-    p: int, out: Floats, out_confidences: Floats, outliers: Stamps,
+    members: Stamps, views: Floats, confidences: Floats, limit: float, work: Work, p: int,
+    out: Floats, out_confidences: Floats,
 ) -> None:  # fmt: skip
     """Merge the links of one person's views as :func:`_merge_markers` does, by orientation.
 
-    ``past`` is (L, 4), ``limit`` in rad (eq 10); ``apart``, ``alone``, ``turns`` (K + 1, 4),
-    ``weights`` (K,) and ``two_flags`` are scratch. A link without orientation is averaged without
-    a vote.
+    ``limit`` is in rad (eq 10). A link without orientation is averaged without a vote.
     """
     n = len(members)
-    usable, lost = two_flags[0], two_flags[1]
+    powers, past, turns, weights = work.link_powers, work.past_turn, work.turns, work.weights[0, :n]
+    apart = work.apart[: (n + 1) * (n + 1)].reshape((n + 1, n + 1))
+    alone = work.alone[: n * n].reshape((n, n))
+    usable, lost = work.flags[0, :n], work.flags[1, :n]
     near = math.cos(0.25 * max(limit, 0.0))  # of half the angle between two quaternions
     for m in range(views.shape[1]):
         turned = 0
@@ -383,7 +423,7 @@ def _merge_links(
             mean_columns(views, members, m, first, weights, out, p)
         out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
         for k in range(n):
-            outliers[members[k]] += int(lost[k])
+            work.outliers[members[k]] += int(lost[k])
 
 
 @kernel
@@ -469,11 +509,11 @@ def _mend(
     return verdict
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle_flips(
     members: Stamps, markers: Floats, confidences: Floats, links: Floats,
-    link_confidences: Floats, past: Floats, past_turn: Floats, has_past: bool, patient: bool,
-    mirror: Ints, pairs: Ints, pelvis: int, limit: float, relabel: bool, verdicts: Stamps,
+    link_confidences: Floats, has_past: bool, patient: bool, mirror: Ints, pairs: Ints,
+    pelvis: int, limit: float, relabel: bool, work: Work,
 ) -> int:  # fmt: skip
     """Mend the views of one person that face the wrong way.
 
@@ -484,36 +524,34 @@ def _settle_flips(
     size = n + 1 if has_past else n
     if size == 1:
         return AGREED
-    sides = np.full((size, 3), np.nan)
-    turns = np.full((size, 4), np.nan)
-    trust = np.zeros(n)
+    past, verdicts = work.past, work.verdicts
+    sides, turns, trust = work.places[:size], work.turns[:size], work.weights[0, :n]
     for k in range(n):
         view = members[k]
         _lateral(markers, view, pairs, sides, k)
-        if pelvis >= 0:
-            for c in range(4):
-                turns[k, c] = links[view, pelvis, 3 + c]
+        for c in range(4):
+            turns[k, c] = links[view, pelvis, 3 + c] if pelvis >= 0 else np.nan
+        trust[k] = 0.0
         for m in range(confidences.shape[1]):
             trust[k] += 1.0 if math.isnan(confidences[view, m]) else confidences[view, m]
     if has_past:
         _lateral(past.reshape((1, past.shape[0], 3)), np.int64(0), pairs, sides, n)
-        if pelvis >= 0:
-            for c in range(4):
-                turns[n, c] = past_turn[pelvis, c]
-    apart = np.empty((size, size))
-    facing_angles(sides, turns, apart)
+        for c in range(4):
+            turns[n, c] = work.past_turn[pelvis, c] if pelvis >= 0 else np.nan
+    apart = work.apart[: size * size].reshape((size, size))
+    _facing_angles(sides, turns, apart)
     conflict = False
     for a in range(size):
         for b in range(size):
             conflict = conflict or apart[a, b] >= limit
     if not conflict:
         return AGREED
-    right = np.empty(n, np.bool_)
+    right = work.flags[0, :n]
     none = _right_views(apart, trust, has_past, patient, limit, right)
-    reference = past
+    reference = past if none else work.reference
     if not none:
-        reference = np.full(past.shape, np.nan)
         for m in range(past.shape[0]):
+            reference[m, 0] = np.nan
             count = x = y = z = 0.0
             for k in range(n):
                 v = members[k]
@@ -543,7 +581,7 @@ def _settle_flips(
     return AGREED
 
 
-@njit(inline="always")  # else it would be compiled twice, and that is what takes longest
+@kernel
 def _fuse(
     stamp: int,
     n: int,
@@ -571,20 +609,24 @@ def _fuse(
     out_links: Floats,
     out_link_confidences: Floats,
     counts: Stamps,
+    work: Work,
 ) -> None:
     """Merge an instant: settle flips, vote, average (H25); see :func:`fuse`."""
     person_of, cameras = whose[0, :n], whose[1, :n]
-    verdicts, outliers = np.zeros(n, np.int64), np.zeros(n, np.int64)
     n_markers, n_links = markers.shape[1], links.shape[1]
-    past = np.empty((n_markers, 3))
-    past_turn = np.empty((n_links, 4))
-    powers, link_powers = np.empty_like(confidences), np.empty_like(link_confidences)
-    points = np.empty((2, 3))
+    past, past_turn = work.past, work.past_turn
+    for k in range(n):
+        work.verdicts[k], work.outliers[k] = KEPT, 0
     no_pairs = pairs[:0]
     for p in range(len(rows)):
-        members = np.nonzero(person_of == p)[0]
-        if len(members) == 0:
+        count = 0
+        for k in range(n):
+            if person_of[k] == p:
+                work.members[count] = k
+                count += 1
+        if count == 0:
             continue
+        members = work.members[:count]
         row = rows[p]
         age = (stamp - seen[row]) * 1e-9
         fresh = seen[row] > 0 and age <= numbers[0]
@@ -604,9 +646,9 @@ def _fuse(
             patience = min(numbers[10], _TRUST * known)
             patient = (stamp - facing_seen[row]) * 1e-9 <= patience
             facing = _settle_flips(
-                members, markers, confidences, links, link_confidences, past, past_turn, has_past,
-                patient, mirror, pairs if numbers[7] > 0.0 else no_pairs, int(numbers[6]),
-                numbers[3], numbers[9] > 0.0, verdicts,
+                members, markers, confidences, links, link_confidences, has_past, patient, mirror,
+                pairs if numbers[7] > 0.0 else no_pairs, int(numbers[6]), numbers[3],
+                numbers[9] > 0.0, work,
             )  # fmt: skip
         if facing == TURNED or seen[row] == 0:
             facing_since[row] = stamp
@@ -620,20 +662,15 @@ def _fuse(
         learning = 0.0
         if numbers[12] > 0.0 and fresh:
             learning = 1.0 - math.exp(-max(age, 0.0) / numbers[12])
-        k = len(members)
-        apart, alone = np.empty((k + 1, k + 1)), np.empty((k, k))
-        room, weights, flags = np.empty((k + 1, 3)), np.empty((2, k)), np.empty((2, k), np.bool_)
-        _raise(members, confidences, numbers[4], powers)
+        _raise(members, confidences, numbers[4], work.powers)
         _merge_markers(
-            members, markers, confidences, powers, past, bias, row, cameras, numbers[1],
-            numbers[5], learning, apart, alone, room, weights, flags, points, p, out,
-            out_confidences, outliers,
+            members, markers, confidences, bias, row, cameras, numbers[1], numbers[5], learning,
+            work, p, out, out_confidences,
         )  # fmt: skip
-        _raise(members, link_confidences, numbers[4], link_powers)
+        _raise(members, link_confidences, numbers[4], work.link_powers)
         _merge_links(
-            members, links, link_confidences, link_powers, past_turn, numbers[2], apart, alone,
-            np.empty((k + 1, 4)), weights[0], flags, p, out_links, out_link_confidences, outliers,
-        )  # fmt: skip
+            members, links, link_confidences, numbers[2], work, p, out_links, out_link_confidences
+        )
         seen[row] = stamp
         for m in range(n_markers):
             for c in range(3):
@@ -644,8 +681,8 @@ def _fuse(
             for c in range(4):
                 turns[row, k, c] = out_links[p, k, 3 + c]
     for k in range(n):
-        counts[0, cameras[k]] += outliers[k]
-        counts[1, cameras[k]] += verdicts[k] != KEPT
+        counts[0, cameras[k]] += work.outliers[k]
+        counts[1, cameras[k]] += work.verdicts[k] != KEPT
     mean_people(stamp, person_of, whose[2, :n], trust[:n], numbers[11] > 0.0, out_stamps, out_trust)
 
 
@@ -659,17 +696,13 @@ def _blank(states: Floats, confidences: Floats) -> None:
                 states[p, m, c] = np.nan
 
 
-@njit(
-    "void(int64[::1], int64[:,::1], int64[:,::1], int32[::1], float64[::1], float64[:,:,::1],"
-    " float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1], float64[::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1],"
-    " int64[::1], int64[::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1],"
-    " float64[:,:,:,::1], int32[::1], int32[:,::1], float64[::1], int32[::1], int64[::1],"
-    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1],"
-    " int64[:,::1])",
-    cache=True,
-    nogil=True,
-)
+@kernel(
+    types.void(
+        _I1, _I2, _I2, types.int32[::1], _F1, _F3, _F2, _F3, _F2, _I2, _F1, _F3, _F2, _F3, _F2,
+        _I1, _I1, _I1, _I1, _F3, _F3, _F3, _F4, types.int32[::1], types.int32[:, ::1], _F1,
+        types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _I2, _WORK,
+    ),
+)  # fmt: skip
 def fuse(
     stamps: Stamps,
     ends: Stamps,
@@ -705,6 +738,7 @@ def fuse(
     out_links: Floats,
     out_link_confidences: Floats,
     counts: Stamps,
+    work: Work,
 ) -> None:
     """Merge instant after instant: settle flips, vote, average (H25).
 
@@ -726,6 +760,7 @@ def fuse(
     out_ids : says whom each output row is to show. ``out``, ..., ``out_link_confidences`` are
         absent in rows without views, whose ``out_stamps`` and ``out_trust`` stay as they are.
     counts : (2, C) votes lost and flips, by camera; added to.
+    work : with room for the views of any instant.
     """
     carry = numbers[11] > 0.0
     for q in range(len(stamps)):
@@ -744,5 +779,5 @@ def fuse(
             stamps[q], n, whose, view_trust, view_markers, view_confidences, view_links,
             view_link_confidences, rows[a:b], seen, facing_seen, facing_since, positions,
             velocities, turns, bias, mirror, pairs, numbers, out_stamps[a:b], out_trust[a:b],
-            out[a:b], out_confidences[a:b], out_links[a:b], out_link_confidences[a:b], counts,
+            out[a:b], out_confidences[a:b], out_links[a:b], out_link_confidences[a:b], counts, work,
         )  # fmt: skip

@@ -263,6 +263,8 @@ class _Merger:
         self.symmetry = symmetry_of(model)
         self.bank = _Bank(model)
         self.views = Views(model)
+        self.slots = model.n_markers, model.n_links
+        self.work = kernels.Work.of(16, *self.slots)
         self.last: dict[int, _Last] = {}
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
@@ -330,6 +332,9 @@ class _Merger:
         ends, parts = np.array(plan.ends, np.int64), np.array(plan.parts, np.int64)
         rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
         bank_rows, room = np.array(plan.bank_rows, np.int64), self.views.room(plan.views)
+        if len(self.work.members) < plan.views:
+            self.work = kernels.Work.of(2 * plan.views, *self.slots)
+        work = self.work
         out = People.room(len(plan.people), self.model.n_markers, self.model.n_links)
         out.ids[:] = plan.people
         out.confidences.fill(np.nan)
@@ -345,7 +350,7 @@ class _Merger:
                 *room, bank_rows, bank.seen, bank.facing_seen, bank.facing_since, bank.positions,
                 bank.velocities, bank.turns, bank.bias, self.symmetry.mirror,
                 self.symmetry.lateral, self.numbers, out.ids, out.stamps, out.confidences,
-                out.markers, out.marker_confidences, out.links, out.link_confidences, counts,
+                out.markers, out.marker_confidences, out.links, out.link_confidences, counts, work,
             )  # fmt: skip
         for last in plan.made:
             last.people = out

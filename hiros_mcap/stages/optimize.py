@@ -203,6 +203,7 @@ class _Fit:
         self._links = np.ascontiguousarray(model.links)
         self._degree = _degrees(self._links, model.n_markers)
         self._outward, self._topology = outward(model), _topology(model)
+        self._work, self._directions = _work(model), np.empty((2, 3))
         self._solve = _solver(model, params)
 
     def __call__(self, block: Block, ready: list[_Ready]) -> Block:
@@ -235,7 +236,7 @@ class _Fit:
             solved, people.markers, people.marker_confidences, people.links,
             people.link_confidences,
             self._links, weights, outlier, self._params.outliers == "remove",
-            self._params.turn_links,
+            self._params.turn_links, self._directions,
         )  # fmt: skip
 
     def _find_outliers(
@@ -252,7 +253,9 @@ class _Fit:
             trusted = None
         else:
             trusted = self._weigh(points, nominal, confidences, outlier, STIFFNESS)
-            found = kernels.relocate(points, nominal, trusted, *self._topology, limit, outlier)
+            found = kernels.relocate(
+                points, nominal, trusted, *self._topology, limit, outlier, self._work
+            )
         if found:
             self._count(outlier)
         return outlier, None if found or self._params.lengths != "exact" else trusted
@@ -292,13 +295,19 @@ def _topology(model: SkeletonModel) -> tuple[Ints, Ints, Ints, Ints, Ints, Ints,
     return links, p.order, p.first, p.row, p.first_pair, p.target, p.link_slot
 
 
+def _work(model: SkeletonModel) -> kernels.Work:
+    return kernels.Work.of(model.n_markers, model.n_links, len(plan(model).row))
+
+
 def block_solver(model: SkeletonModel, tolerance: float) -> Solver:
     """Return the compiled solver for the topology of ``model``."""
-    topology = _topology(model)
+    topology, work = _topology(model), _work(model)
 
     def solve(start: Floats, nominal: Floats, weights: Floats) -> tuple[Floats, int]:
         solved = np.empty_like(start)
-        failed = kernels.solve(start, nominal, weights, *topology, tolerance, MAX_STEPS, solved)
+        failed = kernels.solve(
+            start, nominal, weights, *topology, tolerance, MAX_STEPS, work, solved
+        )
         return solved, int(failed)
 
     return solve
