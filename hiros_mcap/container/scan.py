@@ -10,7 +10,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from hiros_mcap.container import records as r
 from hiros_mcap.container.compression import MAX_CHUNK
@@ -21,7 +21,8 @@ from hiros_mcap.errors import LogError
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
 _RUN = 1 << 20
-_AHEAD = 1 << 16
+_AHEAD = 1 << 14
+_INDEX = struct.Struct("<HI")  # channel and bytes of a message index
 _NAMES = 1 << 18
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)
@@ -147,9 +148,9 @@ class _Scan:
         """Hand every record to its reader until the record that ends the section."""
         while True:
             opcode, body, stop = self._next()
-            if opcode not in (r.SCHEMA_OP, r.CHANNEL_OP, r.MESSAGE_OP):
+            if self._run is not None and opcode not in (r.SCHEMA_OP, r.CHANNEL_OP, r.MESSAGE_OP):
                 self._end_run()
-            if opcode != r.MESSAGE_INDEX_OP:
+            if self._index is not None and opcode != r.MESSAGE_INDEX_OP:
                 self._end_index()
             if opcode == last:
                 return
@@ -188,7 +189,7 @@ class _Scan:
         left = self.file.size - self.at
         if left < r.HEAD.size:
             raise self._short("before its footer")
-        opcode, length = r.HEAD.unpack(self._peek(self.at, r.HEAD.size))
+        opcode, length = self._fields(self.at, r.HEAD)
         body = self.at + r.HEAD.size
         if length > self.file.size - body:
             raise self._short(f"inside a {r.name_of(opcode)} record")
@@ -219,6 +220,13 @@ class _Scan:
             self._ahead_at, start = offset, 0
         return self._ahead[start : start + n]
 
+    def _fields(self, offset: int, form: struct.Struct) -> tuple[Any, ...]:
+        """Return fixed fields; as :meth:`_peek`, without a copy."""
+        start = offset - self._ahead_at
+        if start < 0 or start + form.size > len(self._ahead):
+            return form.unpack(self._peek(offset, form.size))
+        return form.unpack_from(self._ahead, start)
+
     def _content(self, body: int, stop: int) -> bytes:
         if stop - body > MAX_RECORD:
             raise FormatError(f"a record of {stop - body} bytes; the limit is {MAX_RECORD}")
@@ -242,7 +250,7 @@ class _Scan:
         """Add a message outside of chunks to the current run of them."""
         if stop - body < r.MESSAGE_HEAD.size:
             raise FormatError("a message record is shorter than its fixed fields")
-        channel, _, time, _ = r.MESSAGE_HEAD.unpack(self._peek(body, r.MESSAGE_HEAD.size))
+        channel, _, time, _ = self._fields(body, r.MESSAGE_HEAD)
         if self._run is not None and stop - self._run.offset > _RUN:
             self._end_run()
         if self._run is None:
@@ -275,10 +283,10 @@ class _Scan:
     def _message_index(self, body: int, stop: int) -> None:
         if self._index is None:
             raise FormatError("a message index does not follow a chunk")
-        if stop - body < 6:
+        if stop - body < _INDEX.size:
             raise FormatError("a message index is shorter than its fixed fields")
-        channel, size = struct.unpack("<HI", self._peek(body, 6))
-        if size % 16 or size > stop - body - 6:
+        channel, size = self._fields(body, _INDEX)
+        if size % 16 or size > stop - body - _INDEX.size:
             raise FormatError("a message index does not fit its record")
         if channel in self._index:
             raise FormatError(f"a chunk has two message indexes of channel {channel}")
