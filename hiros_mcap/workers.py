@@ -27,6 +27,8 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _told_to_leave: list[int] = []
 """The exit code, in a process that the first one has stopped."""
 _STOPPING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+_HELD = [*_STOPPING, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else [])]
+"""Those, and that by which a program may put what they mean off."""
 
 
 def run_tasks(
@@ -147,7 +149,7 @@ def _signals_held() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPPING)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
     try:
         yield
     finally:
@@ -179,7 +181,7 @@ def _obey() -> None:
         elif signal.getsignal(signum) is not signal.SIG_IGN:
             signal.signal(signum, _leave)
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPPING)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _HELD)
 
 
 def _leave(signum: int, _: FrameType | None) -> None:

@@ -2,21 +2,53 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
-NOTICE = "hiros: compiling kernels for this machine, once (about half a minute)"
+NOTICE = "hiros: compiling kernels for this machine, once (about 20 s with two cores)"
+
+RUN = (
+    ("tracking", "averaging", "merging"),
+    ("cdr", "cdr_encode", "batch", "records", "gathering", "limbs", "filters"),
+)
+"""Modules that a run by the default system needs, in parts that take about as long to compile and
+share nothing that is to be compiled."""
+ALL = (
+    (*RUN[0], "clustering", "kalman", "predicting"),
+    (*RUN[1], "butterworth", "cleaning", "drawing", "geometry", "nearest"),
+)
+"""Every module, in such parts."""
 
 
-def prepare(*, quiet: bool) -> None:
-    """Announce a compilation that is about to happen. Call before anything imports numba."""
+def prepare(*, quiet: bool, parts: Sequence[Sequence[str]] = ()) -> None:
+    """Announce a compilation that is about to happen. Call before anything imports numba.
+
+    ``parts`` are modules of kernels that will be needed: those that are not compiled yet are
+    compiled here and now, each part in a process of its own.
+    """
     from hiros_mcap import kernels
 
     _ensure_writable()
-    if not quiet and not kernels.is_compiled():
-        print(NOTICE, file=sys.stderr, flush=True)
+    needed = [[name for name in part if not kernels.is_compiled(name)] for part in parts]
+    if any(needed) if parts else not kernels.is_compiled():
+        if not quiet:
+            print(NOTICE, file=sys.stderr, flush=True)
+        _compile([(part,) for part in needed if part])
+
+
+def _compile(tasks: Sequence[tuple[Sequence[str]]]) -> None:
+    from hiros_mcap.errors import HirosError
+    from hiros_mcap.kernels import load
+    from hiros_mcap.workers import run_tasks
+
+    # Where there is no memory for several processes, this one compiles what is left, as it goes.
+    with contextlib.suppress(HirosError):
+        for _ in run_tasks(load, tasks):
+            pass
 
 
 def _ensure_writable() -> None:

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
@@ -28,10 +30,16 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("hiros")) / f"kernels-{digest.hexdigest()[:16]}"
 
 
-def is_compiled() -> bool:
-    """Whether a former run has compiled kernels of this source on this machine."""
+def is_compiled(module: str = "*") -> bool:
+    """Whether a former run on this machine has compiled a module of kernels, or any."""
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    return folder.is_dir() and any(folder.rglob("*.nbi"))
+    return folder.is_dir() and any(folder.rglob(f"{module}.*.nbi"))
+
+
+def load(modules: Sequence[str]) -> None:
+    """Import modules of kernels, which compiles them unless that was done before."""
+    for module in modules:
+        import_module(f"{__name__}.{module}")
 
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))

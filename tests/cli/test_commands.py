@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 from hiros_cli.app import run
 from hiros_cli.commands.simulate import _params
+from hiros_cli.kernels import ALL
+from hiros_mcap import kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.log import open_log
@@ -122,6 +128,32 @@ def test_config_prints_what_config_reads(
 def test_warmup_says_when_it_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["warmup"]) == 0
     assert capsys.readouterr().out.startswith("kernels ready after ")
+
+
+def test_kernels_are_compiled_in_advance_each_by_one_process() -> None:
+    folder = Path(kernels.__file__).parent
+    # Made for its callers only, so that there is nothing to compile.
+    names = {path.stem for path in folder.glob("*.py")} - {"__init__", "unaligned"}
+    assert sorted(chain(*ALL)) == sorted(names)
+    for part in ALL:
+        for name in part:
+            text = (folder / f"{name}.py").read_text()
+            needed = set(re.findall(r"^from hiros_mcap\.kernels\.(\w+)", text, re.MULTILINE))
+            assert needed - {"unaligned"} <= set(part)
+
+
+def test_a_run_compiles_nothing_that_was_not_compiled_before_it(tmp_path: Path) -> None:
+    folder = tmp_path / "kernels"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    code = "from hiros_cli.kernels import RUN, prepare; prepare(quiet=True, parts=RUN)"
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+    compiled = {path.name for path in folder.rglob("*.nb?")}
+    assert any(name.startswith("merging.") for name in compiled)
+    log, out = "sample_data/one_person_walking.mcap", tmp_path / "o.mcap"
+    command = [sys.executable, "-m", "hiros_cli", "process", log, "-o", str(out)]
+    done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
+    assert done.stderr == ""
+    assert {path.name for path in folder.rglob("*.nb?")} == compiled
 
 
 def test_systems_are_listed_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:

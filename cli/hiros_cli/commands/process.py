@@ -109,7 +109,7 @@ def process(
     Writes /hiros/tracked, /hiros/merged, /hiros/optimized and /hiros/filtered, with the channels
     that were read beside them, and prints what was done.
     """
-    from hiros_cli.kernels import prepare
+    from hiros_cli.kernels import RUN, prepare
     from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
 
@@ -122,7 +122,7 @@ def process(
         force=force,
     )
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
-    prepare(quiet=quiet)
+    prepare(quiet=quiet, parts=RUN)
 
     from hiros_mcap.config import load_config
     from hiros_mcap.pipeline import ProcessOptions
