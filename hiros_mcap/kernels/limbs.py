@@ -11,7 +11,7 @@ no part. Loops, not slices: numba compiles them several times faster.
 
 from __future__ import annotations
 
-from math import atan2, pi, sqrt, tan
+from math import atan2, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ class Work(NamedTuple):
     aims: Floats
     """(L, 3)."""
     geometry: Floats
-    """(L, 8)."""
+    """(L, 9)."""
     weights: Floats
     """(L, 4)."""
     tension: Floats
@@ -66,7 +66,7 @@ class Work(NamedTuple):
     def of(cls, n_markers: int, n_links: int, n_blocks: int) -> Work:
         """Make room."""
         m, n, k = n_markers, n_links, n_blocks
-        shapes = [*[(m, 3, 3)] * 2, *[(k, 3, 3)] * 2, *[(m, 3)] * 4, (n, 3), (n, 8), (n, 4), (n,)]
+        shapes = [*[(m, 3, 3)] * 2, *[(k, 3, 3)] * 2, *[(m, 3)] * 4, (n, 3), (n, 9), (n, 4), (n,)]
         return cls(*[np.empty(shape) for shape in shapes])
 
 
@@ -201,7 +201,7 @@ def _aim(start: Floats, links: Ints, weights: Floats, aims: Floats) -> None:
 
 @kernel
 def _look(x: Floats, p: int, c: int, aims: Floats, k: int, geometry: Floats) -> None:
-    """Write |d|, the unit d, phi, and the unit tangent that leads from d to its aim (8 numbers)."""
+    """Write |d|, unit d, phi, the unit tangent from d towards its aim, and phi cot phi (9)."""
     dx, dy, dz = x[c, 0] - x[p, 0], x[c, 1] - x[p, 1], x[c, 2] - x[p, 2]
     length = max(sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
     dx, dy, dz = dx / length, dy / length, dz / length
@@ -211,15 +211,20 @@ def _look(x: Floats, p: int, c: int, aims: Floats, k: int, geometry: Floats) -> 
     sine = sqrt(ax * ax + ay * ay + az * az)
     share = 1.0 / sine if sine > 1e-14 else 0.0
     geometry[k, 0], geometry[k, 1], geometry[k, 2], geometry[k, 3] = length, dx, dy, dz
-    geometry[k, 4] = atan2(sine, cosine)
+    geometry[k, 4] = phi = atan2(sine, cosine)
     geometry[k, 5], geometry[k, 6], geometry[k, 7] = ax * share, ay * share, az * share
+    # The curvature of half the squared angle across the motion: 1 at 0, cut off below 0.
+    if phi < 0.01:
+        geometry[k, 8] = 1.0 - phi * phi / 3.0
+    else:
+        geometry[k, 8] = phi * cosine * share if phi < 0.5 * pi else 0.0
 
 
 @njit(cache=True, nogil=True)  # makes arrays
 def energy(x: Floats, start: Floats, nominal: Floats, links: Ints, weights: Floats) -> float:
     """Energy of one skeleton at ``x`` (M, 3), eq. 14 to 19."""
     total = 0.0
-    aims, g = np.empty((links.shape[0], 3)), np.empty((links.shape[0], 8))
+    aims, g = np.empty((links.shape[0], 3)), np.empty((links.shape[0], 9))
     _aim(start, links, weights, aims)
     for k in range(links.shape[0]):
         w = weights[k]
@@ -231,14 +236,6 @@ def energy(x: Floats, start: Floats, nominal: Floats, links: Ints, weights: Floa
         total += w[0] * (g[k, 0] - nominal[k]) ** 2 + w[1] * moved_p**2
         total += w[2] * moved_c**2 + w[3] * g[k, 4] ** 2
     return total
-
-
-@kernel
-def _phi_cot_phi(phi: float) -> float:
-    """Curvature of half the squared angle across the motion, 1 at 0, cut off below 0."""
-    if phi < 0.01:
-        return 1.0 - phi * phi / 3.0
-    return phi / tan(phi) if phi < 0.5 * pi else 0.0
 
 
 @kernel
@@ -276,7 +273,7 @@ def _assemble(
         total += w0 * stretch * stretch + w3 * phi * phi
         pull, twist, turn = w0 * stretch, w3 * phi / length, w3 / (length * length)
         hold = 0.95 * w1 * w2 / (w1 + w2) if w1 + w2 > 0.0 else 0.0
-        bend = turn * _phi_cot_phi(phi)
+        bend = turn * geometry[k, 8]
         across = max(tension[k] / length, -hold) + bend
         along, toward = w0 - across, turn - bend
         for i in range(3):
