@@ -25,9 +25,12 @@ from hiros_mcap.skeletons import Floats, Ints
 _DOUBT_POSITION = 1e-4
 _DOUBT_DIRECTION = 0.01
 
-# To find which marker is wrong, a displacement of this many m counts a quarter of its weight...
-_DOUBT_SCALE = 0.05
-_DOUBT_ROUNDS = 5  # ... in so many rounds of weighing and solving.
+# To find which marker is wrong: displacements, m, that count a quarter of their weight, round by
+# round of weighing and solving. The narrower ones alone leave it to chance whom they doubt (Blake
+# and Zisserman's graduated non-convexity).
+_DOUBT_SCALES = (0.2, 0.14, 0.1, 0.07, 0.05)
+# What is left of a weight at the least: with next to nothing, rounding decides where a marker goes.
+_LEAST_SHARE = 0.003
 
 # How many steps in a row may raise the energy before the solver returns to the best point.
 _PATIENCE = 6
@@ -412,11 +415,14 @@ def _solve_one(
     link_slot: Ints,
     tolerance: float,
     max_steps: int,
+    warm: bool,
     work: Work,
     x: Floats,
 ) -> int:
     """Minimize one skeleton's energy into ``x``; return 1 if ``max_steps`` were not enough.
 
+    Begins at ``start``; with ``warm``, where it ended for other weights, which ``x`` and ``work``
+    still hold.
     ``x`` is always the best point so far. Undamped steps may raise the energy a few times in a
     row (the watchdog of Chamberlain et al. 1982: along a stiff, curved valley every good step
     does at first); when that does not pay, the solver goes on from ``x`` with damped, strictly
@@ -426,12 +432,16 @@ def _solve_one(
     diagonal, inverse, blocks, scaled = work.diagonal, work.inverse, work.blocks, work.scaled
     slope, step, here = work.slope, work.step, work.here
     aims, geometry, tension = work.aims, work.geometry, work.tension
-    tension[:] = 0.0
-    geometry[:] = 0.0
+    if not warm:
+        tension[:] = 0.0
+        geometry[:] = 0.0
+        for m in range(markers):
+            for j in range(3):
+                x[m, j] = start[m, j]
     _aim(start, links, weights, aims)
     for m in range(markers):
         for j in range(3):
-            x[m, j] = here[m, j] = start[m, j]
+            here[m, j] = x[m, j]
     best, damping, size, worse = np.inf, 0.0, np.inf, 0
     for _ in range(max_steps):
         cost = _assemble(
@@ -506,7 +516,7 @@ def solve(
     for i in range(start.shape[0]):
         failed += _solve_one(
             start[i], nominal[i], weights[i], links, order, first, row, first_pair, target,
-            link_slot, tolerance, max_steps, work, x[i],
+            link_slot, tolerance, max_steps, False, work, x[i],
         )  # fmt: skip
     return failed
 
@@ -522,15 +532,17 @@ def _suspect(points: Floats, nominal: Floats, links: Ints, max_error: float) -> 
 
 
 @kernel
-def _doubt(x: Floats, start: Floats, links: Ints, trusted: Floats, weights: Floats) -> None:
+def _doubt(
+    x: Floats, start: Floats, links: Ints, trusted: Floats, scale: float, weights: Floats
+) -> None:
     """Weigh down what had to move far (Geman and McClure's estimator, one round)."""
     for k in range(links.shape[0]):
         least = 1.0
         for end in range(2):
             m = links[k, end]
             if m >= 0:
-                moved = _distance(x[m], start[m]) / _DOUBT_SCALE
-                share = 1.0 / (1.0 + moved * moved) ** 2
+                moved = _distance(x[m], start[m]) / scale
+                share = max(1.0 / (1.0 + moved * moved) ** 2, _LEAST_SHARE)
                 weights[k, 1 + end] = trusted[k, 1 + end] * share
                 least = min(least, share)
         weights[k, 3] = trusted[k, 3] * least
@@ -581,12 +593,15 @@ def relocate(
         for k in range(links.shape[0]):
             for j in range(4):
                 weights[k, j] = trusted[i, k, j]
-        for _ in range(_DOUBT_ROUNDS):
+        for k in range(len(_DOUBT_SCALES) + 1):
+            if k > 0:
+                _doubt(x, points[i], links, trusted[i], _DOUBT_SCALES[k - 1], weights)
+            # From the measured place of a marker that has little say, there is no telling where
+            # Newton's steps would lead.
             _solve_one(
                 points[i], nominal[i], weights, links, order, first, row, first_pair, target,
-                link_slot, 1e-4, steps, work, x,
+                link_slot, 1e-4, steps, k > 0, work, x,
             )  # fmt: skip
-            _doubt(x, points[i], links, trusted[i], weights)
         for m in range(points.shape[1]):
             if _distance(x[m], points[i, m]) > 0.5 * max_error:
                 outlier[i, m] = 1
