@@ -17,6 +17,7 @@ from pydantic import Field
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import Instant, Views, instants
 from hiros_mcap.symmetry import split_side, symmetry_of
 
@@ -140,13 +141,15 @@ def pairs_of(model: SkeletonModel) -> Ints:
     return np.array(rows, np.int32).reshape(-1, 2)
 
 
-class _Past:
-    """Where each person was last, as arrays that the kernel takes and fills; rows are reused."""
+class _Past(Bank):
+    """Where each person was last."""
+
+    ARRAYS = ("seen", "positions")
 
     def __init__(self, n_markers: int, memory: float) -> None:
+        super().__init__()
         self.memory = memory * 1e9
         self.row_of: dict[int, int] = {}
-        self.free: list[int] = []
         self.seen: Stamps = np.zeros(0, np.int64)
         self.positions: Floats = np.zeros((0, n_markers, 3))
 
@@ -156,23 +159,14 @@ class _Past:
             self._forget(stamp)
             for person in people:
                 if person not in self.row_of:
-                    self._add(person, stamp)
+                    row = self.row_of[person] = self.take()
+                    self.seen[row], self.positions[row] = stamp, np.nan
         return np.array([self.row_of[person] for person in people], np.int64)
 
     def _forget(self, stamp: int) -> None:
         """Free the rows of people whose position is too old to be the previous one."""
-        gone = [p for p, row in self.row_of.items() if stamp - self.seen[row] > self.memory]
-        self.free += [self.row_of.pop(person) for person in gone]
-
-    def _add(self, person: int, stamp: int) -> None:
-        if not self.free:
-            self.free = list(range(len(self.seen), 2 * len(self.seen) + 8))
-            more = len(self.free)
-            self.seen = np.append(self.seen, np.zeros(more, np.int64))
-            new = np.zeros((more, *self.positions.shape[1:]))
-            self.positions = np.concatenate([self.positions, new])
-        row = self.row_of[person] = self.free.pop()
-        self.seen[row], self.positions[row] = stamp, np.nan
+        for person in [p for p, row in self.row_of.items() if stamp - self.seen[row] > self.memory]:
+            self.give_back(self.row_of.pop(person))
 
 
 class _Clusterer:

@@ -19,6 +19,7 @@ from hiros_mcap.skeletons import (
     Frame,
     SkeletonModel,
 )
+from hiros_mcap.stages.bank import Bank
 
 
 class KalmanParams(Params):
@@ -81,19 +82,21 @@ class KalmanParams(Params):
     )
 
 
-class _Filters:
-    """The filters of all people: rows of arrays."""
+class _Filters(Bank):
+    """The filters of all people."""
+
+    ARRAYS = ("states", "known", "_history", "_filled", "_strikes")
 
     def __init__(self, model: SkeletonModel, params: KalmanParams) -> None:
         from hiros_mcap.kernels import kalman as kernels
 
+        super().__init__()
         self._kernels = kernels
         self._params = params
         self._shape = model.n_markers
         self.rows: dict[int, int] = {}
         self.stamps: dict[int, int] = {}
         self.seen: dict[int, int] = {}
-        self._free: list[int] = []
         m, n = model.n_markers, params.history
         self.states = np.zeros((0, m, kernels.STATE))
         self.known = np.zeros((0, m), np.bool_)
@@ -116,7 +119,7 @@ class _Filters:
             if person in self.rows and frame.stamp - self.seen[person] > gap:
                 self.forget(person)
             if person not in self.rows:
-                self.rows[person] = self._new_row()
+                self.rows[person] = self.take()
                 self.stamps[person] = frame.stamp
             rows.append(self.rows[person])
             people.append(index)
@@ -138,19 +141,12 @@ class _Filters:
 
     def forget(self, person: int) -> None:
         """Free a person's row."""
-        self._free.append(self.rows.pop(person))
+        self.give_back(self.rows.pop(person))
         del self.stamps[person], self.seen[person]
 
-    def _new_row(self) -> int:
-        if not self._free:
-            size = len(self.states)
-            for name in ("states", "known", "_history", "_filled", "_strikes"):
-                old = getattr(self, name)
-                bigger = np.zeros((max(8, 2 * size), *old.shape[1:]), old.dtype)
-                bigger[:size] = old
-                setattr(self, name, bigger)
-            self._free = list(range(len(self.states) - 1, size - 1, -1))
-        row = self._free.pop()
+    def take(self) -> int:
+        """Return a row for a person whom nobody has seen yet."""
+        row = super().take()
         self.known[row] = False
         self._history[row] = 0
         return row

@@ -29,6 +29,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
+from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import Instant, Instants, Views
 from hiros_mcap.symmetry import symmetry_of
 
@@ -111,13 +112,17 @@ class MergeParams(Params):
     )
 
 
-class _Bank:
-    """What is remembered of each person, as arrays that the kernel takes; rows are reused."""
+class _Bank(Bank):
+    """Where each person was last merged, and the cameras' offsets."""
+
+    ARRAYS = (
+        "seen", "facing_seen", "facing_since", "positions", "velocities", "turns", "bias",
+    )  # fmt: skip
 
     def __init__(self, model: SkeletonModel) -> None:
+        super().__init__()
         self.rows: dict[int, int] = {}
         self.cameras: dict[str, int] = {}
-        self.free: list[int] = []
         m, n = model.n_markers, model.n_links
         self.seen: Stamps = np.zeros(0, np.int64)
         self.facing_seen: Stamps = np.zeros(0, np.int64)
@@ -130,9 +135,7 @@ class _Bank:
     def row(self, person: int) -> int:
         """Row of a person; a new one is empty."""
         if person not in self.rows:
-            if not self.free:
-                self._grow(max(8, 2 * len(self.seen)))
-            row = self.rows[person] = self.free.pop()
+            row = self.rows[person] = self.take()
             self.seen[row] = self.facing_seen[row] = self.facing_since[row] = 0
             self.bias[row] = 0.0
         return self.rows[person]
@@ -148,18 +151,7 @@ class _Bank:
     def forget(self, person: int) -> None:
         """Free the row of a person, if there is one."""
         if person in self.rows:
-            self.free.append(self.rows.pop(person))
-
-    def _grow(self, size: int) -> None:
-        old = len(self.seen)
-        for name in (
-            "seen", "facing_seen", "facing_since", "positions", "velocities", "turns", "bias",
-        ):  # fmt: skip
-            array = getattr(self, name)
-            bigger = np.zeros((size, *array.shape[1:]), array.dtype)
-            bigger[:old] = array
-            setattr(self, name, bigger)
-        self.free += range(size - 1, old - 1, -1)
+            self.give_back(self.rows.pop(person))
 
 
 def merge(

@@ -23,6 +23,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.kernels import filters as _filters
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.stages.bank import Bank
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
@@ -230,12 +231,14 @@ class _Person:
     """The step that is estimated next."""
 
 
-class _Bank:
-    """The filters of all people, as arrays that the kernels take; rows are reused."""
+class _Bank(Bank):
+    """The filters of all people."""
+
+    ARRAYS = ("now", "ring", "times", "lengths")
 
     def __init__(self, model: SkeletonModel, method: _Method) -> None:
+        super().__init__()
         self._method = method
-        self._free: list[int] = []
         n_tracks = 2 * (model.n_markers + model.n_links)
         self.now: Floats = np.zeros((0, n_tracks, method.state_columns))
         self.ring: Floats = np.zeros((0, 4, n_tracks, method.ring_columns))
@@ -245,19 +248,13 @@ class _Bank:
         self.lengths: Floats = np.zeros((0, model.n_links, 2))
 
     def take(self) -> int:
-        """Give a row of a person who has no steps yet."""
-        if not self._free:
-            self._add_rows(max(8, 2 * len(self.now)))
-        row = self._free.pop()
+        """Return a row for a person who has no steps yet."""
+        row = super().take()
         for array in (self.now, self.ring, self.times, self.lengths):
             array[row] = 0.0
         self.now[row, :, self._method.age_column] = np.inf
         self.ring[row, :, :, _filters.AGE] = np.inf
         return row
-
-    def give_back(self, row: int) -> None:
-        """Say that a row is not needed any more."""
-        self._free.append(row)
 
     def make_room(self, steps: int, people: Iterable[_Person]) -> None:
         """Let the ring hold so many steps of everybody, keeping those of ``people``."""
@@ -275,15 +272,6 @@ class _Bank:
             ring[person.row, new] = self.ring[person.row, old]
             times[person.row, new] = self.times[person.row, old]
         self.ring, self.times = ring, times
-
-    def _add_rows(self, size: int) -> None:
-        old = len(self.now)
-        for name in ("now", "ring", "times", "lengths"):
-            array = getattr(self, name)
-            bigger = np.zeros((size, *array.shape[1:]))
-            bigger[:old] = array
-            setattr(self, name, bigger)
-        self._free += range(size - 1, old - 1, -1)
 
 
 @dataclass(slots=True)

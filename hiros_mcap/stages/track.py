@@ -26,6 +26,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
 from hiros_mcap.symmetry import symmetry_of
 
@@ -195,44 +196,26 @@ class _Track:
         return self.person != UNTRACKED and len(self.evidence.reports) > 1
 
 
-class _Bank:
-    """Motion of all tracks, as arrays that the kernels take; rows are reused."""
+class _Bank(Bank):
+    """Motion of all tracks."""
+
+    ARRAYS = ("motion", "spread", "turn", "spin", "turn_spread", "seen", "turn_seen")
 
     def __init__(self, model: SkeletonModel) -> None:
-        self.model = model
-        self.free: list[int] = []
-        self._allocate(8)
-
-    def _allocate(self, size: int) -> None:
-        m, n = self.model.n_markers, self.model.n_links
-        old = 0 if not hasattr(self, "seen") else len(self.seen)
-        shapes: dict[str, tuple[int, ...]] = {
-            "motion": (m, 3, 3), "spread": (m, 6), "turn": (n, 4), "spin": (n, 2, 3),
-            "turn_spread": (n, 6), "seen": (m,), "turn_seen": (n,),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            kind = np.int64 if "seen" in name else np.float64
-            array = np.zeros((size, *shape), kind)
-            if old:
-                array[:old] = getattr(self, name)
-            setattr(self, name, array)
-        self.free += range(size - 1, old - 1, -1)
-
-    motion: Floats
-    spread: Floats
-    turn: Floats
-    spin: Floats
-    turn_spread: Floats
-    seen: Stamps
-    turn_seen: Stamps
+        super().__init__()
+        m, n = model.n_markers, model.n_links
+        self.motion: Floats = np.zeros((0, m, 3, 3))
+        self.spread: Floats = np.zeros((0, m, 6))
+        self.turn: Floats = np.zeros((0, n, 4))
+        self.spin: Floats = np.zeros((0, n, 2, 3))
+        self.turn_spread: Floats = np.zeros((0, n, 6))
+        self.seen: Stamps = np.zeros((0, m), np.int64)
+        self.turn_seen: Stamps = np.zeros((0, n), np.int64)
 
     def take(self) -> int:
-        """Give a row of a person that nobody has seen yet."""
-        if not self.free:
-            self._allocate(2 * len(self.seen))
-        row = self.free.pop()
-        self.seen[row] = 0
-        self.turn_seen[row] = 0
+        """Return a row for a person whom nobody has seen yet."""
+        row = super().take()
+        self.seen[row] = self.turn_seen[row] = 0
         return row
 
 
@@ -705,7 +688,7 @@ class _Tracker:
                 kept.append(body)
                 self.expiry = min(self.expiry, body.seen + int(gap * 1e9))
                 continue
-            self.bank.free.append(body.row)
+            self.bank.give_back(body.row)
             if person:
                 self.events.note(body.seen, "track lost", person=body.person)
         if len(kept) < len(self.tracks):
