@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from hiros_mcap.blocks import Block, by_frame, frames_of, join
 from hiros_mcap.evaluate import Scores, evaluate
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.merge import merge
+from hiros_mcap.stages.merge import MergeParams, merge
 from hiros_mcap.stages.track import track
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, hiros
 
@@ -226,7 +227,8 @@ def test_a_static_phantom_at_the_edge_of_the_views_is_doubted_in_the_end() -> No
     assert {i for frame in frames[-120:] for i in frame.ids.tolist()} == {0, 1, -1}
 
 
-def test_flips_are_found_and_mended() -> None:
+@pytest.mark.parametrize("way", ["relabel", "drop"])
+def test_every_flip_is_found_and_mended(way: Literal["relabel", "drop"]) -> None:
     """H23: with the majority of the cameras right, no merged person faces the wrong way."""
     flips = {"flips_per_minute": 20.0, "flip_seconds": (0.3, 1.0), "turn_share": 0.0}
     where = room(
@@ -234,13 +236,20 @@ def test_flips_are_found_and_mended() -> None:
         **FAULTLESS | {"flips": 1.0}, detector=flips,
     )  # fmt: skip
     events = Events()
-    merged = list(merge(through("T", where.frames, where), where.model, events=events))
+    tracked = through("T", where.frames, where)
+    merged = list(merge(tracked, where.model, MergeParams(flips=way), events))
     sides = [where.model.marker_names.index(f"SHOULDER_{side}") for side in ("LEFT", "RIGHT")]
-    assert events.total("flip") > 20
-    for frame in (f for f in merged if where.truth.covers(f.stamp)):
+
+    def is_right(frame: Frame) -> bool:
         true = where.truth.at(frame.stamp)[0][0]
         across = np.diff(frame.positions[0, sides], axis=0) @ np.diff(true[sides], axis=0).T
-        assert across > 0
+        return bool(across > 0)
+
+    def judged(frames: Iterable[Frame]) -> list[bool]:
+        return [is_right(f) for f in frames if f.n_people and where.truth.covers(f.stamp)]
+
+    assert events.total("flip") == judged(where.frames).count(False) > 20
+    assert all(judged(merged))
 
 
 def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:

@@ -52,7 +52,8 @@ def random_frame(n=3, seed=0):
 
 def assert_close(frame, other, tolerance=1e-9):
     for name in ("markers", "links", "boxes"):
-        np.testing.assert_allclose(getattr(frame, name), getattr(other, name), atol=tolerance)
+        here, there = getattr(frame, name), getattr(other, name)
+        np.testing.assert_allclose(here, there, rtol=0.0, atol=tolerance)
 
 
 # -- rotations ---------------------------------------------------------------------------------

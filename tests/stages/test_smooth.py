@@ -156,12 +156,13 @@ def test_first_causal_output_is_the_first_input(method, order):
     assert out[0] == values[0]
 
 
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
 @pytest.mark.parametrize(("method", "order"), METHODS)
-def test_sign_of_a_quaternion_does_not_matter(method, order):
+def test_sign_of_a_quaternion_does_not_matter(method, order, lookahead):
     times = np.arange(60) / 30
     turns = turned(3 * times)
     flipping = turns * np.where(np.arange(60) % 2, -1, 1)[:, None]
-    p = params(method, order)
+    p = params(method, order, lookahead=lookahead)
     same = list(smooth(along(times, times, turns), MODEL, p))
     out = list(smooth(along(times, times, flipping), MODEL, p))
     for a, b in zip(same, out, strict=True):

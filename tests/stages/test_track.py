@@ -5,14 +5,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
+from hiros_mcap.channels import add_skeleton_channel
+from hiros_mcap.codec import Encoder
+from hiros_mcap.container import McapWriter
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import tracking
+from hiros_mcap.log import open_log
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.track import TrackParams, in_time_order, track
 
@@ -91,18 +97,23 @@ def test_assignment_never_takes_a_forbidden_pair() -> None:
     assert tracking.assign(cost).tolist() == [-1, 0]
 
 
-def test_constant_velocity_is_predicted_exactly() -> None:
-    motion, turn, spin = np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 4)), np.zeros((1, 1, 2, 3))
-    motion[0, 0, 1] = 1.0, -2.0, 0.5
-    turn[0, 0, 3], spin[0, 0, 0, 2] = 1.0, 3.0
-    stamps = np.full((1, 1), SECOND)
+@pytest.mark.parametrize("seed", range(20))
+def test_constant_velocity_is_predicted_exactly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, twist = Rotation.random(random_state=seed), 3 * rng.normal(size=3)
+    motion, spin = np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 2, 3))
+    motion[0, 0, :2], spin[0, 0, 0] = rng.normal(size=(2, 3)), twist
+    turn = start.as_quat()[None, None].copy()
+    step, stamps = int(rng.integers(0, SECOND // 2)), np.full((1, 1), SECOND)
     position, turned = np.empty((1, 1, 3)), np.empty((1, 1, 4))
     tracking.predict(
-        SECOND + SECOND // 10, np.zeros(1, np.int64), motion, stamps, turn, spin, stamps, 0.2,
-        position, turned,
+        SECOND + step, np.zeros(1, np.int64), motion, stamps, turn, spin, stamps, 1.0, position,
+        turned,
     )  # fmt: skip
-    assert position[0, 0] == pytest.approx([0.1, -0.2, 0.05], abs=1e-12)
-    assert turned[0, 0] == pytest.approx([0, 0, math.sin(0.15), math.cos(0.15)], abs=1e-9)
+    dt = step * 1e-9
+    expected = Rotation.from_rotvec(dt * twist) * start
+    assert position[0, 0] == pytest.approx(motion[0, 0, 0] + dt * motion[0, 0, 1], abs=1e-9)
+    assert (expected.inv() * Rotation.from_quat(turned[0, 0])).magnitude() < 1e-9
 
 
 def test_enter_stay_leave() -> None:
@@ -112,6 +123,21 @@ def test_enter_stay_leave() -> None:
     tracked = list(track(frames, MODEL, AT_ONCE, events))
     assert ids(tracked) == [[0]] * 30 + [[]] * 60
     assert [event.kind for event in events.log] == ["track born", "track lost"]
+
+
+def test_the_second_of_two_people_enters_and_leaves_at_its_time() -> None:
+    frames = [seen([person()] + [person(2)] * (10 <= k < 40), at(k)) for k in range(60)]
+    frames += [seen([], at(k)) for k in range(60, 150)]
+    events = Events()
+    tracked = list(track(frames, MODEL, AT_ONCE, events))
+    assert ids(tracked) == [[0]] * 10 + [[0, 1]] * 30 + [[0]] * 20 + [[]] * 90
+    # Who is lost was seen last at that time.
+    assert sorted((event.stamp, event.kind, event.person) for event in events.log) == [
+        (at(0), "track born", 0),
+        (at(10), "track born", 1),
+        (at(39), "track lost", 1),
+        (at(59), "track lost", 0),
+    ]
 
 
 @pytest.mark.parametrize(("part", "expected"), [(0.99, 0), (1.01, 1)])
@@ -143,13 +169,44 @@ def test_velocities_of_a_sinusoid(cameras: int) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.1 * peak
 
 
-def test_shuffled_channels_give_the_same_tracks() -> None:
-    frames = [seen([person(), person(2)], at(k, c), f"c{c}") for k in range(40) for c in range(3)]
+def shuffled() -> tuple[list[Frame], list[Frame]]:
+    """Frames of three cameras in order, and up to 80 ms late."""
+    frames = [
+        seen([person(0.02 * k), person(2)], at(k, c), f"c{c}") for k in range(40) for c in range(3)
+    ]
     rng = np.random.default_rng(3)
     late = sorted(frames, key=lambda f: f.stamp + rng.uniform(0, 0.08) * SECOND)
     assert late != frames
-    expected = [(f.stamp, f.source, f.ids.tolist()) for f in track(frames, MODEL)]
-    assert [(f.stamp, f.source, f.ids.tolist()) for f in track(late, MODEL)] == expected
+    return frames, late
+
+
+def everything(frames: Iterable[Frame]) -> list[tuple[object, ...]]:
+    return [
+        (f.stamp, f.source, f.ids.tolist(), f.markers.tobytes(), f.links.tobytes()) for f in frames
+    ]
+
+
+def test_shuffled_channels_give_the_same_tracks() -> None:
+    frames, late = shuffled()
+    assert everything(track(late, MODEL)) == everything(track(frames, MODEL))
+
+
+def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path: Path) -> None:
+    tracked = []
+    for number, frames in enumerate(shuffled()):
+        path = tmp_path / f"{number}.mcap"
+        encoder, channels = Encoder(MODEL), dict[str, int]()
+        with McapWriter(path) as writer:
+            for k, frame in enumerate(frames):
+                if frame.source not in channels:
+                    topic = f"/{frame.source}/skeletons"
+                    channels[frame.source] = add_skeleton_channel(writer, topic)
+                writer.write(channels[frame.source], at(0) + k, encoder.encode(frame))
+            writer.commit()
+        with open_log(path) as log:
+            tracked.append(everything(track(log.detections(), log.model)))
+    assert len(tracked[0]) == 120
+    assert tracked[0] == tracked[1]
 
 
 def test_a_frame_too_late_to_sort_is_used_all_the_same() -> None:
@@ -410,6 +467,16 @@ def test_eq9(changes: dict[str, float], expected: float) -> None:
     assert angular[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
+def test_unknown_confidences_count_as_1() -> None:
+    """Eq 11."""
+    off = np.array([[0.3, 0, 0], [0, 0.1, 0]])
+    linear, _ = distances(np.zeros((2, 3)), off, confidence=math.nan)
+    assert linear == pytest.approx(0.2, abs=1e-12)
+    here, turned = np.zeros((1, 2, 3)), about_z(0.3, -0.5)[None]
+    angular = table(here, about_z(0.0, 0.0)[None], here, turned, confidence=math.nan)[1]
+    assert angular[0, 0] == pytest.approx(0.4, abs=1e-12)
+
+
 def test_eq9_exponent_prefers_more_common_links() -> None:
     """2 and 20 links in common, turned by 0.1 rad each: the mean is the same, eq 9 is not."""
     costs = {}
@@ -428,11 +495,10 @@ def test_a_link_of_opposite_sign_is_the_same_orientation() -> None:
     assert table(here, turned, here, -turned)[1][0, 0] == pytest.approx(0, abs=1e-7)
 
 
-@pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
-def test_eq6_adds_turns_to_distances(weight: float, expected: int) -> None:
-    """The nearer track is turned by 0.5 rad: which one wins is up to the weight of eq 6."""
-    motion, turn = np.zeros((2, 1, 3, 3)), np.stack([about_z(0.0), about_z(0.5)])
-    motion[:, 0, 0, 0] = 0.2, 0.1
+def nearest(places: tuple[float, float], turns: tuple[float, float], weight: float) -> int:
+    """Which of two tracks, at so many m and turned by so many rad, a detection at 0 is given to."""
+    motion, turn = np.zeros((2, 1, 3, 3)), np.stack([about_z(angle) for angle in turns])
+    motion[:, 0, 0, 0] = places
     markers, links = np.full((1, 1, 19), np.nan), np.full((1, 1, 19), np.nan)
     markers[0, 0, :3], links[0, :, 3:7] = 0.0, about_z(0.0)
     numbers = np.array([0.2, 0.6, weight, 1, 1, 0.25, 0.0, 0.0, 1.0, 0.0, 0.0])
@@ -442,7 +508,20 @@ def test_eq6_adds_turns_to_distances(weight: float, expected: int) -> None:
         np.ones((1, 1)), links, np.ones((1, 1)), np.zeros(1, np.int32), numbers,
         np.ones(1, np.bool_), np.empty((2, 1)), match, np.empty(1, np.bool_),
     )  # fmt: skip
-    assert match.tolist() == [expected]
+    return int(match[0])
+
+
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
+def test_eq6_adds_turns_to_distances(weight: float, expected: int) -> None:
+    """The nearer track is turned by 0.5 rad: which one wins is up to the weight of eq 6."""
+    assert nearest((0.2, 0.1), (0.0, 0.5), weight) == expected
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.5])
+@pytest.mark.parametrize(("more", "expected"), [(-1e-12, 1), (1e-12, 0)])
+def test_eq6_is_the_sum(weight: float, more: float, expected: int) -> None:
+    """A hair's breadth from the place where a turn of 0.05 rad makes up for the distance."""
+    assert nearest((0.2, 0.2 - weight * 0.05 + more), (0.0, 0.05), weight) == expected
 
 
 def test_assignment_with_forbidden_pairs_is_largest_and_then_cheapest() -> None:
@@ -552,3 +631,64 @@ def test_a_doubted_person_who_walks_after_all_has_the_old_id() -> None:
     assert "track doubted" in {event.kind for event in events.log}
     assert of_hidden[-1] >= 0
     assert len({i for i in of_hidden if i >= 0}) == 1
+
+
+# What the switches of eq 8 to 11 do to a run: each scene is close to where another person wins.
+
+
+def last_id(frames: list[Frame], **changes: object) -> list[int]:
+    return ids(track(frames, MODEL, AT_ONCE.model_copy(update=changes)))[-1]
+
+
+@pytest.mark.parametrize(("on", "expected"), [(True, 0), (False, 1)])
+def test_markers_of_little_confidence_need_not_count(on: bool, expected: int) -> None:
+    odd = person()
+    odd[4:] += [0, 2.0, 0]
+    last = seen([odd], at(5))
+    last.marker_confidences[0, 4:] = 0.01
+    frames = [*(seen([person()], at(k)) for k in range(5)), last]
+    assert last_id(frames, weight_by_confidence=on) == [expected]
+
+
+@pytest.mark.parametrize(("exponent", "expected"), [(1.0, 0), (2.0, 1)])
+def test_a_greater_exponent_prefers_whom_more_is_known_of(exponent: float, expected: int) -> None:
+    few = person()
+    few[2:] = np.nan
+    frames = [seen([few, person(0.45)], at(k)) for k in range(5)] + [seen([person(0.2)], at(5))]
+    assert last_id(frames, exponent=exponent, min_markers=2) == [expected]
+
+
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
+def test_velocities_may_tell_people_apart(weight: float, expected: int) -> None:
+    """0 walks at 1 m/s and 1 stands; who comes walks, and is a little nearer to 1."""
+    frames = [seen([person(-0.5 + k / 30), person(0.4)], at(k)) for k in range(15)]
+    last = seen([person(0.22)], at(15))
+    last.velocities[:] = [1.0, 0, 0]
+    assert last_id([*frames, last], velocity_weight=weight) == [expected]
+
+
+@pytest.mark.parametrize(("weight", "expected"), [(0.0, 1), (1.0, 0)])
+def test_angular_velocities_may_tell_people_apart(weight: float, expected: int) -> None:
+    """0 turns at 3 rad/s and 1 does not; who comes turns, and is a little nearer to 1."""
+    frames = [seen([person(), person(0.5)], at(k), turns=True) for k in range(30)]
+    for k, frame in enumerate(frames):
+        frame.links[:, :, 3:7] = about_z((k - 30) / 10, 0.0)[:, None]
+    last = seen([person(0.26)], at(30), turns=True)
+    last.links[:, :, 10:13] = [0, 0, 3.0]
+    changes = {"angular_velocity_weight": weight, "orientation_weight": 0.5}
+    assert last_id([*frames, last], **changes) == [expected]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"), [({}, 0), ({"velocity_decay": 0.0}, 1), ({"weight_by_velocity": 0}, 1)]
+)
+def test_markers_that_fly_need_not_count(changes: dict[str, float], expected: int) -> None:
+    """Some fly at 10 m/s and are 1.4 m from where they were to be; the others stand."""
+
+    def pose(k: int, more: float = 0.0) -> Floats:
+        points = person()
+        points[4:, 1] += k / 3 + more
+        return points
+
+    frames = [seen([pose(k)], at(k)) for k in range(30)] + [seen([pose(30, 1.4)], at(30))]
+    assert last_id(frames, **changes) == [expected]
