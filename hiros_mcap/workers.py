@@ -23,6 +23,7 @@ from hiros_mcap.errors import HirosError
 Result = TypeVar("Result")
 
 _PATIENCE_S = 10.0
+_AGAIN_S = 2.0
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 _told_to_leave: list[int] = []
 """The exit code, in a process that the first one has stopped."""
@@ -39,14 +40,15 @@ def run_tasks(
     Parameters
     ----------
     function : of a module, so that other processes find it. tasks : its arguments.
-    jobs : processes at once; 0 = one per core. With one, everything happens in this process.
+    jobs : processes at once; 0 = one per core that this process may use. With one, everything
+        happens in this process.
 
     Raises
     ------
     HirosError
         A process was killed. What ``function`` raises is raised here, and the others are stopped.
     """
-    n = min(jobs or os.cpu_count() or 1, len(tasks))
+    n = min(jobs or _cores(), len(tasks))
     if n <= 1:
         for k, task in enumerate(tasks):
             yield k, function(*task)
@@ -62,6 +64,13 @@ def run_tasks(
         crew.dismiss()
 
 
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 class _Crew:
     """The processes, each with the pipe to it."""
 
@@ -71,16 +80,17 @@ class _Crew:
     def hire(self, n: int) -> None:
         """Start ``n`` processes."""
         context = get_context("spawn")
-        if os.name == "posix":
-            # Started later, it would lift the block of the signals.
-            resource_tracker.ensure_running()
-        with _signals_held():
-            for _ in range(n):
-                ours, theirs = context.Pipe()
-                worker = context.Process(target=_work, args=(theirs,), daemon=True)
-                worker.start()
-                theirs.close()  # so that the pipe ends when the process does
-                self._workers[ours] = worker
+        with _safe_path():
+            if os.name == "posix":
+                # Started later, it would lift the block of the signals.
+                resource_tracker.ensure_running()
+            with _signals_held():
+                for _ in range(n):
+                    ours, theirs = context.Pipe()
+                    worker = context.Process(target=_work, args=(theirs,), daemon=True)
+                    worker.start()
+                    theirs.close()  # so that the pipe ends when the process does
+                    self._workers[ours] = worker
 
     def work(
         self, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
@@ -141,6 +151,23 @@ class _Crew:
 
 
 @contextmanager
+def _safe_path() -> Iterator[None]:
+    """Have processes that are started in the block not take modules from the current folder.
+
+    They get this process's path afterwards.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
+
+
+@contextmanager
 def _signals_held() -> Iterator[None]:
     """Put signals off, also for processes that are started in the block, for as long as they like.
 
@@ -180,6 +207,8 @@ def _obey() -> None:
             signal.signal(signum, signal.SIG_IGN)
         elif signal.getsignal(signum) is not signal.SIG_IGN:
             signal.signal(signum, _leave)
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, _insist)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _HELD)
 
@@ -190,6 +219,18 @@ def _leave(signum: int, _: FrameType | None) -> None:
     for each in _STOPPING:
         signal.signal(each, _go_on)
     _told_to_leave.append(128 + signum)
+    _insist_after(_AGAIN_S)
+    raise SystemExit(_told_to_leave[0])
+
+
+def _insist_after(seconds: float) -> None:
+    """Leave once more then: some libraries drop the exception, or catch it and go on."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _insist(_: int, __: FrameType | None) -> None:
+    _insist_after(_AGAIN_S)
     raise SystemExit(_told_to_leave[0])
 
 
@@ -199,7 +240,9 @@ def _go_on(_: int, __: FrameType | None) -> None:
 
 def _only_faults(unraisable: Any) -> None:
     """Keep quiet about a ``SystemExit`` that Python dropped, and about what comes of it."""
-    if not (_told_to_leave or isinstance(unraisable.exc_value, SystemExit)):
+    if _told_to_leave and isinstance(unraisable.exc_value, SystemExit):
+        _insist_after(0.01)
+    elif not (_told_to_leave or isinstance(unraisable.exc_value, SystemExit)):
         sys.__unraisablehook__(unraisable)
 
 

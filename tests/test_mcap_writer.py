@@ -161,6 +161,17 @@ def test_messages_can_be_written_where_they_are_to_lie(out):
         assert [(m.sequence, m.log_time) for m in messages] == [(k, k) for k in range(61)]
 
 
+@pytest.mark.parametrize(
+    "numbers", [(-1, {}), (1, {"publish_time": 1 << 64}), (1, {"sequence": -1})]
+)
+def test_times_and_numbers_that_no_record_can_hold_are_refused(out, numbers):
+    time, others = numbers
+    with McapWriter(out) as writer:
+        channel = writer.add_channel("/a", 0)
+        with pytest.raises(ValueError, match="no such times"):
+            writer.write(channel, time, b"x", **others)
+
+
 def test_an_empty_log_is_a_valid_log(out):
     with McapWriter(out) as writer:
         writer.commit()

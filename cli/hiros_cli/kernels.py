@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 NOTICE = "hiros: compiling kernels for this machine, once (about 20 s with two cores)"
+
+_SPACE = 32 << 20  # bytes; all kernels take half of that
 
 RUN = (
     ("tracking", "averaging", "merging"),
@@ -52,7 +56,7 @@ def _compile(tasks: Sequence[tuple[Sequence[str]]]) -> None:
 
 
 def _ensure_writable() -> None:
-    """Use a private folder, removed at exit, where the user's cache cannot be written.
+    """Use a private folder, removed at exit, where the user's cache cannot be written, or is full.
 
     Without a folder numba refuses to import a cached kernel at all. The folder is private to the
     process: compiled code that another user could have put there must not be loaded.
@@ -61,11 +65,11 @@ def _ensure_writable() -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
+            pass
+        if shutil.disk_usage(folder).free >= _SPACE:
             return
     except OSError:
-        import atexit
-        import shutil
-
-        private = tempfile.mkdtemp(prefix="hiros-kernels-")
-        atexit.register(shutil.rmtree, private, ignore_errors=True)
-        os.environ["NUMBA_CACHE_DIR"] = private
+        pass
+    private = tempfile.mkdtemp(prefix="hiros-kernels-")
+    atexit.register(shutil.rmtree, private, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = private

@@ -200,18 +200,22 @@ class McapWriter:
 
         The publish time is the log time unless given; the sequence number counts the channel's
         messages unless given.
+
+        Raises ValueError for a channel that does not exist, and for numbers below 0 or too large.
         """
         number = self._number(channel_id, 1)
-        self._singles.append(
-            _Single(
-                channel_id,
-                log_time,
-                log_time if publish_time is None else publish_time,
-                number if sequence is None else sequence,
-                bytes(data),
-            )
+        single = _Single(
+            channel_id,
+            log_time,
+            log_time if publish_time is None else publish_time,
+            number if sequence is None else sequence,
+            bytes(data),
         )
-        self._gathered += len(data)
+        times = single.log_time, single.publish_time
+        if not (0 <= min(times) <= max(times) < 2**64 and 0 <= single.sequence < 2**32):
+            raise ValueError(f"a message has no such times or number: {single[1:4]}")
+        self._singles.append(single)
+        self._gathered += _MESSAGE.size + len(data)
         if self._gathered >= _GATHERED:
             self._hand_over()
 

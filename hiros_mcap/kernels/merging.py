@@ -41,18 +41,19 @@ _CLEARLY = 0.75
 
 
 class Work(NamedTuple):
-    """Room for what is between input and output, for instants of up to N views.
+    """Room for what is between input and output, for up to N views, K of them of one person.
 
     It is the caller's: a kernel that makes arrays is twice as slow.
     """
 
     members: Stamps
+    """(K,)."""
     verdicts: Stamps
     outliers: Stamps
+    """(N,)."""
     flags: Flags
-    """(3, N)."""
     weights: Floats
-    """(3, N)."""
+    """(2, K)."""
     powers: Floats
     link_powers: Floats
     """(N, M) and (N, L)."""
@@ -64,20 +65,22 @@ class Work(NamedTuple):
     """(2, 3)."""
     places: Floats
     turns: Floats
-    """(N + 1, 3) and (N + 1, 4)."""
+    """(K + 1, 3) and (K + 1, 4)."""
     apart: Floats
     alone: Floats
-    """((N + 1)^2,) each, of which what is needed is taken as a square."""
+    """((K + 1)^2,) each, of which what is needed is taken as a square."""
 
     @classmethod
-    def of(cls, views: int, n_markers: int, n_links: int) -> Work:
+    def of(cls, views: int, members: int, n_markers: int, n_links: int) -> Work:
         """Make room."""
-        n, m, k = views, n_markers, n_links
-        members, verdicts, outliers = np.empty((3, n), np.int64)
-        shapes = (3, n), (n, m), (n, k), (m, 3), (k, 4), (m, 3), (2, 3), (n + 1, 3), (n + 1, 4)
+        n, k, m, links = views, members, n_markers, n_links
+        shapes = (
+            (2, k), (n, m), (n, links), (m, 3), (links, 4), (m, 3), (2, 3), (k + 1, 3), (k + 1, 4),
+        )  # fmt: skip
         numbers = [np.empty(shape) for shape in shapes]
-        squares = np.empty((2, (n + 1) ** 2))
-        return cls(members, verdicts, outliers, np.empty((3, n), np.bool_), *numbers, *squares)
+        verdicts, outliers = np.empty((2, n), np.int64)
+        flags, squares = np.empty((2, k), np.bool_), np.empty((2, (k + 1) ** 2))
+        return cls(np.empty(k, np.int64), verdicts, outliers, flags, *numbers, *squares)
 
 
 _WORK: Any = types.NamedTuple(  # type: ignore[no-untyped-call]

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from hiros_mcap.blocks import Block, Part, People, frames_of, join
+from hiros_mcap.blocks import Block, Part, People, frames_of, join, most_often
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import merging as kernels
 from hiros_mcap.params import Params
@@ -226,8 +226,8 @@ class _Plan:
         self.made: list[_Last] = []
         self.carried: list[tuple[int, int, _Last]] = []
         """(output row, time, last sighting) of people whom no message shows."""
-        self.views = 0
-        """Most views of an instant."""
+        self.views = self.members = 0
+        """Most views of an instant, and of a person in an instant."""
 
     def begin(self, block: Block, instant: int) -> None:
         """Go on with the messages of another block."""
@@ -256,7 +256,7 @@ class _Merger:
         self.bank = _Bank(model)
         self.views = Views(model)
         self.slots = model.n_markers, model.n_links
-        self.work = kernels.Work.of(16, *self.slots)
+        self.work = kernels.Work.of(16, 4, *self.slots)
         self.last: dict[int, _Last] = {}
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
@@ -287,14 +287,16 @@ class _Merger:
         if not plan.blocks or block is not plan.blocks[-1][0]:
             plan.begin(block, len(plan.instants))
         seen: set[int] = set()
-        views = 0
+        views = members = 0
         for i in places:
             begin, end = plan.rows[i]
-            seen.update(plan.ids[begin:end])
+            people = plan.ids[begin:end]
+            seen.update(people)
             views += end - begin
+            members += most_often([person for person in people if person != UNTRACKED])
             plan.parts.append((begin, end, plan.times[i], bank.camera(block.sources[i])))
         seen.discard(UNTRACKED)
-        plan.views = max(plan.views, views)
+        plan.views, plan.members = max(plan.views, views), max(plan.members, members)
         for person in sorted(seen | self._bridged(seen, instant.stamp)):
             row = len(plan.people)
             plan.people.append(person)
@@ -324,8 +326,10 @@ class _Merger:
         ends, parts = np.array(plan.ends, np.int64), np.array(plan.parts, np.int64)
         rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
         bank_rows, room = np.array(plan.bank_rows, np.int64), self.views.room(plan.views)
-        if len(self.work.members) < plan.views:
-            self.work = kernels.Work.of(2 * plan.views, *self.slots)
+        had = len(self.work.verdicts), len(self.work.members)
+        if had[0] < plan.views or had[1] < plan.members:
+            needed = max(had[0], 2 * plan.views), max(had[1], 2 * plan.members)
+            self.work = kernels.Work.of(*needed, *self.slots)
         work = self.work
         out = People.room(len(plan.people), self.model.n_markers, self.model.n_links)
         out.ids[:] = plan.people

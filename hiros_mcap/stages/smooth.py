@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hiros_mcap.blocks import Block, Part, People, frames_of, join
+from hiros_mcap.blocks import Block, Part, People, frames_of, join, most_often
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import filters as _filters
 from hiros_mcap.params import Params
@@ -321,7 +321,7 @@ class _Run:
         everybody = [*self._people.values(), *self._leaving]
         held = max((p.n_steps - p.first for p in everybody), default=0)
         frames = _Frames(block)
-        new = sum(_most_often(frames.ids[slice(*frames.rows[i])]) for i in places)
+        new = sum(most_often(frames.ids[slice(*frames.rows[i])]) for i in places)
         # And the step before the first.
         self._bank.make_room(held + new + 2, everybody)
         jobs = _Jobs()
@@ -429,8 +429,3 @@ class _Run:
         self._leaving = [person for person in self._leaving if person.first < person.n_steps]
         if out is not None:
             yield replace(out, log_times=np.array(jobs.log_times, np.int64))
-
-
-def _most_often(ids: list[int]) -> int:
-    """How often the most frequent id comes: once, in any frame that makes sense."""
-    return 1 if len(set(ids)) == len(ids) else max(map(ids.count, ids))

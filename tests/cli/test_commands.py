@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from hiros_cli.app import run
 from hiros_cli.commands.simulate import _params
-from hiros_cli.kernels import ALL
+from hiros_cli.kernels import ALL, prepare
 from hiros_mcap import kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
@@ -154,6 +157,26 @@ def test_a_run_compiles_nothing_that_was_not_compiled_before_it(tmp_path: Path) 
     done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
     assert done.stderr == ""
     assert {path.name for path in folder.rglob("*.nb?")} == compiled
+
+
+def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 20))
+    prepare(quiet=True)
+    folder = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert folder.name.startswith("hiros-kernels-")
+    assert folder.is_dir()
+
+
+def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path: Path) -> None:
+    (tmp_path / "multiprocessing.py").write_text("raise SystemExit('taken')")
+    hiros, suite = Path(sys.executable).with_name("hiros"), Path("sample_data/suite.toml").resolve()
+    command = [hiros, "check", suite, "--jobs", "2", "--quiet"]
+    done = subprocess.run(command, check=True, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("", "")
 
 
 def test_systems_are_listed_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:
