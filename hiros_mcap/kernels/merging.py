@@ -180,6 +180,23 @@ def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) 
 
 
 @kernel
+def _is_tied(apart: Floats, best: int, limit: float) -> bool:
+    """Whether somebody not among those who agree with ``best`` has as many; the past included."""
+    n = apart.shape[0]
+    most = 0
+    for j in range(n):
+        most += int(apart[best, j] < limit)
+    for k in range(n):
+        if not math.isnan(apart[k, k]) and not apart[best, k] < limit:
+            votes = 0
+            for j in range(n):
+                votes += int(apart[k, j] < limit)
+            if votes >= most:
+                return True
+    return False
+
+
+@kernel
 def _raise(members: Stamps, confidences: Floats, power: float, out: Floats) -> None:
     """Fill ``out`` with the weights of eq 12: confidences to a power, 1 where not given."""
     for k in members:
@@ -248,13 +265,18 @@ def _robust_mean(
 
 @kernel
 def _vote(
-    apart: Floats, weights: Floats, voter: bool, limit: float, usable: Flags, lost: Flags
-) -> int:
-    """Strike out the views that are not in the largest group; return its centre."""
+    apart: Floats, weights: Floats, voter: bool, limit: float, drop: bool, usable: Flags,
+    lost: Flags,
+) -> int:  # fmt: skip
+    """Strike out the views that are not in the largest group; return its centre.
+
+    With ``drop``, all of them if another group is as large.
+    """
     n = len(usable)
     best: int = largest_group(apart, weights, voter, limit)
+    none = drop and _is_tied(apart, best, limit)
     for k in range(n):
-        if usable[k] and not apart[best, k] < limit:
+        if usable[k] and (none or not apart[best, k] < limit):
             usable[k] = False
             lost[k] = True
     return best
@@ -297,8 +319,8 @@ def _aligned(turns: Floats, usable: Flags, voter: bool, near: float) -> bool:
 @kernel
 def _merge_markers(
     members: Stamps, views: Floats, confidences: Floats, bias: Floats, person: int,
-    cameras: Stamps, limit: float, scale: float, learning: float, work: Work, p: int, out: Floats,
-    out_confidences: Floats,
+    cameras: Stamps, limit: float, drop: bool, scale: float, learning: float, work: Work, p: int,
+    out: Floats, out_confidences: Floats,
 ) -> None:  # fmt: skip
     """Merge the markers of one person's views (outlier vote, then eq 12).
 
@@ -306,7 +328,7 @@ def _merge_markers(
     ----------
     members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
     bias, person, cameras : (S, C, M, 3), the person's row in it, (N,) the camera of each view.
-    limit : m, views closer than this agree; <= 0 turns the vote off.
+    limit : m, views closer than this agree; <= 0 turns the vote off. drop : on a tie, everything.
     scale : m, of the robust mean; <= 0 = plain eq 12.
     learning : fraction by which a camera's bias follows its offset; 0 = no bias.
     work : whose ``powers`` are the confidences to a power, and ``past`` (M, 3) is the previous
@@ -345,7 +367,7 @@ def _merge_markers(
                 for a in range(n):
                     for b in range(n):
                         alone[a, b] = apart[a, b]
-            best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
+            best = _vote(apart if voter else alone, weights, voter, limit, drop, usable, lost)
             _weigh(members, powers, m, usable, weights)
             voter = voter and apart[best, n] < limit
         else:
@@ -378,8 +400,8 @@ def _merge_markers(
 
 @kernel
 def _merge_links(
-    members: Stamps, views: Floats, confidences: Floats, limit: float, work: Work, p: int,
-    out: Floats, out_confidences: Floats,
+    members: Stamps, views: Floats, confidences: Floats, limit: float, drop: bool, work: Work,
+    p: int, out: Floats, out_confidences: Floats,
 ) -> None:  # fmt: skip
     """Merge the links of one person's views as :func:`_merge_markers` does, by orientation.
 
@@ -419,7 +441,7 @@ def _merge_links(
                     for a in range(n):
                         for b in range(n):
                             alone[a, b] = apart[a, b]
-                best = _vote(apart if voter else alone, weights, voter, limit, usable, lost)
+                best = _vote(apart if voter else alone, weights, voter, limit, drop, usable, lost)
                 _weigh(members, powers, m, usable, weights)
             mean_turn(views, members, m, weights, best, out, p)
         for first in (0, 7, 10, 13, 16):
@@ -439,9 +461,6 @@ def _right_views(
     those on its side (it counts as one).
     """
     n = len(trust)
-    for k in range(apart.shape[0]):
-        if not math.isnan(apart[k, k]):  # who faces nowhere known leads no group
-            apart[k, k] = 0.0
     best = largest_group(apart, trust, has_past, limit)
     if has_past and patient and apart[best, n] >= limit:
         with_best = with_past = 0
@@ -513,12 +532,27 @@ def _mend(
 
 
 @kernel
+def _leave_out(
+    view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats
+) -> None:
+    """Make everything absent that a view shows."""
+    for m in range(markers.shape[1]):
+        confidences[view, m] = np.nan
+        for c in range(markers.shape[2]):
+            markers[view, m, c] = np.nan
+    for k in range(links.shape[1]):
+        link_confidences[view, k] = np.nan
+        for c in range(links.shape[2]):
+            links[view, k, c] = np.nan
+
+
+@kernel
 def _settle_flips(
     members: Stamps, markers: Floats, confidences: Floats, links: Floats,
     link_confidences: Floats, has_past: bool, patient: bool, mirror: Ints, pairs: Ints,
-    pelvis: int, limit: float, relabel: bool, work: Work,
+    pelvis: int, limit: float, relabel: bool, drop: bool, work: Work,
 ) -> int:  # fmt: skip
-    """Mend the views of one person that face the wrong way.
+    """Mend the views of one person that face the wrong way; with ``drop``, leave all out on a tie.
 
     Returns AGREED if a view faces as the past does, TURNED if the views outvoted the past, HELD if
     the past outvoted them.
@@ -549,6 +583,14 @@ def _settle_flips(
             conflict = conflict or apart[a, b] >= limit
     if not conflict:
         return AGREED
+    for k in range(size):
+        if not math.isnan(apart[k, k]):  # who faces nowhere known leads no group
+            apart[k, k] = 0.0
+    if drop and _is_tied(apart, largest_group(apart, trust, has_past, limit), limit):
+        for k in range(n):
+            _leave_out(members[k], markers, confidences, links, link_confidences)
+            verdicts[members[k]] = FLIPPED
+        return HELD
     right = work.flags[0, :n]
     none = _right_views(apart, trust, has_past, patient, limit, right)
     reference = past if none else work.reference
@@ -651,7 +693,7 @@ def _fuse(
             facing = _settle_flips(
                 members, markers, confidences, links, link_confidences, has_past, patient, mirror,
                 pairs if numbers[7] > 0.0 else no_pairs, int(numbers[6]), numbers[3],
-                numbers[9] > 0.0, work,
+                numbers[9] > 0.0, numbers[13] > 0.0, work,
             )  # fmt: skip
         if facing == TURNED or seen[row] == 0:
             facing_since[row] = stamp
@@ -667,13 +709,14 @@ def _fuse(
             learning = 1.0 - math.exp(-max(age, 0.0) / numbers[12])
         _raise(members, confidences, numbers[4], work.powers)
         _merge_markers(
-            members, markers, confidences, bias, row, cameras, numbers[1], numbers[5], learning,
-            work, p, out, out_confidences,
+            members, markers, confidences, bias, row, cameras, numbers[1], numbers[13] > 0.0,
+            numbers[5], learning, work, p, out, out_confidences,
         )  # fmt: skip
         _raise(members, link_confidences, numbers[4], work.link_powers)
         _merge_links(
-            members, links, link_confidences, numbers[2], work, p, out_links, out_link_confidences
-        )
+            members, links, link_confidences, numbers[2], numbers[13] > 0.0, work, p, out_links,
+            out_link_confidences,
+        )  # fmt: skip
         seen[row] = stamp
         for m in range(n_markers):
             for c in range(3):
@@ -758,8 +801,8 @@ def fuse(
         ``bias``; brought to the last instant that shows the person.
     mirror, pairs : of the skeleton's symmetry.
     numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
-        pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time (as
-        stages/merge.py packs them).
+        pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time, drop
+        ties (as stages/merge.py packs them).
     out_ids : says whom each output row is to show. ``out``, ..., ``out_link_confidences`` are
         absent in rows without views, whose ``out_stamps`` and ``out_trust`` stay as they are.
     counts : (2, C) votes lost and flips, by camera; added to.

@@ -10,7 +10,7 @@ thrown away; what is left is averaged robustly; a person between two sightings i
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -82,6 +82,12 @@ class MergeParams(Params):
         True,
         description="The previous merged pose votes like a camera and settles ties (published "
         "code; not in the paper).",
+    )
+    ties: Literal["nearest", "drop"] = Field(
+        "nearest",
+        description="Where two groups of views are equally large: nearest = the one nearest to the "
+        "past wins, then the more confident one; drop = what they do not agree on is left out: a "
+        "marker, a link, or of views that face opposite ways the whole person (published code).",
     )
     compensate_motion: bool = Field(
         True, description="Carry views to the merged time by their velocities."
@@ -264,7 +270,7 @@ class _Merger:
             params.max_facing_delta, params.confidence_power, params.robust_scale, pelvis,
             params.facing != "pelvis", params.past_votes,
             params.flips == "relabel" and self.symmetry.known, params.flip_patience,
-            params.compensate_motion, params.bias_time,
+            params.compensate_motion, params.bias_time, params.ties == "drop",
         ], np.float64)  # fmt: skip
 
     def fuse(self, instants: Iterable[Instant[Part]]) -> Iterator[Block]:
@@ -357,7 +363,8 @@ class _Merger:
                 self.events.count(kind, source, n)
         firsts = [instant.messages[0] for instant in plan.instants]
         names = [self.fixed_frame or block.frame_ids[i] for block, i in firsts]
-        return Block(stamps, log_times, names, names, rows, out)
+        merged = Block(stamps, log_times, names, names, rows, out)
+        return _without_nobody(merged) if self.params.ties == "drop" else merged
 
     def _carry(self, out: People, row: int, stamp: int, last: _Last) -> None:
         """Write a person who was seen a moment ago, carried on at constant velocity."""
@@ -367,6 +374,13 @@ class _Merger:
         velocities = last.people.markers[last.row, :, VELOCITY]
         out.markers[row, :, POSITION] += dt * np.nan_to_num(velocities)
         self.events.count("bridged")
+
+
+def _without_nobody(block: Block) -> Block:
+    """Leave out people of whom nothing is left."""
+    there = ~np.isnan(block.people.markers[:, :, 0]).all(axis=1)
+    places = np.concatenate([[0], np.cumsum(there)])
+    return replace(block, rows=places[block.rows], people=block.people.at(there))
 
 
 def _pelvis_link(model: SkeletonModel, name: str) -> int:

@@ -21,6 +21,10 @@ PLAIN = MergeParams(
 )
 
 
+ROUND = person(), person()[MIRROR]
+"""A pose, and the same with its sides swapped."""
+
+
 def views(poses: Sequence[Floats], k: int = 0, *, turns: bool = False) -> list[Frame]:
     """One frame per camera, at the same time, of person 0."""
     return [seen([p], at(k), f"c{c}", ids=[0], turns=turns) for c, p in enumerate(poses)]
@@ -183,6 +187,41 @@ def test_a_tie_keeps_the_view_nearest_to_the_past() -> None:
     split = [person(0.25), person(-0.15)]
     merged = stream([*still, split], past_votes=True)
     assert merged[-1].positions[0] == pytest.approx(person(-0.15))
+
+
+@pytest.mark.parametrize("ties", ["nearest", "drop"])
+def test_a_tie_is_settled_or_leaves_out_what_it_is_about(ties: str) -> None:
+    frames = views([person(), person()], turns=True)
+    frames[1].markers[0, 6, :3] += [0.5, 0, 0]
+    frames[1].links[0, 3, 3:7] = Rotation.from_euler("z", 1.5).as_quat()
+    frames[0].marker_confidences[0, 6] = frames[0].link_confidences[0, 3] = 0.5
+    params = PLAIN.model_copy(update={"cameras": 2, "ties": ties})
+    (merged,) = merge(frames, MODEL, params)
+    expected = person()
+    expected[6] = expected[6] + [0.5, 0, 0] if ties == "nearest" else np.nan
+    assert merged.positions[0] == pytest.approx(expected, nan_ok=True)
+    turned = Rotation.from_euler("z", 1.5).as_quat() if ties == "nearest" else np.full(4, np.nan)
+    assert merged.orientations[0, 3] == pytest.approx(turned, nan_ok=True)
+    assert merged.orientations[0, 2] == pytest.approx([0, 0, 0, 1])
+
+
+@pytest.mark.parametrize(("ties", "left"), [("nearest", [0, 1]), ("drop", [1])])
+def test_views_that_face_opposite_ways_may_leave_a_person_out(ties: str, left: list[int]) -> None:
+    frames = [seen([turned, person(3)], at(0, k), f"c{k}") for k, turned in enumerate(ROUND)]
+    for frame in frames:
+        frame.ids[:] = 0, 1
+    params = PLAIN.model_copy(update={"cameras": 2, "ties": ties})
+    (merged,) = merge(frames, MODEL, params)
+    assert merged.ids.tolist() == left
+    assert merged.positions[-1] == pytest.approx(person(3))
+
+
+@pytest.mark.parametrize("ties", ["nearest", "drop"])
+def test_three_against_one_are_no_tie(ties: str) -> None:
+    poses = [person() for _ in range(4)]
+    poses[2][6] += [0.3, 0, 0]
+    (merged,) = merge(views(poses), MODEL, PLAIN.model_copy(update={"cameras": 4, "ties": ties}))
+    assert merged.positions[0] == pytest.approx(person())
 
 
 def test_votes_can_be_turned_off() -> None:
