@@ -37,8 +37,9 @@ def prepare(*, quiet: bool, parts: Sequence[Sequence[str]] = ()) -> None:
     from hiros_mcap import kernels
 
     _ensure_writable()
-    needed = [[name for name in part if not kernels.is_compiled(name)] for part in parts]
-    if any(needed) if parts else not kernels.is_compiled():
+    done = kernels.compiled()
+    needed = [[name for name in part if name not in done] for part in parts]
+    if any(needed) if parts else not done:
         if not quiet:
             print(NOTICE, file=sys.stderr, flush=True)
         _compile([(part,) for part in needed if part])

@@ -203,18 +203,13 @@ class McapWriter:
 
         Raises ValueError for a channel that does not exist, and for numbers below 0 or too large.
         """
-        number = self._number(channel_id, 1)
-        single = _Single(
-            channel_id,
-            log_time,
-            log_time if publish_time is None else publish_time,
-            number if sequence is None else sequence,
-            bytes(data),
-        )
-        times = single.log_time, single.publish_time
-        if not (0 <= min(times) <= max(times) < 2**64 and 0 <= single.sequence < 2**32):
-            raise ValueError(f"a message has no such times or number: {single[1:4]}")
-        self._singles.append(single)
+        published = log_time if publish_time is None else publish_time
+        times = log_time, published
+        if not (0 <= min(times) <= max(times) < 2**64 and 0 <= (sequence or 0) < 2**32):
+            raise ValueError(f"a message has no such times or number: {times}, {sequence}")
+        counted = self._number(channel_id, 1)
+        number = counted if sequence is None else sequence
+        self._singles.append(_Single(channel_id, log_time, published, number, bytes(data)))
         self._gathered += _MESSAGE.size + len(data)
         if self._gathered >= _GATHERED:
             self._hand_over()
@@ -365,11 +360,12 @@ class McapWriter:
         """Write the chunk."""
         batch = self._batch
         if batch.index:
-            self._times += (batch.start_time, batch.end_time)
-            self._emit_batch(batch)
+            self._emit_batch()
             batch.clear()
 
-    def _emit_batch(self, batch: _Batch) -> None:
+    def _emit_batch(self) -> None:
+        batch = self._batch
+        self._times += (batch.start_time, batch.end_time)
         data = batch.room.data[: batch.size]
         packed = compress(data, self._compression)
         head = r.CHUNK_HEAD.pack(batch.start_time, batch.end_time, len(data), crc32(data))

@@ -30,10 +30,10 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("hiros")) / f"kernels-{digest.hexdigest()[:16]}"
 
 
-def is_compiled(module: str = "*") -> bool:
-    """Whether a former run on this machine has compiled a module of kernels, or any."""
+def compiled() -> set[str]:
+    """Modules of which a former run on this machine has compiled kernels."""
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    return folder.is_dir() and any(folder.rglob(f"{module}.*.nbi"))
+    return {path.name.partition(".")[0] for path in folder.rglob("*.nbi")}
 
 
 def load(modules: Sequence[str]) -> None:

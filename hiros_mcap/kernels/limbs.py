@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit, types
 
-from hiros_mcap.kernels.unaligned import kernel
+from hiros_mcap.kernels.unaligned import kernel, named_tuple
 from hiros_mcap.skeletons import Floats, Ints
 
 # Weights of an outlier's position and of its links' directions: just enough to make its place
@@ -37,6 +37,21 @@ _PATIENCE = 6
 
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+
+
+class Topology(NamedTuple):
+    """Links (L, 2), and what ``Elimination`` of hiros_mcap.stages.elimination says of them."""
+
+    links: Ints
+    order: Ints
+    first: Ints
+    row: Ints
+    first_pair: Ints
+    target: Ints
+    link_slot: Ints
+
+
+_TOPOLOGY = named_tuple(Topology, types.int32[:, ::1], *[types.int32[::1]] * 6)
 
 
 class Work(NamedTuple):
@@ -66,16 +81,14 @@ class Work(NamedTuple):
     """(L,)."""
 
     @classmethod
-    def of(cls, n_markers: int, n_links: int, n_blocks: int) -> Work:
+    def of(cls, n_markers: int, topology: Topology) -> Work:
         """Make room."""
-        m, n, k = n_markers, n_links, n_blocks
+        m, n, k = n_markers, len(topology.links), len(topology.row)
         shapes = [*[(m, 3, 3)] * 2, *[(k, 3, 3)] * 2, *[(m, 3)] * 4, (n, 3), (n, 9), (n, 4), (n,)]
         return cls(*[np.empty(shape) for shape in shapes])
 
 
-_WORK: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (*[_F3] * 4, *[_F2] * 7, _F1), Work
-)
+_WORK = named_tuple(Work, *[_F3] * 4, *[_F2] * 7, _F1)
 
 
 @kernel
@@ -359,11 +372,7 @@ def _subtract(a: Floats, b: Floats, s: int, t: int, out: Floats, r: int) -> None
 
 @kernel
 def _eliminate(
-    order: Ints,
-    first: Ints,
-    row: Ints,
-    first_pair: Ints,
-    target: Ints,
+    topology: Topology,
     damping: float,
     diagonal: Floats,
     blocks: Floats,
@@ -373,6 +382,8 @@ def _eliminate(
     step: Floats,
 ) -> None:
     """Solve (Hessian + damping) step = -slope by block LDL^T; overwrites all but the plan."""
+    order, first, row = topology.order, topology.first, topology.row
+    first_pair, target = topology.first_pair, topology.target
     for k in range(order.shape[0]):
         m = order[k]
         _invert(diagonal, m, damping, inverse)
@@ -406,13 +417,7 @@ def _solve_one(
     start: Floats,
     nominal: Floats,
     weights: Floats,
-    links: Ints,
-    order: Ints,
-    first: Ints,
-    row: Ints,
-    first_pair: Ints,
-    target: Ints,
-    link_slot: Ints,
+    topology: Topology,
     tolerance: float,
     max_steps: int,
     warm: bool,
@@ -428,7 +433,7 @@ def _solve_one(
     does at first); when that does not pay, the solver goes on from ``x`` with damped, strictly
     descending ones, which is Levenberg and Marquardt's method.
     """
-    markers = start.shape[0]
+    markers, links = start.shape[0], topology.links
     diagonal, inverse, blocks, scaled = work.diagonal, work.inverse, work.blocks, work.scaled
     slope, step, here = work.slope, work.step, work.here
     aims, geometry, tension = work.aims, work.geometry, work.tension
@@ -445,7 +450,7 @@ def _solve_one(
     best, damping, size, worse = np.inf, 0.0, np.inf, 0
     for _ in range(max_steps):
         cost = _assemble(
-            here, start, aims, nominal, links, weights, link_slot, tension,
+            here, start, aims, nominal, links, weights, topology.link_slot, tension,
             geometry, diagonal, blocks, slope,
         )  # fmt: skip
         if cost < best:
@@ -465,10 +470,7 @@ def _solve_one(
                 continue
         if size <= tolerance or cost == 0.0:
             return 0
-        _eliminate(
-            order, first, row, first_pair, target, damping,
-            diagonal, blocks, slope, inverse, scaled, step,
-        )  # fmt: skip
+        _eliminate(topology, damping, diagonal, blocks, slope, inverse, scaled, step)
         _predict_tension(step, nominal, links, weights, geometry, tension)
         size = 0.0
         for m in range(markers):
@@ -478,30 +480,12 @@ def _solve_one(
     return 1
 
 
-@kernel(
-    types.int64(
-        _F3,
-        _F2,
-        _F3,
-        types.int32[:, ::1],
-        *[types.int32[::1]] * 6,
-        types.float64,
-        types.int64,
-        _WORK,
-        _F3,
-    )
-)
+@kernel(types.int64(_F3, _F2, _F3, _TOPOLOGY, types.float64, types.int64, _WORK, _F3))
 def solve(
     start: Floats,
     nominal: Floats,
     weights: Floats,
-    links: Ints,
-    order: Ints,
-    first: Ints,
-    row: Ints,
-    first_pair: Ints,
-    target: Ints,
-    link_slot: Ints,
+    topology: Topology,
     tolerance: float,
     max_steps: int,
     work: Work,
@@ -515,9 +499,8 @@ def solve(
     failed = 0
     for i in range(start.shape[0]):
         failed += _solve_one(
-            start[i], nominal[i], weights[i], links, order, first, row, first_pair, target,
-            link_slot, tolerance, max_steps, False, work, x[i],
-        )  # fmt: skip
+            start[i], nominal[i], weights[i], topology, tolerance, max_steps, False, work, x[i]
+        )
     return failed
 
 
@@ -548,29 +531,12 @@ def _doubt(
         weights[k, 3] = trusted[k, 3] * least
 
 
-@kernel(
-    types.int64(
-        _F3,
-        _F2,
-        _F3,
-        types.int32[:, ::1],
-        *[types.int32[::1]] * 6,
-        types.float64,
-        types.int32[:, ::1],
-        _WORK,
-    )
-)
+@kernel(types.int64(_F3, _F2, _F3, _TOPOLOGY, types.float64, types.int32[:, ::1], _WORK))
 def relocate(
     points: Floats,
     nominal: Floats,
     trusted: Floats,
-    links: Ints,
-    order: Ints,
-    first: Ints,
-    row: Ints,
-    first_pair: Ints,
-    target: Ints,
-    link_slot: Ints,
+    topology: Topology,
     max_error: float,
     outlier: Ints,
     work: Work,
@@ -584,7 +550,7 @@ def relocate(
     """
     found = 0
     steps: Any = np.int64(30)  # a literal would make a second version of the solver
-    x, weights = work.found, work.weights
+    links, x, weights = topology.links, work.found, work.weights
     for i in range(points.shape[0]):
         for m in range(points.shape[1]):
             outlier[i, m] = 0
@@ -598,10 +564,7 @@ def relocate(
                 _doubt(x, points[i], links, trusted[i], _DOUBT_SCALES[k - 1], weights)
             # From the measured place of a marker that has little say, there is no telling where
             # Newton's steps would lead.
-            _solve_one(
-                points[i], nominal[i], weights, links, order, first, row, first_pair, target,
-                link_slot, 1e-4, steps, k > 0, work, x,
-            )  # fmt: skip
+            _solve_one(points[i], nominal[i], weights, topology, 1e-4, steps, k > 0, work, x)
         for m in range(points.shape[1]):
             if _distance(x[m], points[i, m]) > 0.5 * max_error:
                 outlier[i, m] = 1

@@ -24,7 +24,7 @@ from hiros_mcap.kernels.averaging import (
     mean_turn,
 )
 from hiros_mcap.kernels.tracking import angle_of, norm3
-from hiros_mcap.kernels.unaligned import kernel
+from hiros_mcap.kernels.unaligned import kernel, named_tuple
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _I1, _I2, _F1 = types.int64[::1], types.int64[:, ::1], types.float64[::1]
@@ -83,9 +83,7 @@ class Work(NamedTuple):
         return cls(np.empty(k, np.int64), verdicts, outliers, flags, *numbers, *squares)
 
 
-_WORK: Any = types.NamedTuple(  # type: ignore[no-untyped-call]
-    (_I1, _I1, _I1, types.boolean[:, ::1], *[_F2] * 9, _F1, _F1), Work
-)
+_WORK = named_tuple(Work, _I1, _I1, _I1, types.boolean[:, ::1], *[_F2] * 9, _F1, _F1)
 
 
 @kernel
@@ -477,6 +475,16 @@ def _right_views(
 
 
 @kernel
+def _blank(states: Floats, confidences: Floats) -> None:
+    """Make states absent."""
+    for p in range(states.shape[0]):
+        for m in range(states.shape[1]):
+            confidences[p, m] = np.nan
+            for c in range(states.shape[2]):
+                states[p, m, c] = np.nan
+
+
+@kernel
 def _mend(
     view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats,
     mirror: Ints, reference: Floats, relabel: bool, drop: bool,
@@ -524,26 +532,8 @@ def _mend(
         return KEPT
     # A detector that turns a body round turns the links' frames, too, each by its own convention:
     # they are unknown now.
-    for k in range(links.shape[1]):
-        link_confidences[view, k] = np.nan
-        for c in range(links.shape[2]):
-            links[view, k, c] = np.nan
+    _blank(links[view : view + 1], link_confidences[view : view + 1])
     return verdict
-
-
-@kernel
-def _leave_out(
-    view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats
-) -> None:
-    """Make everything absent that a view shows."""
-    for m in range(markers.shape[1]):
-        confidences[view, m] = np.nan
-        for c in range(markers.shape[2]):
-            markers[view, m, c] = np.nan
-    for k in range(links.shape[1]):
-        link_confidences[view, k] = np.nan
-        for c in range(links.shape[2]):
-            links[view, k, c] = np.nan
 
 
 @kernel
@@ -588,8 +578,10 @@ def _settle_flips(
             apart[k, k] = 0.0
     if drop and _is_tied(apart, largest_group(apart, trust, has_past, limit), limit):
         for k in range(n):
-            _leave_out(members[k], markers, confidences, links, link_confidences)
-            verdicts[members[k]] = FLIPPED
+            v = members[k]
+            _blank(markers[v : v + 1], confidences[v : v + 1])
+            _blank(links[v : v + 1], link_confidences[v : v + 1])
+            verdicts[v] = FLIPPED
         return HELD
     right = work.flags[0, :n]
     none = _right_views(apart, trust, has_past, patient, limit, right)
@@ -730,16 +722,6 @@ def _fuse(
         counts[0, cameras[k]] += work.outliers[k]
         counts[1, cameras[k]] += work.verdicts[k] != KEPT
     mean_people(stamp, person_of, whose[2, :n], trust[:n], numbers[11] > 0.0, out_stamps, out_trust)
-
-
-@kernel
-def _blank(states: Floats, confidences: Floats) -> None:
-    """Make states absent."""
-    for p in range(states.shape[0]):
-        for m in range(states.shape[1]):
-            confidences[p, m] = np.nan
-            for c in range(states.shape[2]):
-                states[p, m, c] = np.nan
 
 
 @kernel(

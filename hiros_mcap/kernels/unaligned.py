@@ -32,6 +32,11 @@ def kernel(signature: Any, **options: Any) -> Any:
     return _njit(signature, **options)
 
 
+def named_tuple(kind: type[Any], *fields: Any) -> Any:
+    """Return numba's type of a NamedTuple, for signatures, from those of its fields."""
+    return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
+
+
 def _place(context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> Any:
     """Emit the pointer to a byte of an array."""
     data = context.make_array(kind)(context, builder, array).data

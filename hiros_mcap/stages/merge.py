@@ -262,7 +262,7 @@ class _Merger:
         self.bank = _Bank(model)
         self.views = Views(model)
         self.slots = model.n_markers, model.n_links
-        self.work = kernels.Work.of(16, 4, *self.slots)
+        self.work = kernels.Work.of(0, 0, *self.slots)
         self.last: dict[int, _Last] = {}
         pelvis = -1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link)
         self.numbers = np.array([
@@ -332,11 +332,7 @@ class _Merger:
         ends, parts = np.array(plan.ends, np.int64), np.array(plan.parts, np.int64)
         rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
         bank_rows, room = np.array(plan.bank_rows, np.int64), self.views.room(plan.views)
-        had = len(self.work.verdicts), len(self.work.members)
-        if had[0] < plan.views or had[1] < plan.members:
-            needed = max(had[0], 2 * plan.views), max(had[1], 2 * plan.members)
-            self.work = kernels.Work.of(*needed, *self.slots)
-        work = self.work
+        work = self._work(plan)
         out = People.room(len(plan.people), self.model.n_markers, self.model.n_links)
         out.ids[:] = plan.people
         out.confidences.fill(np.nan)
@@ -365,6 +361,14 @@ class _Merger:
         names = [self.fixed_frame or block.frame_ids[i] for block, i in firsts]
         merged = Block(stamps, log_times, names, names, rows, out)
         return _without_nobody(merged) if self.params.ties == "drop" else merged
+
+    def _work(self, plan: _Plan) -> kernels.Work:
+        """Room for what is between input and output, of this plan and of larger ones."""
+        views, members = len(self.work.verdicts), len(self.work.members)
+        if views < plan.views or members < plan.members:
+            needed = max(views, 2 * plan.views), max(members, 2 * plan.members)
+            self.work = kernels.Work.of(*needed, *self.slots)
+        return self.work
 
     def _carry(self, out: People, row: int, stamp: int, last: _Last) -> None:
         """Write a person who was seen a moment ago, carried on at constant velocity."""

@@ -200,10 +200,11 @@ class _Fit:
     def __init__(self, model: SkeletonModel, params: OptimizeParams, events: Events) -> None:
         self._names = model.marker_names
         self._params, self._events = params, events
-        self._links = np.ascontiguousarray(model.links)
-        self._degree = _degrees(self._links, model.n_markers)
         self._outward, self._topology = outward(model), _topology(model)
-        self._work, self._directions = _work(model), np.empty((2, 3))
+        self._links = self._topology.links
+        self._degree = _degrees(self._links, model.n_markers)
+        self._work = kernels.Work.of(model.n_markers, self._topology)
+        self._directions = np.empty((2, 3))
         self._solve = _solver(model, params)
 
     def __call__(self, block: Block, ready: list[_Ready]) -> Block:
@@ -254,7 +255,7 @@ class _Fit:
         else:
             trusted = self._weigh(points, nominal, confidences, outlier, STIFFNESS)
             found = kernels.relocate(
-                points, nominal, trusted, *self._topology, limit, outlier, self._work
+                points, nominal, trusted, self._topology, limit, outlier, self._work
             )
         if found:
             self._count(outlier)
@@ -289,24 +290,21 @@ def _solver(model: SkeletonModel, params: OptimizeParams) -> Solver:
     return block_solver(model, params.tolerance)
 
 
-def _topology(model: SkeletonModel) -> tuple[Ints, Ints, Ints, Ints, Ints, Ints, Ints]:
+def _topology(model: SkeletonModel) -> kernels.Topology:
     p = plan(model)
     links = np.ascontiguousarray(model.links)
-    return links, p.order, p.first, p.row, p.first_pair, p.target, p.link_slot
-
-
-def _work(model: SkeletonModel) -> kernels.Work:
-    return kernels.Work.of(model.n_markers, model.n_links, len(plan(model).row))
+    return kernels.Topology(links, p.order, p.first, p.row, p.first_pair, p.target, p.link_slot)
 
 
 def block_solver(model: SkeletonModel, tolerance: float) -> Solver:
     """Return the compiled solver for the topology of ``model``."""
-    topology, work = _topology(model), _work(model)
+    topology = _topology(model)
+    work = kernels.Work.of(model.n_markers, topology)
 
     def solve(start: Floats, nominal: Floats, weights: Floats) -> tuple[Floats, int]:
         solved = np.empty_like(start)
         failed = kernels.solve(
-            start, nominal, weights, *topology, tolerance, MAX_STEPS, work, solved
+            start, nominal, weights, topology, tolerance, MAX_STEPS, work, solved
         )
         return solved, int(failed)
 

@@ -72,7 +72,7 @@ def check(
 
     Exit code 0: equal within the tolerances; 1: different; 2: cannot be compared.
     """
-    from hiros_cli.kernels import prepare
+    from hiros_cli.kernels import RUN, prepare
 
     target.stat()
     is_suite = target.suffix == ".toml"
@@ -81,7 +81,7 @@ def check(
         for_log={"--golden": golden, "--tolerances": tolerances, "--channel": channel},
         for_suite={"--only": only, "--keep": keep, "--junit": junit, "--markdown": markdown},
     )
-    prepare(quiet=quiet or json)
+    prepare(quiet=quiet or json, parts=RUN if is_suite else ())
     if is_suite:
         reports = _Reports(junit, markdown)
         results = _run_suite(

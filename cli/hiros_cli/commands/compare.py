@@ -62,7 +62,7 @@ def compare(
     Without a truth, by how far the camera that is left out is from what the others give.
     """
     from hiros_cli.commands.evaluate import need_matplotlib
-    from hiros_cli.kernels import prepare
+    from hiros_cli.kernels import ALL, prepare
     from hiros_cli.output import check_outputs
 
     paths = list(logs or ())
@@ -73,7 +73,7 @@ def compare(
     check_outputs(
         (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
     )
-    prepare(quiet=quiet or json)
+    prepare(quiet=quiet or json, parts=ALL)
     from hiros_cli.progress import bar
     from hiros_mcap.evaluate.contest import contest
 
