@@ -14,9 +14,9 @@ from pathlib import Path
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Scores, Truth, load_truth
 from hiros_mcap.evaluate.logs import evaluate_log
-from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.log import write_log
+from hiros_mcap.simulate.write_log import write_log
 
 COLUMNS = "mean  sd    p95   angle  angSD   turn  limbCV  jitter  lag    miss false switch"
 

@@ -12,17 +12,17 @@ import sys
 import tempfile
 from pathlib import Path
 
-from hiros_mcap.blocks import by_frame
+from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Truth, evaluate, load_truth
 from hiros_mcap.evaluate.parts import PARTS
-from hiros_mcap.log import open_log
-from hiros_mcap.pipeline import camera_positions
+from hiros_mcap.frames import by_frame
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import camera_positions
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.log import write_log
+from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.systems import SYSTEMS, Run, chain_of
-from hiros_mcap.transforms import transform_to_fixed
 
 ROWS = (
     *((f"lee-a{k}", ()) for k in range(1, 6)),

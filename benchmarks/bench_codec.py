@@ -12,7 +12,7 @@ import numpy as np
 from mcap.records import Schema
 
 import hiros_schemas
-from hiros_mcap.codec import Decoder, Encoder, ModelBuilder, check_schema, clean
+from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder, check_schema, clean
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Frame, SkeletonModel
 
 PEOPLE, MARKERS = 4, 32

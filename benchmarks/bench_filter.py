@@ -18,7 +18,7 @@ import numpy as np
 
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.smooth import FilterParams, smooth
+from hiros_mcap.stages.filter import FilterParams, filter_frames
 
 ACTIONS = ("walk", "jog", "throw", "free_dynamic")
 SECONDS, PEOPLE = 8.0, 4
@@ -133,7 +133,7 @@ def main() -> None:
     show(f"{'input':<42}", [row_of(m, t, n) for m, t, n in scenes], 0.0)
     for p in variants():
         start = time.process_time()
-        outputs = [list(smooth(noisy, model, p)) for model, _, noisy in scenes]
+        outputs = [list(filter_frames(noisy, model, p)) for model, _, noisy in scenes]
         seconds = time.process_time() - start
         rows = [row_of(m, t, o) for (m, t, _), o in zip(scenes, outputs, strict=True)]
         kept = "kept" if p.keep_lengths else "free"

@@ -11,12 +11,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 
+from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.cluster import ClusterParams, cluster
 from hiros_mcap.stages.predict import predict
 from hiros_mcap.stages.track import track
-from hiros_mcap.transforms import Transform, TransformTree, transform_to_fixed
 
 SECONDS, RUNS = 5.0, 7
 AVERAGE = ClusterParams(rearrange="off", method="average")

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.channels import add_skeleton_channel
-from hiros_mcap.codec import Encoder
-from hiros_mcap.container import ChunkCopier, McapReader, McapWriter
-from hiros_mcap.log import open_log
+from hiros_mcap.body.transforms import transform_to_fixed
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
+from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Frame, SkeletonModel
-from hiros_mcap.transforms import transform_to_fixed
 
 CAMERAS, RATE, PEOPLE, MARKERS = 5, 30, 4, 32
 START = 1_700_000_000 * 10**9

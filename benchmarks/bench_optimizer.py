@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
-from hiros_mcap.limbs import LimbTable
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.calibrate import calibrate
+from hiros_mcap.stages.limb_calibration import calibrate
 from hiros_mcap.stages.optimize import OptimizeParams, optimize
 
 MARKERS, FRAMES, NOISE = 32, 450, 0.012

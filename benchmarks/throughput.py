@@ -18,9 +18,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from hiros_mcap.pipeline import process
+from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
-from hiros_mcap.simulate.log import write_log
+from hiros_mcap.simulate.write_log import write_log
 
 
 def main() -> None:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 from hiros_mcap._version import __version__
 
 if TYPE_CHECKING:
+    from hiros_mcap.body.transforms import transform_to_fixed
     from hiros_mcap.config import Config, load_config
-    from hiros_mcap.log import open_log
-    from hiros_mcap.pipeline import ProcessOptions, process
-    from hiros_mcap.transforms import transform_to_fixed
+    from hiros_mcap.io.log import open_log
+    from hiros_mcap.running.pipeline import ProcessOptions, process
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
@@ -25,11 +25,11 @@ __all__ = [
 
 _HOMES = {
     "Config": "config",
-    "ProcessOptions": "pipeline",
+    "ProcessOptions": "running.pipeline",
     "load_config": "config",
-    "open_log": "log",
-    "process": "pipeline",
-    "transform_to_fixed": "transforms",
+    "open_log": "io.log",
+    "process": "running.pipeline",
+    "transform_to_fixed": "body.transforms",
 }
 
 

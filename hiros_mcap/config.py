@@ -22,12 +22,12 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
+from hiros_mcap.stages.filter import FilterParams
 from hiros_mcap.stages.kalman import KalmanParams
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.moving_average import MovingAverageParams
 from hiros_mcap.stages.optimize import OptimizeParams
 from hiros_mcap.stages.predict import PredictParams
-from hiros_mcap.stages.smooth import FilterParams
 from hiros_mcap.stages.straighten import StraightenParams
 from hiros_mcap.stages.track import TrackParams
 from hiros_mcap.validation import explain

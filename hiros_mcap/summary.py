@@ -1,6 +1,6 @@
 """What a run did: every message accounted for, every person, every rejection, every second.
 
-:func:`hiros_mcap.pipeline.process` fills it, ``hiros process`` shows it, ``--json`` prints
+:func:`hiros_mcap.running.pipeline.process` fills it, ``hiros process`` shows it, ``--json`` prints
 :meth:`Summary.to_dict`.
 """
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.evaluate import Truth
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.transforms import Transform, TransformTree, transform_to_fixed
 
 FAULTLESS = {
     "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,

@@ -11,7 +11,7 @@ import zstandard
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from hiros_mcap.container import records as r
+from hiros_mcap.io.container import records as r
 
 NO_SUMMARY = {
     "index_types": IndexType.NONE,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hiros_mcap.codec import Decoder, Encoder
-from hiros_mcap.container import McapWriter
-from hiros_mcap.log import open_log
+from hiros_mcap.io.codec import Decoder, Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Frame
 
 Change = Callable[[Frame, int], Frame]

@@ -12,9 +12,9 @@ import pytest
 from builders import FAULTLESS, Room, moved, room, same
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.blocks import Block, by_frame, frames_of, join
 from hiros_mcap.evaluate import Scores, evaluate
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.merge import MergeParams, merge
 from hiros_mcap.stages.track import track

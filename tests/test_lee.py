@@ -11,11 +11,11 @@ import pytest
 from builders import Room, moved, room, same
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.evaluate.logs import read_channel
-from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.frames import by_frame
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.stages.cluster import cluster
 from hiros_mcap.systems import SYSTEMS, Run, chain_of

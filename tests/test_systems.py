@@ -10,10 +10,10 @@ import pytest
 from builders import Room, moved, room
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.blocks import by_frame
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import evaluate
+from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, chain_of
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from hiros_cli.printable import printable
-from hiros_cli.report import console, table
+from hiros_cli.run_report import console, table
 from hiros_mcap.evaluate import Truth, score_tables, tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult

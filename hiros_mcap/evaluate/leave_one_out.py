@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency, output_channels, read_channel
@@ -23,10 +24,9 @@ from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.scores import ErrorStats, mean_of
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.log import open_log
-from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.symmetry import symmetry_of
 
 SIMULTANEOUS_NS = 50_000_000
 """Views of two cameras are compared when they are at most this far apart."""

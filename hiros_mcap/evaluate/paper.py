@@ -19,7 +19,7 @@ from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.evaluate.published import ANGLES
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.truth import load_truth
-from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, process
+from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.workers import run_tasks
 
 CONFIGURATIONS = ("T", "TMF", "TMOF")
@@ -127,7 +127,7 @@ def run_experiment(
 ) -> ActionRun:
     """Simulate one sequence, process it with and without the optimizer, score it."""
     from hiros_mcap.simulate import SimulateParams
-    from hiros_mcap.simulate.log import write_log
+    from hiros_mcap.simulate.write_log import write_log
 
     with tempfile.TemporaryDirectory() as folder:
         log, out = Path(folder) / "log.mcap", Path(folder) / "out.mcap"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import Flags, SkeletonModel
-from hiros_mcap.symmetry import split_side
 
 PARTS = ("torso", "upper limbs", "lower limbs")
 _UPPER = ("elbow", "wrist", "hand", "thumb", "finger", "palm", "forearm", "lowerarm")

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.angles import ANGLES, flexions, link_flexions, wrapped
+from hiros_mcap.body.angles import ANGLES, flexions, link_flexions, wrapped
+from hiros_mcap.body.rotations import angle
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
-from hiros_mcap.evaluate.motion import column_mean, jitter, lag, lengths_of, limb_variations
 from hiros_mcap.evaluate.parts import parts_of
+from hiros_mcap.evaluate.smoothness import column_mean, jitter, lag, lengths_of, limb_variations
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.rotations import angle
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 PCK_MM = tuple(range(0, 201, 5))

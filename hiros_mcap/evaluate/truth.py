@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.channels import TRUTH_PREFIX
+from hiros_mcap.body.rotations import multiply
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.log import open_log
-from hiros_mcap.rotations import multiply
+from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.symmetry import split_side
 
 MAX_GAP_NS = 500_000_000
 """The truth is not interpolated over a longer pause."""

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from hiros_mcap.kernels.bytes import copy, kernel
 from hiros_mcap.kernels.tracking import exponential, multiply
-from hiros_mcap.kernels.unaligned import copy, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 

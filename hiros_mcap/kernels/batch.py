@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 
+from hiros_mcap.kernels.bytes import kernel
 from hiros_mcap.kernels.cdr import COUNT, FRAME, FRAME_END, OK, decode, read_header
 from hiros_mcap.kernels.cleaning import clean
-from hiros_mcap.kernels.geometry import move
-from hiros_mcap.kernels.unaligned import kernel
+from hiros_mcap.kernels.transforming import move
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 Bytes = npt.NDArray[np.uint8]
@@ -72,7 +72,7 @@ def decode_batch(
     Message i has the rows ``first[i]`` to ``first[i + 1]``, the result ``codes[i]`` and the report
     ``reports[i]`` of :func:`hiros_mcap.kernels.cdr.decode`, and the counts ``cleaned[i]`` of
     :func:`hiros_mcap.kernels.cleaning.clean`. ``pose_of`` (N,) says by which pose its people are
-    moved (see :func:`hiros_mcap.kernels.geometry.move`), -1 = by none; ``xyzw`` (K, 4),
+    moved (see :func:`hiros_mcap.kernels.transforming.move`), -1 = by none; ``xyzw`` (K, 4),
     ``matrices`` (K, 3, 3) and ``translations`` (K, 3) are the poses.
     """
     for i in range(len(places)):

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.filters import (
+from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.filtering import (
     AGE,
     BEND,
     CONFIDENCE,
@@ -42,7 +43,6 @@ from hiros_mcap.kernels.filters import (
     restore_lengths,
     write,
 )
-from hiros_mcap.kernels.unaligned import kernel
 
 # Columns of what butterworth_push carries on, (T, STATE + 3 * (order - 1)).
 NOW_POSE = 0
@@ -455,7 +455,7 @@ def run_butterworth(
     out_marker_confidences: Floats,
     out_link_confidences: Floats,
 ) -> None:
-    """Do the jobs of :func:`hiros_mcap.kernels.filters.run_state_space` with this filter."""
+    """Do the jobs of :func:`hiros_mcap.kernels.filtering.run_state_space` with this filter."""
     mask = ring.shape[1] - 1
     for j in range(len(jobs)):
         row, who, step = jobs[j, 1], jobs[j, 2], jobs[j, 3]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hiros_mcap.kernels.unaligned import copy, kernel
+from hiros_mcap.kernels.bytes import copy, kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 

@@ -23,8 +23,8 @@ from hiros_mcap.kernels.averaging import (
     mean_people,
     mean_turn,
 )
+from hiros_mcap.kernels.bytes import kernel, named_tuple
 from hiros_mcap.kernels.tracking import angle_of, norm3
-from hiros_mcap.kernels.unaligned import kernel, named_tuple
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _I1, _I2, _F1 = types.int64[::1], types.int64[:, ::1], types.float64[::1]

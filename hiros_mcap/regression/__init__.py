@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hiros_mcap.regression.compare import ChannelComparison, Comparison, compare_logs
+from hiros_mcap.regression.differences import ChannelComparison, Comparison, compare_logs
 from hiros_mcap.regression.tolerances import Tolerances, load_tolerances
 
 __all__ = [

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.channels import add_skeleton_channel
-from hiros_mcap.codec import Encoder
-from hiros_mcap.container import McapReader, McapWriter
 from hiros_mcap.evaluate.logs import output_channels, read_channel
-from hiros_mcap.pipeline import LIMBS_ATTACHMENT
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.running.pipeline import LIMBS_ATTACHMENT
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame
 
 GRID = 2.0**-23

@@ -32,8 +32,7 @@ from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.outputs import check_outputs
 from hiros_mcap.params import Params
-from hiros_mcap.pipeline import ProcessOptions, Progress, Silent, process
-from hiros_mcap.regression.compare import Divergence, compare_logs
+from hiros_mcap.regression.differences import Divergence, compare_logs
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import (
     Threshold,
@@ -43,6 +42,7 @@ from hiros_mcap.regression.metrics import (
     worse,
 )
 from hiros_mcap.regression.tolerances import Tolerances, beside, validated
+from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.validation import explain
 from hiros_mcap.workers import run_tasks
 

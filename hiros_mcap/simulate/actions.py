@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiros_mcap.simulate.body import Body
-from hiros_mcap.simulate.curves import TURN, Eight, Ellipse, Path, Spot, bump, hold
 from hiros_mcap.simulate.motion import (
     JOG,
     WALK,
@@ -20,6 +19,7 @@ from hiros_mcap.simulate.motion import (
     arm,
     standing,
 )
+from hiros_mcap.simulate.splines import TURN, Eight, Ellipse, Path, Spot, bump, hold
 from hiros_mcap.skeletons import Floats
 
 SPEED = {WALK: 1.2, JOG: 2.5}  # m/s, mean along the path

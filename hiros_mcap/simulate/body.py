@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.skeletons import Floats, SkeletonModel
-from hiros_mcap.symmetry import symmetry_of
 
 SIDES = ("LEFT", "RIGHT")
 SEGMENTS = (

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.rotations import Rigid, multiply
-from hiros_mcap.simulate.params import SimulateParams
+from hiros_mcap.body.rotations import Rigid, multiply
 from hiros_mcap.simulate.randomness import stream
+from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.spatial import from_vector, quaternions
 from hiros_mcap.skeletons import Floats, Stamps
 

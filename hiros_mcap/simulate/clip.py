@@ -16,7 +16,7 @@ import numpy as np
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.simulate.body import SEGMENTS, SLOT, Body
-from hiros_mcap.simulate.params import SimulateParams
+from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import Floats
 
 MAX_BYTES = 1 << 28

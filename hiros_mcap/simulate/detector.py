@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.rotations import conjugate, multiply
+from hiros_mcap.body.rotations import conjugate, multiply
 from hiros_mcap.simulate.body import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, Body
 from hiros_mcap.simulate.cameras import Camera, seconds_since
 from hiros_mcap.simulate.clip import Performer
-from hiros_mcap.simulate.curves import Spot
 from hiros_mcap.simulate.motion import Person, standing
 from hiros_mcap.simulate.occlusion import Mask, look
-from hiros_mcap.simulate.params import SimulateParams
 from hiros_mcap.simulate.randomness import coloured, episodes, stream
+from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.spatial import from_vector, quaternions, second_axis
+from hiros_mcap.simulate.splines import Spot
 from hiros_mcap.skeletons import Floats
 
 _SHARE_INSIDE = 0.5  # a body of which less than this is in the picture is not detected

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiros_mcap.simulate.body import ADULT_HEIGHT, PARENT_SEGMENT, SEGMENTS, UPRIGHT, Body
-from hiros_mcap.simulate.curves import TURN, Path, bump, smoothstep
+from hiros_mcap.simulate.splines import TURN, Path, bump, smoothstep
 from hiros_mcap.skeletons import Floats
 
 REACH = 0.996

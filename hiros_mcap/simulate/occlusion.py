@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.simulate.body import MARKERS, SLOT
-from hiros_mcap.simulate.params import RigParams
+from hiros_mcap.simulate.settings import RigParams
 from hiros_mcap.skeletons import Floats
 
 Mask = npt.NDArray[np.bool_]

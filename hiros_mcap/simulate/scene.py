@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hiros_mcap.rotations import Rigid, conjugate, multiply
+from hiros_mcap.body.rotations import Rigid, conjugate, multiply
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body import LINK_SEGMENTS, MODEL, Body
 from hiros_mcap.simulate.cameras import Camera, build_cameras, seconds_since
@@ -16,8 +16,8 @@ from hiros_mcap.simulate.clip import Performer, perform_files
 from hiros_mcap.simulate.detector import Bodies, detect
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
-from hiros_mcap.simulate.params import SimulateParams
 from hiros_mcap.simulate.randomness import stream
+from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.spatial import quaternions, vectors
 from hiros_mcap.skeletons import (
     ACCELERATION,

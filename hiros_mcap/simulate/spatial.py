@@ -1,4 +1,4 @@
-"""Rotations of many bodies at once: what :mod:`hiros_mcap.rotations` lacks or does one by one."""
+"""Rotations of many bodies at once: what :mod:`~hiros_mcap.body.rotations` lacks."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class CeresSolver:
         self._options = _options(self._ceres, tolerance)
 
     def __call__(self, start: Floats, nominal: Floats, weights: Floats) -> tuple[Floats, int]:
-        """Minimize the energy of each person; see :func:`hiros_mcap.kernels.limbs.solve`."""
+        """Minimize the energy of each person; see :func:`hiros_mcap.kernels.optimizing.solve`."""
         solved, failed = start.copy(), 0
         for i in range(len(start)):
             if not weights[i].any():

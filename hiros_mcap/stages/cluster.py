@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import Instant, Views, instants
-from hiros_mcap.symmetry import split_side, symmetry_of
 
 LEE_JOINTS = (
     "PELVIS", "SPINE_NAVEL", "NECK", "HEAD",

@@ -88,7 +88,7 @@ class _Filters(Bank):
     ARRAYS = ("states", "known", "_history", "_filled", "_strikes")
 
     def __init__(self, model: SkeletonModel, params: KalmanParams) -> None:
-        from hiros_mcap.kernels import kalman as kernels
+        from hiros_mcap.kernels import joint_filter as kernels
 
         super().__init__()
         self._kernels = kernels

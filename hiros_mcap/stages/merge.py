@@ -16,8 +16,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from hiros_mcap.blocks import Block, Part, People, frames_of, join, most_often
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, Part, People, frames_of, join, most_often
 from hiros_mcap.kernels import merging as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import (
@@ -31,7 +32,6 @@ from hiros_mcap.skeletons import (
 )
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import Instant, Instants, Views
-from hiros_mcap.symmetry import symmetry_of
 
 
 class MergeParams(Params):

@@ -37,13 +37,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from hiros_mcap.blocks import Block, People, frames_of, join
+from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import limbs as kernels
-from hiros_mcap.limbs import LimbTable
+from hiros_mcap.frames import Block, People, frames_of, join
+from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, SkeletonModel
-from hiros_mcap.stages.calibrate import Calibration, CalibrationParams, calibrate
 from hiros_mcap.stages.elimination import outward, plan
+from hiros_mcap.stages.limb_calibration import Calibration, CalibrationParams, calibrate
 
 MAX_STEPS = 50
 

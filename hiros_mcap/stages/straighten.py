@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from pydantic import Field
 
+from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
-from hiros_mcap.limbs import Limb, LimbTable, link_keys
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
-from hiros_mcap.symmetry import split_side
 
 
 class StraightenParams(Params):
@@ -50,7 +50,7 @@ def straighten(
     params, events : parameters; where calibrations are noted.
     limbs : lengths known from before; filled on the way.
     """
-    from hiros_mcap.kernels.kalman import straighten as kernel
+    from hiros_mcap.kernels.joint_filter import straighten as kernel
 
     params, limbs = params or StraightenParams(), limbs or LimbTable()
     events = Events() if events is None else events

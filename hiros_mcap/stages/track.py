@@ -21,14 +21,14 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from hiros_mcap.blocks import Block, Part, frames_of, join
+from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
-from hiros_mcap.symmetry import symmetry_of
 
 Indices = npt.NDArray[np.intp]
 

@@ -10,9 +10,9 @@ from hiros_mcap.systems.run import Run, Stages
 
 def hiros(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 2)."""
+    from hiros_mcap.stages.filter import filter_blocks
     from hiros_mcap.stages.merge import merge_blocks
     from hiros_mcap.stages.optimize import optimize_blocks
-    from hiros_mcap.stages.smooth import smooth_blocks
     from hiros_mcap.stages.track import track_blocks
 
     model, config, events = run.model, run.config, run.events
@@ -30,7 +30,7 @@ def hiros(run: Run) -> Stages:
         "optimized": partial(
             optimize_blocks, model=model, params=config.optimize, events=events, limbs=run.limbs
         ),
-        "filtered": partial(smooth_blocks, model=model, params=config.filter, events=events),
+        "filtered": partial(filter_blocks, model=model, params=config.filter, events=events),
     }
 
 

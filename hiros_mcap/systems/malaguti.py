@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from hiros_mcap.blocks import by_block
+from hiros_mcap.frames import by_block
 from hiros_mcap.systems.run import Run, Stages
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from hiros_mcap.blocks import BlockStage
+from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.config import Config
 from hiros_mcap.events import Events
-from hiros_mcap.limbs import LimbTable
+from hiros_mcap.frames import BlockStage
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 Stages = Mapping[str, BlockStage]

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hiros_cli.app import run
-from hiros_mcap.pipeline import process
+from hiros_mcap.running.pipeline import process
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 

@@ -17,11 +17,11 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_cli.commands.simulate import _params
-from hiros_cli.kernels import ALL, prepare
+from hiros_cli.compiling import ALL, prepare
 from hiros_mcap import kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.log import open_log
+from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import SimulateParams
 
 
@@ -148,7 +148,7 @@ def test_kernels_are_compiled_in_advance_each_by_one_process() -> None:
 def test_a_run_compiles_nothing_that_was_not_compiled_before_it(tmp_path: Path) -> None:
     folder = tmp_path / "kernels"
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    code = "from hiros_cli.kernels import RUN, prepare; prepare(quiet=True, parts=RUN)"
+    code = "from hiros_cli.compiling import RUN, prepare; prepare(quiet=True, parts=RUN)"
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
     compiled = {path.name for path in folder.rglob("*.nb?")}
     assert any(name.startswith("merging.") for name in compiled)
@@ -189,7 +189,7 @@ def test_systems_are_listed_with_their_chains(capsys: pytest.CaptureFixture[str]
 def test_calibrate_noise_prints_what_config_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hiros_mcap.simulate.log import write_log
+    from hiros_mcap.simulate.write_log import write_log
 
     log, config = tmp_path / "still.mcap", tmp_path / "noise.toml"
     params = {"people": 1, "cameras": 2, "seconds": 4, "action": "free_static", "flips": 0.0}

@@ -12,9 +12,9 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
-from hiros_mcap.evaluate.contest import Entry, Task, run_task
+from hiros_mcap.evaluate.comparison import Entry, Task, run_task
 from hiros_mcap.evaluate.logs import evaluate_log, fused_topics
-from hiros_mcap.pipeline import ProcessOptions, process
+from hiros_mcap.running.pipeline import ProcessOptions, process
 
 
 @pytest.fixture(scope="module")

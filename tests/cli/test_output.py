@@ -14,7 +14,7 @@ from hiros_cli.app import run
 from hiros_cli.output import check_outputs
 from hiros_mcap.errors import LogError
 from hiros_mcap.outputs import Kind, replacing
-from hiros_mcap.pipeline import ProcessOptions
+from hiros_mcap.running.pipeline import ProcessOptions
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
 SUITE = '[[log]]\ninput = "walk.mcap"\nrequire = ["people = 1"]\n'

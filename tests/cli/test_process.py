@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from hiros_cli.app import run
-from hiros_mcap.limbs import LimbTable
+from hiros_mcap.body.limb_table import LimbTable
 
 CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
 

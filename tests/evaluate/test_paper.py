@@ -9,7 +9,7 @@ import pytest
 from builders import room
 
 from hiros_cli.evaluation import show_paper
-from hiros_mcap.blocks import by_frame
+from hiros_mcap.body.rotations import multiply
 from hiros_mcap.config import Config
 from hiros_mcap.evaluate import evaluate, tables
 from hiros_mcap.evaluate.paper import (
@@ -23,9 +23,9 @@ from hiros_mcap.evaluate.paper import (
     step_times,
 )
 from hiros_mcap.evaluate.published import ANGLES, SEVERAL, SINGLE, TIMES
-from hiros_mcap.rotations import multiply
+from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate.body import SYMMETRY
-from hiros_mcap.simulate.params import ActionName
+from hiros_mcap.simulate.settings import ActionName
 from hiros_mcap.skeletons import ORIENTATION, Frame
 from hiros_mcap.systems import Run, hiros
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from stick_figures import MODEL, POSE, at, person, seen
 
-from hiros_mcap.angles import flexions
+from hiros_mcap.body.angles import flexions
 from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 

@@ -12,16 +12,16 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from hiros_mcap.blocks import by_block, by_frame
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import output_channels
-from hiros_mcap.pipeline import ProcessOptions, process
-from hiros_mcap.regression import report
-from hiros_mcap.regression.compare import compare_logs
+from hiros_mcap.frames import by_block, by_frame
+from hiros_mcap.regression import check_report
+from hiros_mcap.regression.differences import compare_logs
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import Threshold, load_metrics, save_metrics, worse
 from hiros_mcap.regression.suite import CaseResult, load_suite, run_suite
 from hiros_mcap.regression.tolerances import Tolerances, beside
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.systems import SYSTEMS, Run, Stages
 
@@ -293,7 +293,7 @@ RESULTS = [
 
 
 def test_junit_is_xml_that_counts() -> None:
-    suite = ElementTree.fromstring(report.junit(RESULTS, "suite"))[0]
+    suite = ElementTree.fromstring(check_report.junit(RESULTS, "suite"))[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "1")
     failure = suite[1].find("failure")
     assert failure is not None
@@ -302,7 +302,7 @@ def test_junit_is_xml_that_counts() -> None:
 
 
 def test_markdown_keeps_to_its_table() -> None:
-    lines = report.markdown(RESULTS, "suite").splitlines()
+    lines = check_report.markdown(RESULTS, "suite").splitlines()
     assert lines[0] == "### hiros check: suite: 1 of 3 logs as expected"
     table = lines[2:7]
     assert all(line.replace("\\|", "").count("|") == 8 for line in table)
@@ -311,5 +311,5 @@ def test_markdown_keeps_to_its_table() -> None:
 
 
 def test_json_is_json() -> None:
-    data = json.loads(json.dumps(report.as_dict(RESULTS)))
+    data = json.loads(json.dumps(check_report.as_dict(RESULTS)))
     assert (data["equal"], data["different"], data["errors"]) == (1, 1, 1)

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiros_mcap.log import open_log
+from hiros_mcap.body.transforms import transform_to_fixed
+from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body import SLOT
-from hiros_mcap.simulate.log import write_log
 from hiros_mcap.simulate.scene import Simulation
+from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Floats, Stamps
-from hiros_mcap.transforms import transform_to_fixed
 
 OFF = {
     "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hiros_mcap.kernels import limbs as kernels
+from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.skeletons import SkeletonModel
 
 

@@ -12,15 +12,15 @@ from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.stats import chi2
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
+from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.calibrate.noise import measure_noise
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import kalman as kernels
-from hiros_mcap.limbs import LimbTable
+from hiros_mcap.kernels import joint_filter as kernels
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.associate import AssociateParams, Centroid, associate, centroids
 from hiros_mcap.stages.kalman import KalmanParams, kalman
 from hiros_mcap.stages.moving_average import MovingAverageParams, moving_average
-from hiros_mcap.stages.noise import measure_noise
 from hiros_mcap.stages.straighten import StraightenParams, link_order, straighten
 from hiros_mcap.systems import chain_of
 

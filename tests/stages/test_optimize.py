@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from skeleton_makers import energies, random_model, random_poses, weights_of
 
+from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import limbs as kernels
-from hiros_mcap.limbs import Limb, LimbTable
+from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.elimination import outward, plan
 from hiros_mcap.stages.optimize import STIFFNESS, OptimizeParams, block_solver, optimize

@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
-from hiros_mcap.channels import add_skeleton_channel
-from hiros_mcap.codec import Encoder
-from hiros_mcap.container import McapWriter
 from hiros_mcap.events import Events
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels import tracking
-from hiros_mcap.log import open_log
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.track import TrackParams, in_time_order, track
 

@@ -11,7 +11,7 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import find_truth, read_channel
-from hiros_mcap.pipeline import process
+from hiros_mcap.running.pipeline import process
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 

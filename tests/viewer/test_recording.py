@@ -10,13 +10,13 @@ import pytest
 from viewers import need_rerun
 
 from hiros_cli.app import run
-from hiros_mcap.angles import flexions
+from hiros_mcap.body.angles import flexions
+from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import read_channel
-from hiros_mcap.log import open_log
-from hiros_mcap.pipeline import process
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.transforms import transform_to_fixed
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -159,7 +159,7 @@ def test_residuals_are_those_of_the_frame_nearest_in_time(recording: Path, proce
 
 
 def test_residual_is_the_distance_to_the_nearest_person() -> None:
-    from hiros_mcap.kernels.nearest import nearest
+    from hiros_mcap.kernels.distance import nearest
 
     rng = np.random.default_rng(1)
     poses, others = rng.normal(size=(4, 9, 3)), rng.normal(size=(3, 9, 3))

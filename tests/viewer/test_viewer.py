@@ -25,10 +25,10 @@ from viewers import (
 )
 
 from hiros_cli.app import run
-from hiros_mcap.colours import person_colour
 from hiros_mcap.events import Events
-from hiros_mcap.log import open_log
-from hiros_mcap.pipeline import process
+from hiros_mcap.io.export.colours import person_colour
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import LAYOUTS
 from hiros_viewer.palette import curve_colour

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.colours import PEOPLE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.evaluate.match import Matches, match
-from hiros_mcap.evaluate.motion import lengths_of
+from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.text import number

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.angles import ANGLES, flexions
+from hiros_mcap.body.angles import ANGLES, flexions
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import Floats, SkeletonModel
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from hiros_mcap.events import Events
-from hiros_mcap.log import Log
-from hiros_mcap.observe import DETECTIONS
+from hiros_mcap.io.log import Log
+from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
 from hiros_viewer.replay import content_of, describe
@@ -25,7 +25,7 @@ BATCH = 120
 
 
 class LiveView:
-    """A :class:`hiros_mcap.pipeline.Watcher` that draws into a viewer until that is closed."""
+    """A :class:`~hiros_mcap.running.pipeline.Watcher` that draws until its viewer is closed."""
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hiros_mcap.colours import RGB
+from hiros_mcap.io.export.colours import RGB
 
 CAMERAS: tuple[RGB, ...] = (
     (78, 88, 98),

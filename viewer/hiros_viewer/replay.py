@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.channels import OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.log import Camera, Log, open_log
-from hiros_mcap.observe import DETECTIONS
-from hiros_mcap.pipeline import EVENTS_ATTACHMENT
-from hiros_mcap.rotations import Rigid
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.log import Camera, Log, open_log
+from hiros_mcap.running.observe import DETECTIONS
+from hiros_mcap.running.pipeline import EVENTS_ATTACHMENT
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.columns import Poses

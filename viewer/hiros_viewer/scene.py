@@ -22,15 +22,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiros_mcap.angles import ANGLES, flexions
-from hiros_mcap.colours import RGB, person_colour
-from hiros_mcap.evaluate.motion import lengths_of
+from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.events import Event
+from hiros_mcap.io.export.colours import RGB, person_colour
+from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
-from hiros_mcap.kernels.nearest import nearest
-from hiros_mcap.rotations import Rigid
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
-from hiros_mcap.symmetry import split_side
 from hiros_viewer.columns import (
     HIDDEN,
     BodyRows,

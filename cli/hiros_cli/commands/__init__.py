@@ -11,11 +11,11 @@ from hiros_cli.commands import (
     calibrate,
     check,
     compare,
-    config,
     evaluate,
     info,
     plot,
     process,
+    show_config,
     simulate,
     systems,
     view,
@@ -71,7 +71,7 @@ app.command()(info.info)
 app.command()(simulate.simulate)
 app.command()(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
-app.command()(config.config)
+app.command()(show_config.config)
 app.command()(warmup.warmup)
 
 

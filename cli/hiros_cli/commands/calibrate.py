@@ -34,14 +34,14 @@ def noise(
     json: Json = False,
 ) -> None:
     """Measure the detectors' noise for --system malaguti, as lines for --config."""
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
 
     log.stat()
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
-    from hiros_mcap.log import open_log
+    from hiros_mcap.calibrate.noise import measure_noise
+    from hiros_mcap.io.log import open_log
     from hiros_mcap.stages.associate import associate
-    from hiros_mcap.stages.noise import measure_noise
     from hiros_mcap.text import number
 
     with open_log(log) as opened:

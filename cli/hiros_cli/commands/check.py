@@ -72,7 +72,7 @@ def check(
 
     Exit code 0: equal within the tolerances; 1: different; 2: cannot be compared.
     """
-    from hiros_cli.kernels import RUN, prepare
+    from hiros_cli.compiling import RUN, prepare
 
     target.stat()
     is_suite = target.suffix == ".toml"
@@ -130,12 +130,12 @@ class _Reports:
     def write(self, results: list[CaseResult], name: str) -> None:
         """Write them."""
         from hiros_mcap.outputs import write_text
-        from hiros_mcap.regression import report
+        from hiros_mcap.regression import check_report
 
         if self.junit is not None:
-            write_text(self.junit, report.junit(results, name))
+            write_text(self.junit, check_report.junit(results, name))
         if self.markdown is not None:
-            write_text(self.markdown, report.markdown(results, name))
+            write_text(self.markdown, check_report.markdown(results, name))
 
 
 def _run_suite(
@@ -199,12 +199,13 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
 
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
-    from hiros_mcap.regression import report
 
     if json:
         from json import dumps
 
-        print(dumps(report.as_dict(results), indent=2))
+        from hiros_mcap.regression import check_report
+
+        print(dumps(check_report.as_dict(results), indent=2))
         return
     if quiet:
         _show_errors(results)
@@ -212,14 +213,15 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.report import console
+    from hiros_cli.run_report import console
+    from hiros_mcap.regression import check_report
 
     out = console()
     styles = {"equal": "green", "different": "red", "error": "yellow"}
     for result in results:
         head = Text(f"{result.status:9} ", style=styles[result.status])
         out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
-        lines: list[Any] = [*result.faults, *report.first_lines(result), *result.notes]
+        lines: list[Any] = [*result.faults, *check_report.first_lines(result), *result.notes]
         for line in lines:
             out.print(Text(f"  {printable(line, 500)}"), soft_wrap=True)
 

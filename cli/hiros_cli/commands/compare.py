@@ -14,7 +14,7 @@ from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
-    from hiros_mcap.evaluate.contest import Entry, Outcome, Task
+    from hiros_mcap.evaluate.comparison import Entry, Outcome, Task
 
 STUDIES = ("cameras", "radius", "people", "malaguti", "lee")
 
@@ -62,7 +62,7 @@ def compare(
     Without a truth, by how far the camera that is left out is from what the others give.
     """
     from hiros_cli.commands.evaluate import need_matplotlib
-    from hiros_cli.kernels import ALL, prepare
+    from hiros_cli.compiling import ALL, prepare
     from hiros_cli.output import check_outputs
 
     paths = list(logs or ())
@@ -75,7 +75,7 @@ def compare(
     )
     prepare(quiet=quiet or json, parts=ALL)
     from hiros_cli.progress import bar
-    from hiros_mcap.evaluate.contest import contest
+    from hiros_mcap.evaluate.comparison import comparison
 
     with ExitStack() as stack:
         if study == "people":
@@ -83,15 +83,15 @@ def compare(
         entries = _entries(systems or (), study)
         tasks = _tasks(paths, entries, truth, study)
         with bar(f"{len(tasks)} runs", quiet=quiet) as progress:
-            outcomes = contest(tasks, jobs=jobs, progress=progress)
+            outcomes = comparison(tasks, jobs=jobs, progress=progress)
         if rrd is not None:
-            from hiros_viewer.contest import save_overlay
+            from hiros_viewer.comparison_page import save_overlay
 
             save_overlay(rrd, paths[0], entries)
     if html is not None:
-        from hiros_viewer.contest import contest_page
+        from hiros_viewer.comparison_page import comparison_page
 
-        contest_page(outcomes, study or "").write(html)
+        comparison_page(outcomes, study or "").write(html)
     if json:
         _print_json(outcomes)
     elif not quiet:
@@ -118,7 +118,7 @@ def _check(paths: list[Path], study: str | None, truth: str | None, rrd: Path | 
 def _simulated(folder: Path) -> list[Path]:
     """One log for each number of people."""
     from hiros_mcap.simulate import SimulateParams
-    from hiros_mcap.simulate.log import write_log
+    from hiros_mcap.simulate.write_log import write_log
 
     paths = []
     for people in range(1, 5):
@@ -129,7 +129,7 @@ def _simulated(folder: Path) -> list[Path]:
 
 
 def _entries(named: Sequence[str], study: str | None) -> list[Entry]:
-    from hiros_mcap.evaluate.contest import DEFAULT, Entry
+    from hiros_mcap.evaluate.comparison import DEFAULT, Entry
     from hiros_mcap.evaluate.published import LEE, LEE_RADII, MALAGUTI_COLUMNS
 
     if named:
@@ -149,7 +149,7 @@ def _entries(named: Sequence[str], study: str | None) -> list[Entry]:
 def _tasks(
     paths: list[Path], entries: list[Entry], truth: str | None, study: str | None
 ) -> list[Task]:
-    from hiros_mcap.evaluate.contest import Task, camera_subsets
+    from hiros_mcap.evaluate.comparison import Task, camera_subsets
 
     tasks = [Task(path, entry, truth=truth) for path in paths for entry in entries]
     if study != "cameras":
@@ -161,8 +161,9 @@ def _show(outcomes: list[Outcome], study: str) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.report import console, table
-    from hiros_mcap.evaluate import contest, contest_tables
+    from hiros_cli.run_report import console, table
+    from hiros_mcap.evaluate import comparison
+    from hiros_mcap.evaluate import comparison_tables as tables
 
     out = console()
 
@@ -170,25 +171,25 @@ def _show(outcomes: list[Outcome], study: str) -> None:
         out.print(Text(f"\n{printable(title, 500)}", style="bold"), soft_wrap=True)
         out.print(table(header[0], *(f">{cell}" for cell in header[1:]), rows=rows))
 
-    orderings = list(contest.check_orderings(outcomes))
+    orderings = list(comparison.check_orderings(outcomes))
     if study == "cameras":
-        by_number = contest.by_number_of_cameras(outcomes)
-        header, rows = contest_tables.camera_rows(by_number)
+        by_number = comparison.by_number_of_cameras(outcomes)
+        header, rows = tables.camera_rows(by_number)
         show("Mean joint error (SD), mm, by number of cameras, over all subsets", header, rows)
-        orderings = list(contest.camera_orderings(by_number))
+        orderings = list(comparison.camera_orderings(by_number))
     elif study == "malaguti":
-        rows = contest_tables.malaguti_rows(outcomes)
-        show("Malaguti 2019, Table I, cm; paper: other data", contest_tables.MALAGUTI_HEADER, rows)
-        times = contest_tables.malaguti_times(outcomes)
-        show("Table II: malaguti, by a line; paper: i7-4770", contest_tables.TIME_HEADER, times)
+        rows = tables.malaguti_rows(outcomes)
+        show("Malaguti 2019, Table I, cm; paper: other data", tables.MALAGUTI_HEADER, rows)
+        times = tables.malaguti_times(outcomes)
+        show("Table II: malaguti, by a line; paper: i7-4770", tables.TIME_HEADER, times)
     elif study in ("lee", "radius"):
-        rows = contest_tables.lee_rows(outcomes)
-        show("Lee 2022, error (SD), mm [paper: other data]", contest_tables.LEE_HEADER, rows)
-        header, rows = contest_tables.joint_rows(outcomes)
+        rows = tables.lee_rows(outcomes)
+        show("Lee 2022, error (SD), mm [paper: other data]", tables.LEE_HEADER, rows)
+        header, rows = tables.joint_rows(outcomes)
         show("The same by joint, mm, as Tables A1 to A6", header, rows)
     else:
         for log in dict.fromkeys(o.log for o in outcomes):
-            header, rows = contest_tables.ranked([o for o in outcomes if o.log == log])
+            header, rows = tables.ranked([o for o in outcomes if o.log == log])
             show(log, header, rows)
     for ordering in orderings:
         verdict = "holds" if ordering.holds else "DOES NOT HOLD"
@@ -198,7 +199,7 @@ def _show(outcomes: list[Outcome], study: str) -> None:
 def _print_json(outcomes: list[Outcome]) -> None:
     from json import dumps
 
-    from hiros_mcap.evaluate.contest import check_orderings
+    from hiros_mcap.evaluate.comparison import check_orderings
     from hiros_mcap.summary import plain
 
     data: dict[str, Any] = {

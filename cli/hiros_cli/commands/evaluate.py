@@ -89,7 +89,7 @@ def evaluate(
 
     A recording that was not processed yet is processed first, with the given parameters.
     """
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
@@ -135,7 +135,7 @@ def need_matplotlib(html: Path | None) -> None:
 
 def _start(log: Path) -> int:
     """Time at which a log starts, ns: what motion capture files count from."""
-    from hiros_mcap.log import open_reader, span_of
+    from hiros_mcap.io.log import open_reader, span_of
 
     with open_reader(log) as reader:
         return span_of(reader)[0]
@@ -147,7 +147,7 @@ def _processed(log: Path, config: Config, stack: ExitStack, truth: str | None) -
 
     if has_outputs(log):
         return log
-    from hiros_mcap.pipeline import ProcessOptions, process
+    from hiros_mcap.running.pipeline import ProcessOptions, process
 
     out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
     options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
@@ -166,7 +166,7 @@ def _show_truth(
     joints: bool,
 ) -> None:
     if html is not None:
-        from hiros_viewer.evaluation import truth_page
+        from hiros_viewer.evaluation_page import truth_page
 
         truth_page(str(log), truth, results).write(html)
     if json:
@@ -190,7 +190,7 @@ def _show_self(
 
     scores = leave_one_out(log, config=config)
     if html is not None:
-        from hiros_viewer.evaluation import self_page
+        from hiros_viewer.evaluation_page import self_page
 
         self_page(str(log), scores).write(html)
     if json:
@@ -220,7 +220,7 @@ def _paper_table(
     with bar("16 actions, 1 to 4 people", quiet=quiet) as progress:
         results = run_experiments(config, seconds=seconds, jobs=jobs, progress=progress)
     if html is not None:
-        from hiros_viewer.evaluation import paper_page
+        from hiros_viewer.evaluation_page import paper_page
 
         paper_page(results).write(html)
     if json:

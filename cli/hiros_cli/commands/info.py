@@ -10,7 +10,7 @@ import typer
 from hiros_cli.options import Json
 
 if TYPE_CHECKING:
-    from hiros_mcap.overview import CameraRow, Overview
+    from hiros_mcap.io.overview import CameraRow, Overview
 
 
 def info(
@@ -26,11 +26,11 @@ def info(
     json: Json = False,
 ) -> None:
     """Show channels, cameras, frames, the skeleton, people per frame, rates and gaps."""
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
 
     source.stat()
     prepare(quiet=json)
-    from hiros_mcap.overview import look
+    from hiros_mcap.io.overview import look
 
     overview = look(source, topics=topic, extrinsics=extrinsics)
     if json:
@@ -45,7 +45,7 @@ def _show(overview: Overview) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.report import console
+    from hiros_cli.run_report import console
     from hiros_mcap.text import number
 
     out = console()
@@ -66,14 +66,14 @@ def _show(overview: Overview) -> None:
 
 
 def _channels(overview: Overview) -> Any:
-    from hiros_cli.report import table
+    from hiros_cli.run_report import table
 
     rows = [(row.topic, str(row.messages), row.type or "-") for row in overview.channels]
     return table("Channel", ">Messages", "Type", rows=rows)
 
 
 def _cameras(overview: Overview) -> Any:
-    from hiros_cli.report import table
+    from hiros_cli.run_report import table
     from hiros_mcap.text import number
 
     return table(

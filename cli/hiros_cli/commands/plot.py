@@ -44,7 +44,7 @@ def plot(
     """Plot joint angles, limb lengths and errors over time, as PNG or one HTML file."""
     from importlib.util import find_spec
 
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import beside, check_outputs
 
     log.stat()

@@ -24,7 +24,7 @@ from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Table
-    from hiros_mcap.pipeline import Watcher
+    from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.summary import Summary
 
 SUFFIX = ".hiros.mcap"
@@ -109,7 +109,7 @@ def process(
     Writes /hiros/tracked, /hiros/merged, /hiros/optimized and /hiros/filtered, with the channels
     that were read beside them, and prints what was done.
     """
-    from hiros_cli.kernels import RUN, prepare
+    from hiros_cli.compiling import RUN, prepare
     from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
 
@@ -125,8 +125,8 @@ def process(
     prepare(quiet=quiet, parts=RUN)
 
     from hiros_mcap.config import load_config
-    from hiros_mcap.pipeline import ProcessOptions
-    from hiros_mcap.pipeline import process as run
+    from hiros_mcap.running.pipeline import ProcessOptions
+    from hiros_mcap.running.pipeline import process as run
 
     _check_effects(
         system,
@@ -227,6 +227,6 @@ def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
 
         print(dumps(summary.to_dict(), indent=2))
     elif not quiet:
-        from hiros_cli.report import show
+        from hiros_cli.run_report import show
 
         show(summary)

@@ -84,12 +84,12 @@ def simulate(
         path.stat()
     if motion and people is None:
         given["people"] = len(motion)
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
 
     check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ())), force=force)
     prepare(quiet=quiet)
-    from hiros_mcap.simulate.log import write_log
+    from hiros_mcap.simulate.write_log import write_log
 
     written = write_log(
         output, _params({name: value for name, value in given.items() if value is not None})

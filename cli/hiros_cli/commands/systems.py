@@ -5,7 +5,7 @@ from __future__ import annotations
 
 def systems() -> None:
     """List the systems that --system chooses from, with their chains of stages."""
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
 
     prepare(quiet=False)
     from hiros_mcap.systems import SYSTEMS

@@ -48,7 +48,7 @@ def view(
     quiet: Quiet = False,
 ) -> int:
     """Look at logs: the room, every camera's detections, every stage, angles, limbs, events."""
-    from hiros_cli.kernels import prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.options import seconds_range
     from hiros_cli.output import check_outputs
 

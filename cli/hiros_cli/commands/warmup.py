@@ -9,7 +9,7 @@ from hiros_cli.options import Quiet
 
 def warmup(quiet: Quiet = False) -> None:
     """Compile the kernels for this machine, once, so that the first run is fast."""
-    from hiros_cli.kernels import ALL, prepare
+    from hiros_cli.compiling import ALL, prepare
     from hiros_mcap import kernels
 
     started = time.perf_counter()

@@ -1,0 +1,1 @@
+"""Geometry of skeletons: symmetry, angles, rotations, transforms and limb lengths."""

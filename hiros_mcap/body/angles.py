@@ -1,0 +1,123 @@
+"""Joint angles: the eight flexions that the Hi-ROS paper reports (section 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hiros_mcap.body.rotations import conjugate, multiply
+from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.skeletons import Floats, SkeletonModel
+
+# Markers of a joint's limbs, towards the extremity; two of them are compared with the trunk.
+_CHAINS = (
+    ("shoulder", "elbow"),
+    ("shoulder", "elbow", "wrist"),
+    ("hip", "knee"),
+    ("hip", "knee", "ankle"),
+)
+# From neck to pelvis, by the names that detectors use.
+_TRUNKS = (("neck", "pelvis"), ("neck", "spinebase"), ("neck", "midhip"), ("neck", "hips"))
+
+JOINTS = ("shoulder", "elbow", "hip", "knee")
+ANGLES = tuple(f"{side} {joint}" for side in ("left", "right") for joint in JOINTS)
+"""Names of the columns of :func:`flexions`."""
+
+
+def flexions(model: SkeletonModel, positions: Floats) -> Floats:
+    """(..., 8) flexion angles, rad: left then right shoulder, elbow, hip, knee.
+
+    ``positions`` (..., M, 3). The angle between a limb's bone and the next one towards the trunk,
+    or the trunk itself, from the marker positions: 0 is straight. It needs no convention of link
+    frames, in which detectors differ. NaN where a marker is missing.
+    """
+    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
+    names = {part for part, _ in slots}
+    trunk = next(((a, b) for a, b in _TRUNKS if a in names and b in names), ("", ""))
+    angles = []
+    for side in ("left", "right"):
+        for chain in _CHAINS:
+            ends = [slots.get((name, side)) for name in chain]
+            ends = [slots.get((name, "")) for name in trunk] * (len(chain) == 2) + ends
+            if None in ends or len(ends) < 3:
+                angles.append(np.full(positions.shape[:-2], np.nan))
+                continue
+            points = [positions[..., slot, :] for slot in ends]
+            angles.append(_between(points[1] - points[0], points[-1] - points[-2]))
+    return np.stack(angles, axis=-1)
+
+
+def _between(u: Floats, v: Floats) -> Floats:
+    """Angle between vectors, rad; by its tangent, which is exact for small angles, too."""
+    cross = np.linalg.norm(np.cross(u, v), axis=-1)
+    angle: Floats = np.arctan2(cross, np.sum(u * v, axis=-1))
+    return angle
+
+
+def euler_zxy(xyzw: Floats) -> Floats:
+    """(..., 3) Angles about z, x', y'' of rotations (..., 4), rad: R = Rz Rx Ry.
+
+    The sequence of the ISB recommendation that Hi-ROS follows (section 4): z is flexion and
+    extension, x abduction and adduction, y internal and external rotation. z and y lie in
+    -pi..pi, x in -pi/2..pi/2; at the ends of x, z and y turn about the same axis.
+    """
+    x, y, z, w = np.moveaxis(np.asarray(xyzw, np.float64), -1, 0)
+    return np.stack(
+        [
+            np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)),
+            np.arcsin(np.clip(2 * (y * z + w * x), -1.0, 1.0)),
+            np.arctan2(2 * (w * y - x * z), 1 - 2 * (x * x + y * y)),
+        ],
+        axis=-1,
+    )
+
+
+def wrapped(angles: Floats) -> Floats:
+    """Angles, rad, brought to -pi..pi: the difference of 179 and -179 degrees is 2."""
+    return np.asarray((np.asarray(angles) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
+    """(proximal, distal) link slots of each of :data:`ANGLES`, -1 where the model lacks one.
+
+    A limb's link is the one between two of its markers; the trunk's is the one that ends at the
+    neck for the shoulders, and the first one that leaves the pelvis upwards for the hips.
+    """
+    slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
+    ends = list(zip(model.link_parents, model.link_children, strict=True))
+
+    def between(parent: tuple[str, str], child: tuple[str, str]) -> int:
+        pair = (slots.get(parent, -2), slots.get(child, -2))
+        return ends.index(pair) if pair in ends else -1
+
+    neck = slots.get(("neck", ""), -2)
+    upper = next((k for k, (_, child) in enumerate(ends) if child == neck), -1)
+    root = next((slots[(name, "")] for _, name in _TRUNKS if (name, "") in slots), -2)
+    middle = {slot for (_, side), slot in slots.items() if not side}
+    lower = next((k for k, (p, c) in enumerate(ends) if p == root and c in middle), -1)
+    pairs = []
+    for side in ("left", "right"):
+        arm = between(("shoulder", side), ("elbow", side))
+        leg = between(("hip", side), ("knee", side))
+        pairs += [
+            (upper, arm),
+            (arm, between(("elbow", side), ("wrist", side))),
+            (lower, leg),
+            (leg, between(("knee", side), ("ankle", side))),
+        ]
+    return tuple(pairs)
+
+
+def link_flexions(model: SkeletonModel, turns: Floats) -> Floats:
+    """(..., 8) Flexion angles, rad, of link orientations ``turns`` (..., L, 4) x y z w.
+
+    Equation 21 of Hi-ROS: the z angle of the distal link seen from the proximal one. It depends on
+    how a detector lays axes into its links; NaN where a link or its orientation is missing.
+    """
+    angles = []
+    for proximal, distal in joint_links(model):
+        if min(proximal, distal) < 0:
+            angles.append(np.full(turns.shape[:-2], np.nan))
+            continue
+        relative = multiply(conjugate(turns[..., proximal, :]), turns[..., distal, :])
+        angles.append(euler_zxy(relative)[..., 0])
+    return np.stack(angles, axis=-1)

@@ -1,0 +1,374 @@
+"""Where the cameras stand: transforms of a log, or of a file, to one fixed frame.
+
+ROS publishes a tree: every message on /tf_static and /tf gives the pose of a child frame in its
+parent. hiros walks it in both directions, so that cameras may hang anywhere in it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import tomllib
+from array import array
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.kernels.transforming import move
+from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.validation import explain
+
+_DENORMALISED = 1e-3
+_ZERO = 1e-6
+_LISTED = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Transform:
+    """One sentence of a tf message: the pose of ``child`` in ``parent`` at ``stamp``."""
+
+    stamp: int
+    parent: str
+    child: str
+    translation: tuple[float, float, float]
+    xyzw: tuple[float, float, float, float]
+
+
+class _Edge:
+    """The pose of a frame in its parent: one if it stands still, else samples over time."""
+
+    def __init__(self, parent: str, *, static: bool) -> None:
+        self.parent = parent
+        self.static = static
+        self._stamps = array("q")
+        self._numbers = array("d")  # 7 per stamp: x y z w, x y z. An hour of /tf has millions.
+        self._in_order = True
+
+    def add(self, stamp: int, numbers: tuple[float, ...]) -> None:
+        if self.static:
+            del self._stamps[:], self._numbers[:]
+        self._in_order = self._in_order and (not self._stamps or stamp > self._stamps[-1])
+        self._stamps.append(stamp)
+        self._numbers.extend(numbers)
+
+    def at(self, stamp: int) -> Rigid:
+        """Pose at a time: linear and spherical between samples, the nearest one beyond them."""
+        if not self._in_order:
+            self._sort()
+        k = bisect_right(self._stamps, stamp)
+        if k == 0 or k == len(self._stamps) or self.static:
+            return self._pose(max(k - 1, 0))
+        before, after = self._stamps[k - 1], self._stamps[k]
+        return self._pose(k - 1).towards(self._pose(k), (stamp - before) / (after - before))
+
+    def _pose(self, k: int) -> Rigid:
+        numbers = np.array(self._numbers[7 * k : 7 * k + 7])
+        return Rigid(numbers[:4], numbers[4:])
+
+    def _sort(self) -> None:
+        """Put the samples in order of time; of those of the same time, the last one stays."""
+        rows = np.array(self._numbers).reshape(-1, 7)
+        backwards = np.array(self._stamps)[::-1]
+        stamps, last = np.unique(backwards, return_index=True)
+        self._stamps = array("q", stamps.tobytes())
+        self._numbers = array("d", rows[::-1][last].tobytes())
+        self._in_order = True
+
+
+class TransformTree:
+    """Poses of frames in one another.
+
+    A fault of one frame (two parents, no rotation, a loop) is an error only for those who need
+    that frame: a robot's tree may be full of frames that no camera hangs on.
+    """
+
+    def __init__(self) -> None:
+        self._edges: dict[str, _Edge] = {}
+        self._faults: dict[str, str] = {}
+        self._parents: set[str] = set()
+        self._fixed: dict[tuple[str, str], Rigid] = {}
+        self.normalised: Counter[str] = Counter()
+        """Quaternions of a length off by more than 1e-3 that were put right, by child frame."""
+
+    def __len__(self) -> int:
+        return len(self._edges)
+
+    @property
+    def frames(self) -> list[str]:
+        """Names of all frames."""
+        return sorted(self._parents | self._edges.keys())
+
+    def add(self, transform: Transform, *, static: bool) -> None:
+        """Take note of a transform; of a static one, the last that is added counts."""
+        child, parent = transform.child.lstrip("/"), transform.parent.lstrip("/")
+        numbers = self._checked(child, transform)
+        edge = self._edges.get(child)
+        if edge is None:
+            edge = self._edges[child] = _Edge(parent, static=static)
+            self._parents.add(parent)
+        if edge.parent != parent:
+            self._faults[child] = f"has two parents, {edge.parent!r} and {parent!r}"
+        elif edge.static != static:
+            self._faults[child] = "is on /tf_static and on /tf"
+        elif numbers:
+            edge.add(transform.stamp, numbers)
+
+    def _checked(self, child: str, transform: Transform) -> tuple[float, ...]:
+        """Rotation of length 1 and translation; nothing, and a fault, if they make no sense."""
+        length = math.hypot(*transform.xyzw)
+        if not all(map(math.isfinite, (length, *transform.translation))):
+            self._faults[child] = "has a transform that is not finite"
+            return ()
+        if length < _ZERO:
+            self._faults[child] = "has a rotation of length 0"
+            return ()
+        if abs(length - 1) > _DENORMALISED:
+            self.normalised[child] += 1
+        return (*(x / length for x in transform.xyzw), *transform.translation)
+
+    def root(self, frame: str) -> str:
+        """Return the frame that everything above ``frame`` hangs on, itself when nothing is."""
+        return self._path(frame)[-1]
+
+    def common_root(self, frames: Iterable[str]) -> str:
+        """Return the one root of all ``frames``; raises LogError when there are several."""
+        by_root: dict[str, list[str]] = {}
+        for frame in dict.fromkeys(frames):
+            by_root.setdefault(self.root(frame), []).append(frame)
+        if len(by_root) == 1:
+            return next(iter(by_root))
+        groups = "; ".join(
+            f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
+            for root, names in by_root.items()
+        )
+        raise LogError(
+            f"no transforms join the cameras' frames ({groups}); the log has transforms of "
+            f"{_listing(self.frames)}. Give the missing ones with --extrinsics FILE, "
+            "or choose cameras with --topic"
+        )
+
+    def lookup(self, frame: str, fixed: str, stamp: int) -> Rigid:
+        """Return the pose of ``frame`` in ``fixed`` at ``stamp``, ns.
+
+        Raises LogError when the frames are not joined, or by a faulty transform only.
+        """
+        key = (frame, fixed)
+        if key in self._fixed:
+            return self._fixed[key]
+        down, up = self._path(frame), self._path(fixed)
+        if down[-1] != up[-1]:
+            raise LogError(
+                f"no transform leads from the frame {frame!r} to {fixed!r}; "
+                f"known frames: {_listing(self.frames)}. Give it with --extrinsics FILE"
+            )
+        while len(down) > 1 and len(up) > 1 and down[-2] == up[-2]:
+            down.pop()
+            up.pop()
+        pose = self._chain(up[:-1], stamp).inverse() @ self._chain(down[:-1], stamp)
+        if all(self._edges[name].static for name in down[:-1] + up[:-1]):
+            self._fixed[key] = pose
+        return pose
+
+    def at_rest(self, frame: str, fixed: str) -> Rigid | None:
+        """Return the pose of ``frame`` in ``fixed`` if it is known and never changes."""
+        try:
+            self.lookup(frame, fixed, 0)
+        except LogError:
+            return None
+        return self._fixed.get((frame, fixed))
+
+    def _chain(self, names: list[str], stamp: int) -> Rigid:
+        """Pose of the first frame in the parent of the last."""
+        pose = Rigid.identity()
+        for name in names:
+            pose = self._edges[name].at(stamp) @ pose
+        return pose
+
+    def _path(self, frame: str) -> list[str]:
+        """Return the frame, its parent, and so on up to a root."""
+        path = [frame.lstrip("/")]
+        while path[-1] in self._edges:
+            name = path[-1]
+            if name in self._faults:
+                raise LogError(f"the frame {name!r} {self._faults[name]}")
+            path.append(self._edges[name].parent)
+            if path[-1] in path[:-1]:
+                raise LogError(f"the transforms go round in a circle: {' -> '.join(path)}")
+        return path
+
+
+def _listing(names: list[str]) -> str:
+    if not names:
+        return "no frame at all"
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + more
+
+
+def parse_tf(data: bytes | bytearray | memoryview) -> list[Transform]:
+    """Read a tf2_msgs/TFMessage in CDR; raises LogError for damaged bytes.
+
+    Written by hand because the generic library takes a millisecond for each, and a minute of /tf
+    has thousands.
+    """
+    try:
+        order = {b"\0\0": ">", b"\0\1": "<"}[bytes(data[:2])]
+        body = memoryview(data)[4:]
+        (count,) = struct.unpack_from(order + "I", body, 0)
+        at, found = 4, []
+        for _ in range(count):
+            transform, at = _parse_transform(body, at, order)
+            found.append(transform)
+    except (KeyError, struct.error, UnicodeDecodeError, ValueError):
+        raise LogError("a tf message is damaged or not plain CDR") from None
+    if len(body) - at > 3:
+        raise LogError("a tf message is longer than its content")
+    return found
+
+
+def _parse_transform(body: memoryview, at: int, order: str) -> tuple[Transform, int]:
+    at += -at % 4
+    sec, nanosec = struct.unpack_from(order + "iI", body, at)
+    parent, at = _parse_string(body, at + 8, order)
+    child, at = _parse_string(body, at, order)
+    at += -at % 8
+    numbers = struct.unpack_from(order + "7d", body, at)
+    stamp = sec * 1_000_000_000 + nanosec
+    return Transform(stamp, parent, child, numbers[:3], numbers[3:]), at + 56
+
+
+def _parse_string(body: memoryview, at: int, order: str) -> tuple[str, int]:
+    at += -at % 4
+    (length,) = struct.unpack_from(order + "I", body, at)
+    raw = bytes(body[at + 4 : at + 4 + length])
+    if not length or len(raw) != length or raw[-1]:
+        raise ValueError("a string without its final NUL")
+    return str(raw[:-1], "utf-8"), at + 4 + length
+
+
+class _Camera(BaseModel):
+    """One entry of an extrinsics file."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+
+    frame: Annotated[str, Field(min_length=1)]
+    parent: Annotated[str, Field(min_length=1)] = "world"
+    translation: Annotated[list[float], Field(min_length=3, max_length=3)]
+    quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class _Extrinsics(BaseModel):
+    """An extrinsics file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    camera: Annotated[list[_Camera], Field(min_length=1)]
+
+
+def read_extrinsics(path: str | Path) -> TransformTree:
+    """Read the cameras' poses from a TOML or JSON file.
+
+    ::
+
+        [[camera]]
+        frame = "camera_0"                        # as in the detections' headers
+        parent = "world"                          # the default
+        translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
+        quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
+
+    Raises ConfigError naming the file and the key.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        raw: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        cameras = _Extrinsics.model_validate(raw).camera
+    except ValidationError as error:
+        where, message = explain(error)
+        raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        raise ConfigError(f"{path}: not a {kind} file: {error}") from None
+    tree = TransformTree()
+    for k, camera in enumerate(cameras):
+        _add_camera(tree, camera, f"{path}: camera.{k}")
+    for camera in cameras:
+        try:
+            tree.root(camera.frame)
+        except LogError as error:
+            raise ConfigError(f"{path}: {error.fault}") from None
+    return tree
+
+
+def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:
+    x, y, z = camera.translation
+    qx, qy, qz, qw = camera.quaternion_xyzw
+    if abs(math.hypot(qx, qy, qz, qw) - 1) > _DENORMALISED:
+        raise ConfigError(f"{where}.quaternion_xyzw: has not the length 1")
+    if camera.frame in tree._edges:
+        raise ConfigError(f"{where}.frame: {camera.frame!r} occurs twice")
+    transform = Transform(0, camera.parent, camera.frame, (x, y, z), (qx, qy, qz, qw))
+    tree.add(transform, static=True)
+
+
+def transform_to_fixed(
+    frames: Iterable[Frame], tree: TransformTree, fixed_frame: str
+) -> Iterator[Frame]:
+    """Express frames in the fixed frame (Hi-ROS eq. 5); those that already are pass unchanged.
+
+    Where a camera moves, its pose is that of the frame's stamp. Its own motion is not added to
+    the velocities and accelerations that it measured: they stay relative to the camera, in the
+    directions of the fixed frame.
+
+    Raises LogError for a frame that no transform joins to the fixed frame.
+    """
+    mover = Mover(tree, fixed_frame)
+    for frame in frames:
+        yield mover(frame)
+
+
+class Mover:
+    """Expresses one frame after the other in the fixed frame; see :func:`transform_to_fixed`."""
+
+    def __init__(self, tree: TransformTree, fixed_frame: str) -> None:
+        self._tree = tree
+        self._fixed = fixed_frame
+        self._prepared: dict[str, tuple[Rigid, Floats]] = {}
+
+    def __call__(self, frame: Frame) -> Frame:
+        """Return the frame in the fixed frame, itself if it already is."""
+        name = frame.frame_id
+        if name == self._fixed:
+            return frame
+        pose = self._tree.lookup(name, self._fixed, frame.stamp)
+        known = self._prepared.get(name)
+        if known is None or known[0] is not pose:
+            known = self._prepared[name] = (pose, np.ascontiguousarray(to_matrix(pose.xyzw)))
+        return _moved(frame, pose, known[1], self._fixed)
+
+
+def _moved(frame: Frame, pose: Rigid, matrix: Floats, fixed_frame: str) -> Frame:
+    markers, links = np.empty_like(frame.markers), np.empty_like(frame.links)
+    boxes = np.empty_like(frame.boxes)
+    move(
+        pose.xyzw,
+        matrix,
+        pose.translation,
+        frame.markers,
+        frame.links,
+        frame.boxes,
+        markers,
+        links,
+        boxes,
+    )
+    return frame.replace(frame_id=fixed_frame, markers=markers, links=links, boxes=boxes)

@@ -1,0 +1,1 @@
+"""What a log says about its cameras: their poses and their noise."""

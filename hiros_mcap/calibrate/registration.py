@@ -1,0 +1,283 @@
+"""Where the cameras stand, by a ball and a board that they see (Lee et al. 2022, 2.1).
+
+A ball is carried through the room. Its centre in each sensor's frames (:func:`fit_sphere`), where
+all sensors saw it (:func:`common_frames`), gives corresponding points, and these the transform from
+sensor to sensor (:func:`rigid_fit`); a board gives the room's axes (:func:`board_frame`). Nothing
+here reads images: the points of the ball and the centres of the markers come from elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
+from hiros_mcap.errors import RegistrationError
+from hiros_mcap.skeletons import Flags, Floats, Stamps
+
+_FLAT = 1e-9
+"""Least spread across the main direction, over the spread along it, that is no line."""
+_JUDGES = 400
+"""Points that the candidates for a sphere are compared on; all points are used for the fit."""
+_ROUNDS = 30
+"""Rounds after which inliers that still change are taken as they are; few clouds need ten."""
+
+
+class SphereFit(NamedTuple):
+    """A sphere of known radius that was found among points."""
+
+    centre: Floats
+    """(3,) m."""
+    inliers: Flags
+    """(N,) which points lie on it."""
+    rms: float
+    """Root mean square of the inliers' distances from the surface, m."""
+
+
+class CommonFrames(NamedTuple):
+    """The instants at which all of S sensors saw an object."""
+
+    stamps: Stamps
+    """(K,) mean time of the sensors' frames, ns, increasing."""
+    centres: Floats
+    """(S, K, 3) where each sensor saw it, m: column k of all sensors are corresponding points."""
+
+
+def fit_sphere(
+    points: Floats,
+    radius: float,
+    *,
+    tolerance: float = 0.01,
+    least_share: float = 0.5,
+    trials: int = 1000,
+    seed: int = 0,
+) -> SphereFit:
+    """Find the sphere of a known radius that most points lie on (Lee, 2.1.1).
+
+    RANSAC (Fischler and Bolles 1981): three points and the radius leave two spheres; the best of
+    all is that of the least truncated squared distances (MSAC, Torr and Zisserman 2000). Its
+    inliers' squared distances from the surface are then minimised by Gauss-Newton steps with the
+    radius fixed, and the inliers chosen anew, until they stay. The side of the ball that faces the
+    sensor is enough.
+
+    Parameters
+    ----------
+    points : (N, 3) points of the ball and outliers, m; points with NaN are left out.
+    radius : m; 0.24 in the paper.
+    tolerance : m: inliers are at most this far from the surface; two to three times the noise.
+    least_share : of the points that have to be inliers. A frame that is lost for a high share
+        costs little, a wrong centre spoils the registration.
+    trials : triples of points that are tried. With half of the points outliers, one in eight is
+        free of them.
+    seed : of the random triples; the same seed gives the same result.
+
+    Raises
+    ------
+    RegistrationError
+        The shape is wrong, ``tolerance`` is not within 0 and ``radius``, fewer than four points
+        are known, or fewer than ``least_share`` of them lie on a sphere.
+    """
+    points = np.asarray(points, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise RegistrationError(f"points of shape (N, 3) needed, got {points.shape}")
+    if not 0.0 < tolerance < radius:
+        raise RegistrationError(f"a tolerance of {tolerance} m is not within 0 and {radius} m")
+    known = np.isfinite(points).all(axis=1)
+    if known.sum() < 4:
+        raise RegistrationError(f"at least 4 points of a sphere needed, got {known.sum()}")
+    middle = points[known].mean(axis=0)  # far from the origin the squares would lose digits
+    here = points[known] - middle
+    rng = np.random.default_rng(seed)
+    centres = _spheres_through(here[rng.integers(0, len(here), (trials, 3))], radius)
+    judges = here if len(here) <= _JUDGES else rng.choice(here, _JUDGES, replace=False)
+    off = np.abs(_distances(centres, judges) - radius)
+    costs = np.sum(np.minimum(off, tolerance) ** 2, axis=1)
+    inliers = np.zeros(len(here), np.bool_)
+    centre = np.full(3, np.nan)
+    if len(costs):
+        centre, inliers = _refine(here, centres[np.argmin(costs)], radius, tolerance)
+    if inliers.sum() < max(4, least_share * len(here)):
+        raise RegistrationError(
+            f"no sphere of radius {radius:g} m: {inliers.mean():.0%} of {len(here)} points lie on "
+            f"the best one, {least_share:.0%} needed"
+        )
+    rest = np.linalg.norm(here[inliers] - centre, axis=1) - radius
+    on_sphere = np.zeros(len(points), np.bool_)
+    on_sphere[known] = inliers
+    return SphereFit(centre + middle, on_sphere, float(np.sqrt(np.mean(rest**2))))
+
+
+def _spheres_through(triples: Floats, radius: float) -> Floats:
+    """(K, 3) centres of both spheres through each of (T, 3, 3) triples; K <= 2 T.
+
+    They lie above and below the centre of the triple's circumcircle, where that is small enough.
+    """
+    a = triples[:, 0]
+    b, c = triples[:, 1] - a, triples[:, 2] - a
+    normal = np.cross(b, c)
+    square = np.sum(normal**2, axis=1)
+    wide = square > 0.0  # not a point twice, nor a line
+    a, b, c, normal, square = a[wide], b[wide], c[wide], normal[wide], square[wide, None]
+    b2, c2 = np.sum(b**2, axis=1, keepdims=True), np.sum(c**2, axis=1, keepdims=True)
+    out = np.cross(b2 * c - c2 * b, normal) / (2.0 * square)
+    height2 = radius**2 - np.sum(out**2, axis=1, keepdims=True)
+    fits = height2[:, 0] >= 0.0
+    up = np.sqrt(height2[fits] / square[fits]) * normal[fits]
+    circle = (a + out)[fits]
+    return np.concatenate([circle + up, circle - up])
+
+
+def _distances(centres: Floats, points: Floats) -> Floats:
+    """(K, N) distances between (K, 3) and (N, 3), as a matrix product: there are many."""
+    square = np.sum(centres**2, axis=1)[:, None] + np.sum(points**2, axis=1)
+    return np.asarray(np.sqrt(np.maximum(square - 2.0 * centres @ points.T, 0.0)))
+
+
+def _refine(
+    points: Floats, centre: Floats, radius: float, tolerance: float
+) -> tuple[Floats, Flags]:
+    """Fit the sphere to its inliers until these stay; (3,) centre and (N,) inliers of it."""
+    before = np.zeros(len(points), np.bool_)
+    for _ in range(_ROUNDS):
+        ways = points - centre
+        lengths = np.linalg.norm(ways, axis=1)
+        inliers = np.abs(lengths - radius) <= tolerance
+        directions = ways[inliers] / lengths[inliers, None]
+        step = np.linalg.lstsq(directions, lengths[inliers] - radius, rcond=None)[0]
+        if (inliers == before).all() and np.linalg.norm(step) < 1e-9 * radius:
+            break
+        centre, before = centre + step, inliers
+    return centre, inliers
+
+
+def common_frames(
+    stamps: Sequence[Stamps], centres: Sequence[Floats], *, max_delta_time: float = 0.017
+) -> CommonFrames:
+    """Keep the frames in which all sensors saw an object, as corresponding points (Lee, 2.1.1).
+
+    A frame of each sensor is paired with the nearest in time of the first sensor, if that has no
+    nearer one itself: each is used once. The paper's sensors are synchronised by wire; others see
+    a moving ball at different places, which a ball held still, or a smaller ``max_delta_time``,
+    avoids.
+
+    Parameters
+    ----------
+    stamps : (N_s,) times, ns, of each sensor's frames, in any order.
+    centres : (N_s, 3) where each sensor saw the object, m; NaN = it did not.
+    max_delta_time : s between the oldest and the newest of the frames of an instant; half a period
+        of a 30 Hz camera.
+
+    Returns
+    -------
+    Times and centres; K may be 0, which :func:`rigid_fit` rejects.
+
+    Raises
+    ------
+    RegistrationError
+        There are fewer than two sensors, or stamps and centres do not fit each other.
+    """
+    if len(stamps) != len(centres) or len(stamps) < 2:
+        raise RegistrationError(
+            f"at least 2 sensors needed, got {len(stamps)} of stamps and {len(centres)} of centres"
+        )
+    sensors = [_seen(times, places) for times, places in zip(stamps, centres, strict=True)]
+    first = sensors[0][0]
+    if any(len(times) == 0 for times, _ in sensors):
+        return CommonFrames(np.zeros(0, np.int64), np.zeros((len(sensors), 0, 3)))
+    others = (_nearest(first, times) for times, _ in sensors[1:])
+    rows = np.stack([np.arange(len(first)), *others])
+    paired = np.stack([times[row] for (times, _), row in zip(sensors, rows, strict=True)])
+    mutual = np.all(_nearest(paired, first) == rows[0], axis=0)
+    kept = mutual & (np.ptp(paired, axis=0) <= max_delta_time * 1e9)
+    late = (paired[:, kept] - first[kept]).mean(axis=0)
+    places = [places[row[kept]] for (_, places), row in zip(sensors, rows, strict=True)]
+    return CommonFrames(first[kept] + np.rint(late).astype(np.int64), np.stack(places))
+
+
+def _seen(stamps: Stamps, centres: Floats) -> tuple[Stamps, Floats]:
+    """Return the frames of a sensor that saw the object, by time."""
+    stamps, centres = np.asarray(stamps, np.int64), np.asarray(centres, np.float64)
+    if stamps.ndim != 1 or centres.shape != (len(stamps), 3):
+        raise RegistrationError(
+            f"stamps (N,) and centres (N, 3) needed, got {stamps.shape} and {centres.shape}"
+        )
+    seen = np.flatnonzero(np.isfinite(centres).all(axis=1))
+    order = seen[np.argsort(stamps[seen], kind="stable")]
+    return stamps[order], centres[order]
+
+
+def _nearest(times: Stamps, others: Stamps) -> Stamps:
+    """Index of the nearest of the sorted ``others``, the earlier of two, for each time."""
+    after = np.minimum(np.searchsorted(others, times), len(others) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(times - others[before] <= others[after] - times, before, after)
+
+
+def rigid_fit(source: Floats, target: Floats) -> Rigid:
+    """Return the rigid transform that brings ``source`` nearest to ``target`` (Lee, 2.1.1).
+
+    It minimises the sum of squared distances ``|target - (R source + T)|`` by the singular value
+    decomposition of the covariance ``U S V'`` (Arun et al. 1987; Kabsch 1976). As printed, the
+    paper's ``R = U V'`` is the inverse rotation, may be a reflection, and its T lacks R: here
+    ``R = V diag(1, 1, det) U'``, ``T = mean(target) - R mean(source)``.
+
+    Parameters
+    ----------
+    source, target : (N, 3) corresponding points, m; pairs with NaN (a frame in which one sensor
+        misses the object) are left out.
+
+    Raises
+    ------
+    RegistrationError
+        The shapes differ, fewer than three pairs are known, or all lie on a line.
+    """
+    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
+        raise RegistrationError(
+            f"points of shape (N, 3) needed, got {source.shape} and {target.shape}"
+        )
+    known = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
+    if known.sum() < 3:
+        raise RegistrationError(f"at least 3 corresponding points needed, got {known.sum()}")
+    source, target = source[known], target[known]
+    start, goal = source.mean(axis=0), target.mean(axis=0)
+    for points, centre in ((source, start), (target, goal)):
+        spread = np.linalg.svd(points - centre, compute_uv=False)
+        if spread[1] <= _FLAT * spread[0]:
+            raise RegistrationError(
+                "the points lie on a line: they do not tell the rotation about it"
+            )
+    u, _, vt = np.linalg.svd((source - start).T @ (target - goal))
+    handed = np.sign(np.linalg.det(vt.T @ u.T))
+    turn = from_matrix(vt.T @ np.diag([1.0, 1.0, handed]) @ u.T)
+    return Rigid(turn, goal - rotate(turn, start))
+
+
+def board_frame(centres: Floats) -> Rigid:
+    """Return the pose of a board of four markers in the sensor's frame (Lee, 2.1.2).
+
+    The origin is the centre of marker 1, x points from it to marker 2, y towards marker 0, z is
+    their cross product. Measured x and y are not quite orthogonal: x is kept, y is straightened.
+
+    Parameters
+    ----------
+    centres : (3 or more, 3) centres of markers 0, 1, 2, m.
+
+    Raises
+    ------
+    RegistrationError
+        A centre is missing, or the three lie on a line.
+    """
+    centres = np.asarray(centres, np.float64)
+    if centres.ndim != 2 or centres.shape[0] < 3 or not np.isfinite(centres[:3]).all():
+        raise RegistrationError("the centres of markers 0, 1 and 2 are needed")
+    origin = centres[1]
+    x, y = centres[2] - origin, centres[0] - origin
+    z = np.cross(x, y)
+    if np.linalg.norm(z) <= _FLAT * np.linalg.norm(x) * np.linalg.norm(y):
+        raise RegistrationError("the markers lie on a line: they do not span a board")
+    axes = [x, np.cross(z, x), z]
+    matrix = np.stack([axis / np.linalg.norm(axis) for axis in axes], axis=1)
+    return Rigid(from_matrix(matrix), origin)

@@ -1,0 +1,1 @@
+"""Logs in and out: the container, messages, transforms, bags and exports."""

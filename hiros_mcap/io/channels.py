@@ -1,0 +1,147 @@
+"""Which channels of a log hold skeletons, and how the ones that hiros writes are declared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import hiros_schemas
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container import McapReader, McapWriter
+
+OUTPUT_PREFIX = "/hiros"
+TRUTH_PREFIX = "/truth"
+TF_TOPICS = ("/tf_static", "/tf")
+_LISTED = 20
+# The quality of service that rosbag2 offers when it plays a channel: reliable, volatile, keep
+# last 10, no deadlines. Numbers, because Humble cannot read the names that later versions write.
+_QOS = """\
+- history: 1
+  depth: 10
+  reliability: 1
+  durability: 2
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false"""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelInfo:
+    """A channel of a log, whether hiros reads it or not."""
+
+    id: int
+    topic: str
+    schema: str
+    """Name of the message type, "" if the channel has none."""
+    encoding: str
+    count: int
+    """Messages in the file."""
+    metadata: Mapping[str, str]
+    """As recorded; rosbag2 keeps the quality of service here."""
+
+    def has_type(self, name: str) -> bool:
+        """Whether messages are of a type, ``pkg/msg/Type``; the form ``pkg/Type`` is the same."""
+        return bool(self.schema) and hiros_schemas.short_name(self.schema) == (
+            hiros_schemas.short_name(name)
+        )
+
+
+def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
+    """List the channels of a file in the order of their topics."""
+    found = []
+    for channel in reader.channels.values():
+        schema = reader.schema(channel)
+        found.append(
+            ChannelInfo(
+                id=channel.id,
+                topic=channel.topic,
+                schema=schema.name if schema else "",
+                encoding=channel.encoding,
+                count=reader.counts.get(channel.id, 0),
+                metadata=channel.metadata,
+            )
+        )
+    return tuple(sorted(found, key=lambda info: (info.topic, info.id)))
+
+
+def select_skeletons(
+    channels: Iterable[ChannelInfo],
+    topics: Sequence[str] | None = None,
+    output_prefix: str = OUTPUT_PREFIX,
+) -> tuple[ChannelInfo, ...]:
+    """Choose the channels that are the input.
+
+    Parameters
+    ----------
+    channels : all channels of the log.
+    topics : globs of the topics to take; None takes every SkeletonGroup channel that is neither
+        an output (below ``output_prefix``) nor a ground truth (below /truth).
+    output_prefix : first part of the topics that hiros writes.
+
+    Raises
+    ------
+    LogError
+        no channel is left, a glob fits none, or a channel is not in CDR; the message lists what
+        the log has.
+    """
+    channels = tuple(channels)
+    skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
+    if not skeletons:
+        raise LogError(f"has no SkeletonGroup channel; {_listing(channels)}")
+    if topics is None:
+        own = [p.rstrip("/") for p in (output_prefix, TRUTH_PREFIX)]
+        chosen = [i for i in skeletons if not any(_is_below(i.topic, prefix) for prefix in own)]
+        if not chosen:
+            raise LogError(
+                f"has skeletons below {' and '.join(own)} only, which are results and not "
+                f"detections; choose with --topic; {_listing(channels)}"
+            )
+    else:
+        for glob in topics:
+            if not any(fnmatchcase(info.topic, glob) for info in skeletons):
+                raise LogError(f"no skeleton channel is called {glob!r}; {_listing(channels)}")
+        chosen = [i for i in skeletons if any(fnmatchcase(i.topic, glob) for glob in topics)]
+    for info in chosen:
+        if info.encoding != "cdr":
+            raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
+    if not any(info.count for info in chosen):
+        raise LogError(f"has no message of a skeleton; {_listing(channels)}")
+    return tuple(info for info in chosen if info.count)
+
+
+def add_skeleton_channel(writer: McapWriter, topic: str) -> int:
+    """Declare a channel of SkeletonGroup messages as rosbag2 would, return its id."""
+    return add_ros_channel(writer, topic, hiros_schemas.SKELETON_GROUP)
+
+
+def add_ros_channel(writer: McapWriter, topic: str, name: str) -> int:
+    """Declare a channel of one of hiros_schemas' types as rosbag2 would, return its id."""
+    text = hiros_schemas.text(name).encode()
+    known = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)
+    schema = next(known, None) or writer.add_schema(name, text)
+    metadata = {
+        "offered_qos_profiles": _QOS,
+        "topic_type_hash": hiros_schemas.type_hash(name),
+    }
+    return writer.add_channel(topic, schema, metadata=metadata)
+
+
+def _is_below(topic: str, prefix: str) -> bool:
+    return topic == prefix or topic.startswith(prefix + "/")
+
+
+def _listing(channels: Sequence[ChannelInfo]) -> str:
+    if not channels:
+        return "it has no channel at all"
+    shown = [f"{i.topic} ({i.schema or 'no type'}, {i.count})" for i in channels[:_LISTED]]
+    more = f" and {len(channels) - _LISTED} more" if len(channels) > _LISTED else ""
+    return f"its channels: {', '.join(shown)}{more}"

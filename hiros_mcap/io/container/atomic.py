@@ -1,0 +1,118 @@
+"""A file that appears under its name only when it is complete."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import weakref
+from collections.abc import Iterable
+from io import FileIO
+from pathlib import Path
+
+from isal.isal_zlib import crc32
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.records import Bytes
+
+_BEGIN = 16 << 20
+_PARTS = 64  # POSIX allows 16 at the least, every system of today 1024
+
+
+def _write(file: FileIO, parts: list[memoryview]) -> int:
+    """Write some of ``parts``, at least one byte; return how many bytes."""
+    if hasattr(os, "writev"):
+        return os.writev(file.fileno(), parts[:_PARTS])
+    return file.write(parts[0])
+
+
+class OutputFile:
+    """A temporary file beside the output, renamed to it by ``publish`` and never left behind.
+
+    The name is ``.hiros-*.tmp`` in the output's folder (a rename does not cross file systems); a
+    run that is killed leaves it there and harms nothing else.
+
+    Raises LogError when the output is one of ``inputs`` under whatever name, is not a regular
+    file, or cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]):
+        self.path = Path(path)
+        self.offset = 0
+        self.crc = 0
+        self._begun = 0
+        try:
+            self._target = Path(os.path.realpath(path))
+            self._refuse(inputs)
+            self.temp = self._target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+            # A signal may raise anywhere, even before a caller's `with` has taken over.
+            self._remove = weakref.finalize(self, self.temp.unlink, missing_ok=True)
+            # Mode 0666 less the umask, as for any file that a program makes.
+            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+            self._file = os.fdopen(os.open(self.temp, flags, 0o666), "wb", buffering=0)
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+
+    def write(self, *parts: Bytes) -> None:
+        """Append; ``offset`` and ``crc`` (of everything so far) follow."""
+        try:
+            left = [memoryview(part) for part in parts if len(part)]
+            for part in left:
+                self.crc = crc32(part, self.crc)
+                self.offset += len(part)
+            while left:
+                # All parts at once where the system can: every call hands over the GIL twice.
+                n = _write(self._file, left)
+                while left and n >= len(left[0]):
+                    n -= len(left.pop(0))
+                if n:
+                    left[0] = left[0][n:]
+            if self.offset - self._begun >= _BEGIN and hasattr(os, "posix_fadvise"):
+                # Has the system begin to bring it to the disk, so that `sync` finds little to do.
+                length, start = self.offset - self._begun, self._begun
+                with contextlib.suppress(OSError):  # not every file system takes advice
+                    os.posix_fadvise(self._file.fileno(), start, length, os.POSIX_FADV_DONTNEED)
+                self._begun = self.offset
+        except (OSError, ValueError, MemoryError) as error:
+            raise self._error(error) from None
+
+    def sync(self) -> None:
+        """Bring everything to the disk and close."""
+        try:
+            os.fsync(self._file.fileno())
+            self._file.close()
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+
+    def publish(self) -> None:
+        """Rename the closed file to its final name, replacing what was there, in one step."""
+        try:
+            self.temp.replace(self._target)
+            if os.name == "posix":
+                folder = os.open(self._target.parent, os.O_RDONLY)
+                try:
+                    os.fsync(folder)
+                finally:
+                    os.close(folder)
+        except OSError as error:
+            raise self._error(error) from None
+
+    def discard(self) -> None:
+        """Remove the temporary file; after ``publish`` there is none."""
+        try:
+            self._file.close()
+        finally:
+            self._remove()
+
+    def _refuse(self, inputs: Iterable[str | os.PathLike[str]]) -> None:
+        if not self._target.exists():
+            return
+        if not self._target.is_file():
+            raise LogError("cannot be written: is not a regular file", path=self.path)
+        for other in map(Path, inputs):
+            if other.exists() and self._target.samefile(other):
+                raise LogError("is the input; choose another output", path=self.path)
+
+    def _error(self, error: Exception) -> LogError:
+        said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        return LogError(f"cannot be written: {said}", path=self.path)

@@ -1,0 +1,203 @@
+"""The last stage as MarkerArray, JointState and Log, for RViz, Foxglove and Lichtblick.
+
+Bones are one LINE_STRIP per chain of limbs, which all of these draw. Rerun (0.41) shows JointState
+and Log of an MCAP file, but draws a MarkerArray only where a blueprint maps its points to line
+strips; it would join those of a LINE_LIST to a single line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import hiros_schemas
+from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.events import Event, Events
+from hiros_mcap.io.channels import OUTPUT_PREFIX, add_ros_channel
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.export.colours import person_colour
+from hiros_mcap.io.export.messages import CdrWriter
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+
+MARKERS, LABELS = f"{OUTPUT_PREFIX}/markers", f"{OUTPUT_PREFIX}/labels"
+JOINTS, LOG = f"{OUTPUT_PREFIX}/joint_states", f"{OUTPUT_PREFIX}/log"
+LIFETIME_NS = 250_000_000
+"""Markers vanish by themselves when their person is not there any more."""
+_LINE_STRIP, _TEXT, _ADD = 4, 9, 0
+_INFO, _WARN = 20, 30
+_WIDTH_M, _TEXT_M, _ABOVE_M = 0.03, 0.15, 0.2
+_WARNINGS = ("lost", "doubted", "rejected")
+
+
+class MarkerExport:
+    """Writes the frames of one stage into channels of their own.
+
+    Parameters
+    ----------
+    writer : the output. model : of the frames. events : of the run; written as they come.
+    by_stamp : log times are those of the data, not of the message that let them be known.
+    """
+
+    def __init__(
+        self, writer: McapWriter, model: SkeletonModel, events: Events, *, by_stamp: bool = False
+    ) -> None:
+        self._writer = writer
+        self._model = model
+        self._events = events
+        self._by_stamp = by_stamp
+        self._logged = 0
+        self._chains = limb_chains(model)
+        self._markers = add_ros_channel(writer, MARKERS, hiros_schemas.MARKER_ARRAY)
+        self._labels = add_ros_channel(writer, LABELS, hiros_schemas.MARKER_ARRAY)
+        self._joints = add_ros_channel(writer, JOINTS, hiros_schemas.JOINT_STATE)
+        self._log = add_ros_channel(writer, LOG, hiros_schemas.LOG)
+
+    def write(self, frame: Frame) -> None:
+        """Write a frame, and the events since the last one."""
+        time = frame.stamp if self._by_stamp else frame.log_time
+        self._writer.write(self._markers, time, marker_array(frame, self._chains))
+        self._writer.write(self._labels, time, label_array(frame))
+        self._writer.write(self._joints, time, joint_state(frame, self._model))
+        for event in self._events.log[self._logged :]:
+            self._writer.write(
+                self._log, event.stamp if self._by_stamp else time, log_message(event)
+            )
+        self._logged = len(self._events.log)
+
+
+def limb_chains(model: SkeletonModel) -> tuple[tuple[int, ...], ...]:
+    """Marker slots of the paths that the links make, each from one branching to the next."""
+    children: dict[int, list[int]] = {}
+    for parent, child in model.links.tolist():
+        if parent >= 0 and child >= 0:
+            children.setdefault(parent, []).append(child)
+    inner = {child for group in children.values() for child in group}
+    chains = []
+    for start in children:
+        if start in inner and len(children[start]) == 1:
+            continue  # in the middle of a chain
+        for child in children[start]:
+            chain = [start, child]
+            while len(children.get(chain[-1], [])) == 1 and children[chain[-1]][0] not in chain:
+                chain.append(children[chain[-1]][0])
+            chains.append(tuple(chain))
+    return tuple(chains)
+
+
+def marker_array(frame: Frame, chains: tuple[tuple[int, ...], ...]) -> bytes:
+    """visualization_msgs/MarkerArray: the bones of everybody with an id."""
+    strips = [
+        (person, k, piece)
+        for row, person in enumerate(frame.ids.tolist())
+        if person != UNTRACKED
+        for k, piece in enumerate(_pieces(frame.positions[row], chains))
+    ]
+    out = CdrWriter()
+    out.uint32(len(strips))
+    for person, k, points in strips:
+        _marker(out, frame, f"person {person}", k, _LINE_STRIP, points=points, person=person)
+    return out.finish()
+
+
+def label_array(frame: Frame) -> bytes:
+    """visualization_msgs/MarkerArray: everybody's id above the head."""
+    rows = [row for row, person in enumerate(frame.ids.tolist()) if person != UNTRACKED]
+    tops = [(row, top) for row in rows if (top := _top(frame.positions[row])) is not None]
+    out = CdrWriter()
+    out.uint32(len(tops))
+    for row, top in tops:
+        person = int(frame.ids[row])
+        _marker(out, frame, "names", person, _TEXT, person=person, at=top, text=str(person))
+    return out.finish()
+
+
+def _pieces(positions: Floats, chains: tuple[tuple[int, ...], ...]) -> list[Floats]:
+    """(K, 3) points of each chain, in pieces where joints are missing."""
+    pieces = []
+    for chain in chains:
+        points = positions[list(chain)]
+        gaps = np.nonzero(np.isnan(points).any(axis=1))[0]
+        for piece in np.split(points, gaps):
+            known = piece[~np.isnan(piece).any(axis=1)]
+            if len(known) > 1:
+                pieces.append(known)
+    return pieces
+
+
+def _top(positions: Floats) -> Floats | None:
+    known = positions[~np.isnan(positions).any(axis=1)]
+    if not len(known):
+        return None
+    return np.array([*known[:, :2].mean(axis=0), known[:, 2].max() + _ABOVE_M])
+
+
+def _marker(
+    out: CdrWriter,
+    frame: Frame,
+    namespace: str,
+    ident: int,
+    kind: int,
+    *,
+    person: int,
+    points: Floats | None = None,
+    at: Floats | None = None,
+    text: str = "",
+) -> None:
+    """One visualization_msgs/Marker, fields in the order of its definition."""
+    out.header(frame.stamp, frame.frame_id)
+    out.string(namespace)
+    out.int32(ident, kind, _ADD)
+    out.array(np.zeros(3) if at is None else at)
+    out.float64(0.0, 0.0, 0.0, 1.0)
+    out.float64(_WIDTH_M, 0.0, _TEXT_M if kind == _TEXT else 0.0)
+    out.float32(*(part / 255 for part in person_colour(person)), 1.0)
+    out.time(LIFETIME_NS)
+    out.byte(0)  # frame_locked
+    out.uint32(0 if points is None else len(points))
+    if points is not None:
+        out.array(points)
+    out.uint32(0)  # colors
+    out.string("")  # texture_resource
+    out.header(0, "")  # texture: format, data
+    out.string("")
+    out.uint32(0)
+    out.uint32(0)  # uv_coordinates
+    out.string(text)
+    out.string("")  # mesh_resource
+    out.string("")  # mesh_file: filename, data
+    out.uint32(0)
+    out.byte(0)  # mesh_use_embedded_materials
+
+
+def joint_state(frame: Frame, model: SkeletonModel) -> bytes:
+    """sensor_msgs/JointState: the eight flexions of everybody with an id, rad."""
+    names: list[str] = []
+    angles: list[float] = []
+    bends = flexions(model, frame.positions)
+    for row, person in enumerate(frame.ids.tolist()):
+        if person != UNTRACKED:
+            known = [k for k in range(len(ANGLES)) if not np.isnan(bends[row, k])]
+            names += [f"person_{person}/{ANGLES[k].replace(' ', '_')}" for k in known]
+            angles += [float(bends[row, k]) for k in known]
+    out = CdrWriter()
+    out.header(frame.stamp, frame.frame_id)
+    out.strings(names)
+    out.sequence(np.array(angles))
+    out.sequence(np.zeros(0))  # velocity
+    out.sequence(np.zeros(0))  # effort
+    return out.finish()
+
+
+def log_message(event: Event) -> bytes:
+    """rcl_interfaces/Log: what happened, to whom, seen by which camera."""
+    who = f" person {event.person}" if event.person >= 0 else ""
+    where = f" {event.source}" if event.source else ""
+    detail = f": {event.detail}" if event.detail else ""
+    out = CdrWriter()
+    out.time(event.stamp)
+    out.byte(_WARN if any(word in event.kind for word in _WARNINGS) else _INFO)
+    out.string("hiros")
+    out.string(f"{event.kind}{who}{where}{detail}")
+    out.string("")
+    out.string("")
+    out.uint32(0)
+    return out.finish()

@@ -1,0 +1,1 @@
+"""A run: from a log through a system to a log."""

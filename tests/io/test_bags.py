@@ -1,0 +1,217 @@
+"""Bags of other kinds than MCAP, made by rosbags, say what the same MCAP says."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from generators import same
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+import hiros_schemas
+from hiros_cli.app import run
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import process
+
+SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
+ENDLESS = QosTime(9223372036, 854775807)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, ENDLESS,
+    ENDLESS, QosLiveliness.AUTOMATIC, ENDLESS, False,
+)  # fmt: skip
+
+Message = tuple[str, str, int, bytes]
+
+
+@pytest.fixture(scope="module")
+def messages() -> list[Message]:
+    """(topic, type, time, CDR) of a sample log's detections and transforms, and a string."""
+    with McapReader(SAMPLE) as reader:
+        names = {
+            i: schema.name
+            for i, channel in reader.channels.items()
+            if (schema := reader.schema(channel)) and not channel.topic.startswith("/truth")
+        }
+        found = [
+            (reader.channels[m.channel_id].topic, names[m.channel_id], m.log_time, bytes(m.data))
+            for m in reader.messages(names)
+        ]
+    text = b"\0\1\0\0\6\0\0\0hello\0"
+    return [*found[:100], ("/chatter", "std_msgs/msg/String", found[99][2], text)]
+
+
+def store_of(base: Stores) -> Typestore:
+    store = get_typestore(base)
+    for name in (SKELETONS, TF):
+        types = get_types_from_msg(hiros_schemas.text(name), name)
+        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+    return store
+
+
+def rosbag2_folder(
+    folder: Path, messages: list[Message], version: int, plugin: rosbag2.StoragePlugin
+) -> Path:
+    store = store_of(Stores.ROS2_HUMBLE)
+    with rosbag2.Writer(folder, version=version, storage_plugin=plugin) as writer:
+        connections = {}
+        for topic, name, time, data in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(
+                    topic, name, typestore=store, offered_qos_profiles=[LATCHED]
+                )
+            writer.write(connections[topic], time, data)
+    return folder
+
+
+def sqlite(folder: Path, messages: list[Message]) -> Path:
+    return rosbag2_folder(folder / "bag", messages, 9, rosbag2.StoragePlugin.SQLITE3)
+
+
+def sqlite_without_definitions(folder: Path, messages: list[Message]) -> Path:
+    return rosbag2_folder(folder / "bag", messages, 8, rosbag2.StoragePlugin.SQLITE3)
+
+
+def bare_db3(folder: Path, messages: list[Message]) -> Path:
+    (file,) = sqlite(folder, messages).glob("*.db3")
+    return file
+
+
+def ros1_bag(folder: Path, messages: list[Message]) -> Path:
+    ros1, ros2 = store_of(Stores.ROS1_NOETIC), store_of(Stores.ROS2_HUMBLE)
+    path = folder / "lab.bag"
+    with rosbag1.Writer(path) as writer:
+        connections = {}
+        for topic, name, time, data in messages:
+            raw = bytes(ros2.cdr_to_ros1(data, name))  # with the Header's seq, which ROS 2 lacks
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=ros1)
+            writer.write(connections[topic], time, raw)
+    return path
+
+
+MAKERS = [sqlite, sqlite_without_definitions, bare_db3, ros1_bag]
+
+
+@pytest.fixture(params=MAKERS, ids=lambda maker: maker.__name__)
+def bag(request: pytest.FixtureRequest, tmp_path: Path, messages: list[Message]) -> Path:
+    maker: Callable[[Path, list[Message]], Path] = request.param
+    return maker(tmp_path, messages)
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of temporary files, in which nothing may be left."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert not list(folder.iterdir())
+
+
+def test_a_bag_says_what_the_mcap_says(bag: Path, messages: list[Message]) -> None:
+    with open_log(SAMPLE) as log:
+        expected = [f for f, m in zip(log.detections(), messages, strict=False) if m]
+    with open_log(bag) as log:
+        found = list(log.detections())
+        assert log.path == bag
+        assert log.left_out == {"/chatter": ("std_msgs/msg/String", 1)}
+        assert {i.topic for i in log.channels} == {m[0] for m in messages[:-1]}
+    assert len(found) == sum(m[1] == SKELETONS for m in messages) > 90
+    for a, b in zip(found, expected, strict=False):
+        assert same(a, b)
+        assert a.log_time == b.log_time
+
+
+def test_a_bag_can_be_processed(bag: Path, tmp_path: Path) -> None:
+    summary = process(bag, tmp_path / "out.mcap")
+    assert len(summary.people) == 1
+    with open_log(tmp_path / "out.mcap", topics=["/hiros/filtered"], output_prefix="/no") as log:
+        assert all(frame.ids.tolist() == [0] for frame in log.frames())
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_a_bag_without_skeletons_says_what_it_has(
+    maker: Callable[[Path, list[Message]], Path], tmp_path: Path, messages: list[Message]
+) -> None:
+    path = maker(tmp_path, [m for m in messages if m[1] != SKELETONS])
+    with pytest.raises(
+        LogError, match=r"no SkeletonGroup topic; it has /chatter \(std_msgs"
+    ) as bad:
+        open_log(path)
+    assert "/tf_static" in str(bad.value)
+
+
+def test_a_bag_is_a_log_for_every_command(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands = ["info", "eval", "compare --jobs 1 --system raw", "view --save v.rrd"]
+    for command in (*commands, "calibrate noise --json"):
+        name, *options = command.replace("v.rrd", str(tmp_path / "v.rrd")).split()
+        assert run([name, *options, str(bag)]) == 0, capsys.readouterr().err
+    assert "left out" in capsys.readouterr().out.lower()
+
+
+def test_quality_of_service_goes_along(tmp_path: Path, messages: list[Message]) -> None:
+    with open_log(sqlite(tmp_path, messages)) as log:
+        for channel in log.channels:
+            assert "durability: 1" in channel.metadata["offered_qos_profiles"]  # transient local
+
+
+def test_a_folder_of_several_mcap_files_is_one_recording(
+    tmp_path: Path, messages: list[Message]
+) -> None:
+    folder = rosbag2_folder(tmp_path / "bag", messages[:-1], 9, rosbag2.StoragePlugin.MCAP)
+    with open_log(folder) as log:
+        whole = list(log.detections())
+    (first,) = folder.glob("*.mcap")
+    (folder / "bag_1.mcap").write_bytes(first.read_bytes())
+    text = (folder / "metadata.yaml").read_text()
+    name = first.name
+    (folder / "metadata.yaml").write_text(text.replace(f"- {name}", f"- {name}\n  - bag_1.mcap", 1))
+    with open_log(folder) as log:
+        # The second file repeats the first: every message comes twice.
+        assert sum(log.reader.counts.values()) == 2 * len(messages[:-1])
+        found = list(log.detections())
+    assert [f.stamp for f in found[::1]][:3] == [f.stamp for f in whole][:3]
+
+
+@pytest.mark.parametrize("start", [b"#ROSBAG V2.0\n", b"SQLite format 3\0"])
+@pytest.mark.parametrize("name", ["old.bag", "old.db3"])
+def test_a_damaged_bag_is_an_error_of_one_line(tmp_path: Path, start: bytes, name: str) -> None:
+    (tmp_path / name).write_bytes(start + bytes(100))
+    with pytest.raises(LogError, match=r"bag that cannot be read: .") as caught:
+        open_log(tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert name in str(caught.value)
+
+
+def test_a_bag_cut_short_is_an_error(bag: Path) -> None:
+    file = bag if bag.is_file() else next(bag.glob("*.db3"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(LogError, match="cannot be read"):
+        open_log(bag)
+
+
+def test_without_rosbags_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "lab.bag").write_bytes(b"#ROSBAG V2.0\n")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(LogError, match=r"pip install 'hiros-mcap\[bags\]'"):
+        open_log(tmp_path / "lab.bag")

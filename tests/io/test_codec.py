@@ -1,0 +1,777 @@
+import struct
+from types import SimpleNamespace
+
+import generators as gen
+import numpy as np
+import pytest
+
+import hiros_schemas
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.io.codec import (
+    PUBLISHED,
+    BatchDecoder,
+    Decoder,
+    Encoder,
+    ModelBuilder,
+    Poses,
+    check_schema,
+    clean,
+)
+from hiros_mcap.skeletons import Frame, SkeletonModel
+
+NAME = hiros_schemas.SKELETON_GROUP
+TEXT = hiros_schemas.text(NAME)
+
+
+def stick(n_markers: int = 2) -> SkeletonModel:
+    """A chain of markers m0, m1, ... joined by links l0, l1, ..."""
+    links = [(f"l{k}", k, k + 1) for k in range(n_markers - 1)]
+    return SkeletonModel.of([f"m{k}" for k in range(n_markers)], links)
+
+
+def full(model: SkeletonModel, n_people: int = 1, seed: int = 0) -> Frame:
+    """A believable frame with every number given."""
+    rng = np.random.default_rng(seed)
+    frame = Frame.empty(n_people, model, stamp=5_000_000_007, source="cam", frame_id="map")
+    for array in (frame.markers, frame.links, frame.boxes):
+        array[:] = rng.normal(size=array.shape)
+        array[..., 3:7] /= np.linalg.norm(array[..., 3:7], axis=-1, keepdims=True)
+    for array in (frame.confidences, frame.marker_confidences, frame.link_confidences):
+        array[:] = rng.random(array.shape)
+    return frame
+
+
+def learn(*messages: bytes) -> SkeletonModel:
+    builder = ModelBuilder()
+    for data in messages:
+        builder.add(data, "/t")
+    return builder.build()
+
+
+def edited(model: SkeletonModel, change) -> bytes:
+    """A message of one person of whom ``change`` altered something."""
+    message = gen.message_of(full(model), model)
+    change(message)
+    return gen.generic_writer()(message)
+
+
+def refusal(data: bytes, model: SkeletonModel | None = None) -> str:
+    with pytest.raises(LogError, match="^/t: ") as caught:
+        Decoder(model or stick(), topic="/t").decode(data, 0)
+    return str(caught.value)
+
+
+# --- against the generic libraries -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_frames_encode_byte_for_byte_as_the_generic_writer_does(block: int) -> None:
+    for seed in range(block * 30, block * 30 + 30):
+        model, frame = gen.random_case(seed)
+        assert Encoder(model).encode(frame) == gen.generic_writer()(gen.message_of(frame, model))
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_messages_decode_as_the_generic_reader_does(block: int) -> None:
+    for seed in range(1000 + block * 30, 1030 + block * 30):
+        model, frame = gen.random_case(seed)
+        data = Encoder(model).encode(frame)
+        decoded = Decoder(model).decode(data, 0)
+        assert gen.same(decoded, gen.frame_of(gen.generic_reader()(data), model))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_big_endian_messages_give_the_same_frames(seed: int) -> None:
+    model, frame = gen.random_case(2000 + seed)
+    data = Encoder(model).encode(frame)
+    decoder = Decoder(model)
+    assert gen.same(decoder.decode(gen.big_endian(data), 0), decoder.decode(data, 0))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_frames_survive_the_round_trip_to_the_bit(seed: int) -> None:
+    model, frame = gen.random_case(3000 + seed, most=40)
+    decoder, encoder = Decoder(model), Encoder(model)
+    data = encoder.encode(frame)
+    decoded = decoder.decode(memoryview(data), 77)
+    assert decoded.log_time == 77
+    assert encoder.encode(decoded) == data
+
+
+@pytest.mark.parametrize("n_markers", [15, 16, 21, 32])
+def test_skeletons_of_any_size_round_trip_bit_exact(n_markers: int) -> None:
+    model = stick(n_markers)
+    frame = full(model, 3)
+    data = Encoder(model).encode(frame)
+    assert learn(data) == model
+    assert gen.same(Decoder(model).decode(data, 0), frame)
+
+
+def test_rosbags_reads_what_we_write() -> None:
+    model, frame = gen.random_case(4000)
+    data = Encoder(model).encode(frame)
+    message = gen.rosbags_types().deserialize_cdr(data, NAME)
+    assert gen.same(gen.frame_of(message, model), Decoder(model).decode(data, 0))
+
+
+# --- damaged messages ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("swap", [bytes, gen.big_endian])
+def test_every_truncation_is_refused_though_the_rest_lies_behind_it(swap) -> None:
+    model = stick()
+    data = swap(Encoder(model).encode(full(model, 2)))
+    decoder = Decoder(model)
+    for n in range(len(data)):
+        with pytest.raises(LogError):
+            decoder.decode(memoryview(data)[:n], 0)
+        with pytest.raises(LogError):
+            ModelBuilder().add(memoryview(data)[:n], "/t")
+
+
+def test_mutated_messages_are_refused_or_decode_as_the_generic_reader_does() -> None:
+    model = stick(3)
+    good = Encoder(model).encode(full(model, 2))
+    decoder, rng = Decoder(model), np.random.default_rng(1)
+    compared = 0
+    for _ in range(6000):
+        data = mutate(rng, good)
+        try:
+            frame = decoder.decode(data, 0)
+        except LogError:
+            continue
+        if rng.random() < 0.1:
+            compared += 1
+            assert gen.same(frame, gen.frame_of(gen.generic_reader()(data), model))
+    assert compared > 100
+
+
+def mutate(rng: np.random.Generator, good: bytes) -> bytes:
+    """One to three bytes changed, half of the time where names and counts are."""
+    data = bytearray(good)
+    for _ in range(rng.integers(1, 4)):
+        near = rng.random() < 0.5
+        at = int(rng.integers(60 if near else len(data)))
+        data[at] = int(rng.choice([0, 1, 0x7F, 0x80, 0xFF, rng.integers(256)]))
+    if rng.random() < 0.2:
+        data = data[: rng.integers(len(data) + 1)]
+    return bytes(data)
+
+
+def test_mutated_messages_never_break_the_model_builder() -> None:
+    model = stick(3)
+    good = Encoder(model).encode(full(model, 2))
+    rng, learnt = np.random.default_rng(2), 0
+    for _ in range(3000):
+        try:
+            learnt += learn(mutate(rng, good)).n_markers > 0
+        except LogError:
+            continue
+    assert learnt > 500
+
+
+def test_words_set_to_extremes_anywhere_never_crash() -> None:
+    model = stick()
+    good = Encoder(model).encode(full(model))
+    decoder = Decoder(model)
+    for at in range(4, len(good) - 4, 4):
+        for word in (0, 1, 2**31 - 1, 2**31, 2**32 - 1, len(good), 10**9):
+            data = good[:at] + struct.pack("<I", word) + good[at + 4 :]
+            for read in (lambda d: decoder.decode(d, 0), learn):
+                try:
+                    read(data)
+                except LogError as error:
+                    assert str(error)
+
+
+def test_padding_of_a_payload_is_tolerated_and_no_more() -> None:
+    model = stick()
+    data = Encoder(model).encode(full(model))
+    for n in range(4):
+        assert Decoder(model).decode(data + bytes(n), 0).n_people == 1
+    assert "more than 3 bytes after" in refusal(data + bytes(4))
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        (b"\0\3", "0x0003 PL_CDR_LE"),
+        (b"\0\7", "0x0007 CDR2_LE"),
+        (b"\0\x0a", "0x000a PL_CDR2_BE"),
+        (b"\x12\x34", "0x1234 unknown"),
+    ],
+)
+def test_other_encapsulations_are_refused_by_name(head: bytes, said: str) -> None:
+    data = Encoder(stick()).encode(full(stick()))
+    assert said in refusal(head + data[2:])
+
+
+def test_empty_payload_is_refused() -> None:
+    assert "ends in the middle" in refusal(b"")
+
+
+# --- what a message may not say --------------------------------------------------------------
+
+
+def marker_of(message, k: int) -> dict:
+    return message["skeletons"][0]["markers"][k]
+
+
+def test_unknown_marker_is_named() -> None:
+    data = edited(stick(), lambda m: marker_of(m, 1).update(id=9, name="tail"))
+    assert "marker 9 'tail' is not in the skeleton model" in refusal(data)
+
+
+def test_marker_of_another_name_is_named() -> None:
+    data = edited(stick(), lambda m: marker_of(m, 1).update(name="tail"))
+    assert "marker 1 has another name, 'tail'" in refusal(data)
+
+
+@pytest.mark.parametrize("name", ["m10", "m", "", "M1", "m2"])
+def test_names_are_compared_to_their_last_byte(name: str) -> None:
+    data = edited(stick(), lambda m: marker_of(m, 1).update(name=name))
+    assert "another name" in refusal(data)
+
+
+def test_repeated_marker_is_refused() -> None:
+    data = edited(stick(), lambda m: marker_of(m, 1).update(id=0, name="m0"))
+    assert "marker 0 comes twice in skeleton 0" in refusal(data)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"id": 5}, "link 5 'l0' is not in the skeleton model"),
+        ({"name": "tail"}, "link 0 has another name, 'tail'"),
+        ({"child_marker": 0}, "link 0 joins other markers"),
+    ],
+)
+def test_links_that_are_not_the_models_are_refused(change: dict, said: str) -> None:
+    data = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(change))
+    assert said in refusal(data)
+
+
+def test_repeated_link_is_refused() -> None:
+    def repeat(message) -> None:
+        message["skeletons"][0]["links"] *= 2
+
+    assert "link 0 comes twice in skeleton 0" in refusal(edited(stick(), repeat))
+
+
+@pytest.mark.parametrize("where", ["header", "skeleton"])
+def test_nanoseconds_beyond_a_second_are_refused(where: str) -> None:
+    def late(message) -> None:
+        stamps = {"header": message["header"]["stamp"], "skeleton": message["skeletons"][0]}
+        (stamps[where] if where == "header" else stamps[where]["src_time"])["nanosec"] = 10**9
+
+    assert "1e9 or more nanoseconds" in refusal(edited(stick(), late))
+
+
+def test_a_thousand_people_are_read_and_one_more_is_refused() -> None:
+    model = SkeletonModel.of([], [])
+    encoder, decoder = Encoder(model), Decoder(model, topic="/t")
+    assert decoder.decode(encoder.encode(Frame.empty(1000, model)), 0).n_people == 1000
+    assert "more than 1000 skeletons" in refusal(encoder.encode(Frame.empty(1001, model)), model)
+
+
+def test_string_beyond_64_kib_is_refused() -> None:
+    encoder = Encoder(stick())
+    frame = full(stick())
+    assert Decoder(stick()).decode(encoder.encode(frame.replace(frame_id="x" * 65535)), 0)
+    assert "longer than 65536" in refusal(encoder.encode(frame.replace(frame_id="x" * 65536)))
+
+
+def test_string_without_its_end_is_refused() -> None:
+    data = bytearray(Encoder(stick()).encode(full(stick())))
+    at = data.index(b"map\0")
+    data[at + 3] = ord("s")
+    assert "without its final NUL" in refusal(bytes(data))
+
+
+def test_string_that_is_no_utf8_is_refused() -> None:
+    data = Encoder(stick()).encode(full(stick())).replace(b"map\0", b"m\xff\xfe\0")
+    assert "not UTF-8" in refusal(data)
+
+
+def test_empty_string_of_no_bytes_is_read() -> None:
+    model = SkeletonModel.of([], [])
+    data = Encoder(model).encode(Frame.empty(0, model))
+    short = data[:12] + struct.pack("<II", 0, 0)  # length 0, then the count of people
+    assert Decoder(model).decode(short, 0).frame_id == ""
+
+
+# --- frames ----------------------------------------------------------------------------------
+
+
+def test_source_and_frame_come_from_the_other_where_one_is_empty() -> None:
+    encoder, decoder, frame = Encoder(stick()), Decoder(stick()), full(stick())
+    for source, frame_id, expected in (
+        ("cam", "map", ("cam", "map")),
+        ("", "map", ("map", "map")),
+        ("cam", "", ("cam", "cam")),
+    ):
+        data = encoder.encode(frame.replace(frame_id=frame_id), source)
+        decoded = decoder.decode(data, 0)
+        assert (decoded.source, decoded.frame_id) == expected
+
+
+def mixed() -> bytes:
+    """Three people, seen by a, b and a."""
+    message = gen.message_of(full(stick(), 3), stick())
+    for person, source in zip(message["skeletons"], "aba", strict=True):
+        person["src_frame"] = source
+    return gen.generic_writer()(message)
+
+
+def test_message_of_several_cameras_has_the_headers_source() -> None:
+    frame = Decoder(stick()).decode(mixed(), 0)
+    assert (frame.source, frame.n_people) == ("map", 3)
+
+
+def test_message_of_several_cameras_can_be_split() -> None:
+    a, b = Decoder(stick()).decode_all(mixed(), 0)
+    assert [a.source, b.source, a.frame_id] == ["a", "b", "map"]
+    whole = full(stick(), 3)
+    assert np.array_equal(a.markers, whole.markers[[0, 2]])
+    assert np.array_equal(b.boxes, whole.boxes[[1]])
+
+
+def test_message_of_one_camera_is_not_split() -> None:
+    data = Encoder(stick()).encode(full(stick(), 3))
+    (frame,) = Decoder(stick()).decode_all(data, 0)
+    assert gen.same(frame, full(stick(), 3))
+
+
+def test_times_before_the_epoch_and_unset_ones_are_kept() -> None:
+    frame = full(stick(), 2).replace(stamp=-1, stamps=np.array([0, -2_500_000_000]))
+    decoded = Decoder(stick()).decode(Encoder(stick()).encode(frame), 0)
+    assert decoded.stamp == -1
+    assert decoded.stamps.tolist() == [0, -2_500_000_000]
+
+
+def test_frames_own_their_arrays() -> None:
+    decoder, data = Decoder(stick()), Encoder(stick()).encode(full(stick()))
+    first, second = decoder.decode(data, 0), decoder.decode(data, 0)
+    first.markers[:] = 0.0
+    assert gen.same(second, full(stick()))
+
+
+def test_order_within_a_message_does_not_matter() -> None:
+    def reverse(message) -> None:
+        message["skeletons"][0]["markers"].reverse()
+
+    data = edited(stick(5), reverse)
+    assert gen.same(Decoder(stick(5)).decode(data, 0), full(stick(5)))
+
+
+def test_people_may_come_and_go_from_message_to_message() -> None:
+    encoder, decoder = Encoder(stick()), Decoder(stick())
+    for n in (1, 4, 0, 2, 2):
+        assert gen.same(decoder.decode(encoder.encode(full(stick(), n)), 0), expect(n))
+
+
+def expect(n_people: int) -> Frame:
+    frame = full(stick(), n_people)
+    return frame if n_people else frame.replace(source="map")
+
+
+@pytest.mark.parametrize("stamp", [2**31 * 10**9, -(2**31) * 10**9 - 1])
+def test_stamp_that_a_message_cannot_hold_is_refused(stamp: int) -> None:
+    for frame in (
+        full(stick()).replace(stamp=stamp),
+        full(stick()).replace(stamps=np.array([stamp])),
+    ):
+        with pytest.raises(LogError, match="1901 to 2038"):
+            Encoder(stick()).encode(frame)
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="do not fit"):
+        Encoder(stick(3)).encode(full(stick(2)))
+    with pytest.raises(ValueError, match="do not fit"):
+        Encoder(stick()).encode(full(stick(), 2).replace(boxes=np.zeros((1, 22))))
+
+
+def test_model_with_ids_out_of_order_is_refused() -> None:
+    model = SkeletonModel((1, 0), ("a", "b"), (), (), (), (), 2, 0)
+    with pytest.raises(ValueError, match="must increase"):
+        Decoder(model)
+
+
+# --- learning the model ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_model_is_learnt_from_partial_messages(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = gen.random_model(rng, 6, 5)
+    encoder = Encoder(model)
+    frames = [gen.random_frame(rng, model, 2) for _ in range(30)]
+    assert learn(*map(encoder.encode, frames)) == model
+
+
+def test_builder_is_complete_when_all_that_detectors_know_was_seen() -> None:
+    model, builder, frame = stick(), ModelBuilder(), full(stick())
+    for absent, done in (([1], False), ([], True)):
+        frame.markers[0, absent] = frame.marker_confidences[0, absent] = np.nan
+        builder.add(Encoder(model).encode(frame), "/t")
+        assert builder.complete is done
+        frame = full(stick())
+
+
+def test_builder_without_messages_is_not_complete() -> None:
+    assert not ModelBuilder().complete
+    assert ModelBuilder().build().n_markers == 0
+
+
+def test_cameras_that_name_a_marker_differently_are_refused() -> None:
+    builder = ModelBuilder()
+    builder.add(Encoder(stick()).encode(full(stick())), "/cam0")
+    other = edited(stick(), lambda m: marker_of(m, 1).update(name="tail"))
+    with pytest.raises(LogError, match="/cam1: marker 1 is 'tail' here and 'm1' on /cam0"):
+        builder.add(other, "/cam1")
+
+
+def test_cameras_whose_links_differ_are_refused() -> None:
+    builder = ModelBuilder()
+    builder.add(Encoder(stick()).encode(full(stick())), "/cam0")
+    other = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(child_marker=0))
+    with pytest.raises(LogError, match="/cam1: link 0 .* and 'l0' from 0 to 1 on /cam0"):
+        builder.add(other, "/cam1")
+
+
+def test_link_to_a_marker_that_nobody_shows_is_kept_without_it() -> None:
+    data = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(child_marker=77))
+    model = learn(data)
+    assert model.link_children == (-1,)
+    assert Decoder(model).decode(data, 0).n_people == 1
+
+
+# --- cleaning --------------------------------------------------------------------------------
+
+
+def test_clean_frame_is_returned_itself() -> None:
+    frame = full(stick(), 3)
+    assert clean(frame) == (frame, {})
+    assert clean(Frame.empty(2, stick()))[1] == {}
+
+
+def spoiled(**changes: tuple[tuple[int, ...] | slice, float | list[float]]):
+    """Clean a frame in which some numbers of the first person were changed."""
+    frame = full(stick())
+    for name, (place, value) in changes.items():
+        getattr(frame, name)[0][place] = value
+    before = frame.markers.copy()
+    cleaned, counts = clean(frame)
+    assert np.array_equal(before, frame.markers, equal_nan=True)
+    return frame, cleaned, counts
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 1.1e4, -1e300])
+def test_absurd_number_unsets_its_whole_vector(value: float) -> None:
+    frame, cleaned, counts = spoiled(markers=((1, 8), value))
+    assert counts == {"absurd number": 1}
+    assert np.isnan(cleaned.markers[0, 1, 7:10]).all()
+    frame.markers[0, 1, 7:10] = np.nan
+    assert gen.same(frame, cleaned)
+
+
+def test_incomplete_vector_is_unset() -> None:
+    _, cleaned, counts = spoiled(links=((0, 2), np.nan))
+    assert counts == {"incomplete vector": 1}
+    assert np.isnan(cleaned.links[0, 0, :3]).all()
+
+
+def test_box_is_cleaned_too() -> None:
+    _, cleaned, counts = spoiled(boxes=((21,), np.inf))
+    assert counts == {"absurd number": 1}
+    assert np.isnan(cleaned.boxes[0, 19:]).all()
+    assert not np.isnan(cleaned.boxes[0, :19]).any()
+
+
+def test_quaternion_without_length_is_unset() -> None:
+    _, cleaned, counts = spoiled(links=((0, slice(3, 7)), 0.0))
+    assert counts == {"quaternion of length 0": 1}
+    assert np.isnan(cleaned.links[0, 0, 3:7]).all()
+
+
+def test_quaternion_of_wrong_length_is_normalised() -> None:
+    _, cleaned, counts = spoiled(links=((0, slice(3, 7)), [0.0, 0.0, 3.0, 4.0]))
+    assert counts == {"quaternion normalised": 1}
+    assert cleaned.links[0, 0, 3:7] == pytest.approx([0, 0, 0.6, 0.8])
+
+
+def test_small_error_of_a_quaternion_is_put_right_without_a_word() -> None:
+    _, cleaned, counts = spoiled(links=((0, slice(3, 7)), [0.0, 0.0, 0.0, 1.0005]))
+    assert counts == {}
+    assert cleaned.links[0, 0, 3:7].tolist() == [0, 0, 0, 1]
+
+
+def test_quaternion_of_float32_precision_is_left_alone() -> None:
+    frame, cleaned, _ = spoiled(links=((0, slice(3, 7)), [0.0, 0.0, 0.0, 1.0 + 2e-7]))
+    assert cleaned is frame
+
+
+@pytest.mark.parametrize(
+    ("value", "kept", "kind"),
+    [
+        (1.5, 1.0, "confidence above 1"),
+        (100.0, 1.0, "confidence above 1"),
+        (-0.1, np.nan, "negative confidence"),
+        (-1.0, np.nan, "negative confidence"),
+        (-np.inf, np.nan, "absurd number"),
+    ],
+)
+def test_confidence_out_of_range(value: float, kept: float, kind: str) -> None:
+    _, cleaned, counts = spoiled(marker_confidences=((1,), value))
+    assert counts == {kind: 1}
+    np.testing.assert_equal(cleaned.marker_confidences[0, 1], kept)
+
+
+def test_confidence_of_a_person_out_of_range() -> None:
+    frame = full(stick(), 2).replace(confidences=np.array([-1.0, 7.0]))
+    cleaned, counts = clean(frame)
+    assert counts == {"confidence above 1": 1, "negative confidence": 1}
+    np.testing.assert_equal(cleaned.confidences, [np.nan, 1.0])
+    np.testing.assert_equal(frame.confidences, [-1.0, 7.0])
+
+
+def test_infinite_confidence_is_unset() -> None:
+    _, cleaned, counts = spoiled(link_confidences=((0,), np.inf))
+    assert counts == {"absurd number": 1}
+    assert np.isnan(cleaned.link_confidences[0, 0])
+
+
+def test_cleaning_twice_changes_nothing_more() -> None:
+    _, frame = gen.random_case(5001)
+    once, _ = clean(frame)
+    assert clean(once)[0] is once
+
+
+# --- schemas ---------------------------------------------------------------------------------
+
+
+def checked(text: str, name: str = NAME, encoding: str = "ros2msg"):
+    return check_schema(name, encoding, text.encode(), topic="/t")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        TEXT,
+        TEXT.replace("int32 id\n", "int32 id # who\n\n   # a comment\nint32 LEFT=1\n"),
+        TEXT.replace("string name", "string<=64 name").replace("Link[] links", "Link[<=99] links"),
+        TEXT.replace("MSG: geometry_msgs/", "MSG: geometry_msgs/msg/"),
+        TEXT.replace("float64 w\n", "float64 w 1\n").replace("\n", "\r\n"),
+        TEXT.replace("MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n", "MSG: a/B\n"),
+    ],
+)
+def test_schema_with_the_published_fields_is_read_directly(text: str) -> None:
+    assert checked(text) is PUBLISHED
+    assert checked(text, "hiros_skeleton_msgs/SkeletonGroup").is_published
+
+
+VARIANTS = {
+    "a field added": TEXT.replace("int32 id\n", "int32 id\nuint8[] extra\n"),
+    "fields reordered": TEXT.replace("int32 id\nstring name\n", "string name\nint32 id\n"),
+    "small numbers": TEXT.replace("float64 confidence", "float32 confidence"),
+    "wide ids": TEXT.replace("int32 parent_marker", "int64 parent_marker"),
+    "a fixed array": TEXT.replace("Marker[] markers", "Marker[2] markers"),
+    "a field at the end": TEXT.replace("Skeleton[] skeletons\n", "Skeleton[] skeletons\nbool x\n"),
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_messages_of_a_compatible_schema_are_translated(variant: str) -> None:
+    model, text = stick(), VARIANTS[variant]
+    frame = full(model, 2)
+    for array in (frame.confidences, frame.marker_confidences, frame.link_confidences):
+        array[:] = 0.25  # exact in float32
+    layout = checked(text)
+    data = gen.generic_writer(text)(gen.message_of(frame, model))
+    assert layout.difference
+    assert gen.same(Decoder(model, layout=layout).decode(data, 0), frame)
+    builder = ModelBuilder()
+    builder.add(data, "/t", layout)
+    assert builder.build() == model
+
+
+def test_translated_message_of_several_cameras_can_be_split() -> None:
+    text = VARIANTS["a field added"]
+    message = gen.message_of(full(stick(), 2), stick())
+    message["skeletons"][0]["src_frame"] = "other"
+    frames = Decoder(stick(), layout=checked(text)).decode_all(gen.generic_writer(text)(message), 0)
+    assert [frame.source for frame in frames] == ["other", "cam"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TEXT.replace("float64 height", "float64 tall"), "lacks the field .*bounding_box.height"),
+        (TEXT.replace("int32 sec", "string sec"), "string instead of int32 for .*header.stamp.sec"),
+        (TEXT.replace("Link[] links\n", ""), r"lacks the field skeletons\[\].links\[\].id"),
+        (TEXT.replace("Skeleton[] skel", "Skeleton skel"), r"lacks the field skeletons\[\].id"),
+        (TEXT.replace("MSG: hiros_skeleton_msgs/Box", "MSG: hiros_skeleton_msgs/B"), "Box is miss"),
+        (TEXT.replace("float64 height", "Box inner\nfloat64 height"), "contains itself"),
+        (TEXT.replace("float64 height", "Bomb[] b\nfloat64 height") + "\n" + "=" * 80
+         + "\nMSG: hiros_skeleton_msgs/Bomb\nuint8[4] x\n", "nothing but bytes"),
+        (TEXT.replace("int32 id", "int32 id id2 = 3", 1) + "\n" + "=" * 80, "lacks its line"),
+        (TEXT + "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nint8 x\n", "defined twice"),
+        (TEXT.replace("string name", "???"), "no field"),
+        ("", "lacks the field"),
+        ("\0\0garbage", "no field"),
+    ],
+)  # fmt: skip
+def test_other_schemas_are_refused_by_their_first_fault(text: str, said: str) -> None:
+    with pytest.raises(SchemaError, match=f"^/t: .*{said}"):
+        checked(text)
+
+
+def test_schema_of_exponential_size_is_refused() -> None:
+    levels = [f"{'=' * 80}\nMSG: a/T{k}\nT{k + 1} x\nT{k + 1} y\n" for k in range(20)]
+    bomb = TEXT.replace("float64 height", "a/T0 t\nfloat64 height")
+    last = f"{'=' * 80}\nMSG: a/T20\nint8 x\n"
+    with pytest.raises(SchemaError, match="more than 4096 fields"):
+        checked("\n".join([bomb, *levels, last]))
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "said"),
+    [
+        (NAME, "ros2idl", "schema encoding 'ros2idl'"),
+        (NAME, "", "schema encoding ''"),
+        ("std_msgs/msg/String", "ros2msg", "is not hiros_skeleton_msgs"),
+        ("SkeletonGroup", "ros2msg", "not the name of a message type"),
+    ],
+)
+def test_other_kinds_of_schema_are_refused(name: str, encoding: str, said: str) -> None:
+    with pytest.raises(SchemaError, match=said):
+        checked(TEXT, name, encoding)
+
+
+def test_schema_that_is_no_text_is_refused() -> None:
+    with pytest.raises(SchemaError, match="not UTF-8"):
+        check_schema(NAME, "ros2msg", b"\xff\xfe")
+    with pytest.raises(SchemaError, match="larger than"):
+        check_schema(NAME, "ros2msg", b"#" * (2**20 + 1))
+
+
+def test_damaged_message_of_a_compatible_schema_is_refused() -> None:
+    text = VARIANTS["fields reordered"]
+    data = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
+    decoder = Decoder(stick(), topic="/t", layout=checked(text))
+    for n in (*range(0, len(data), 7), len(data) - 1):
+        with pytest.raises(LogError, match="^/t: "):
+            decoder.decode(data[:n], 0)
+    with pytest.raises(LogError, match="0x0003"):
+        decoder.decode(b"\0\3" + data[2:], 0)
+
+
+def test_number_that_does_not_fit_the_published_type_is_refused() -> None:
+    text = VARIANTS["wide ids"]
+    message = gen.message_of(full(stick()), stick())
+    message["skeletons"][0]["links"][0]["parent_marker"] = 2**40
+    data = gen.generic_writer(text)(message)
+    with pytest.raises(LogError, match="cannot be read"):
+        Decoder(stick(), layout=checked(text)).decode(data, 0)
+
+
+def test_generic_reader_of_the_tests_is_independent_of_the_codec() -> None:
+    message = gen.generic_reader()(Encoder(stick()).encode(full(stick())))
+    assert isinstance(message, SimpleNamespace)
+    assert message.skeletons[0].markers[1].name == "m1"
+
+
+# --- all messages of a chunk at once ---------------------------------------------------------
+
+
+def in_one(messages: list[bytes]) -> tuple[bytes, np.ndarray]:
+    """Messages in one run of bytes with something in between, and where they lie."""
+    data, places = b"", []
+    for message in messages:
+        data += b"junk!"
+        places.append((len(data), len(data) + len(message)))
+        data += message
+    return data + b"end", np.array(places, np.int64).reshape(-1, 2)
+
+
+def one_by_one(model: SkeletonModel, message: bytes) -> object:
+    """The frame and what was cleaned, or the fault, as the decoder of single messages gives it."""
+    try:
+        return clean(Decoder(model, topic="/t").decode(message, 7))
+    except LogError as error:
+        return str(error)
+
+
+def test_a_batch_says_of_every_message_what_the_decoder_says() -> None:
+    """Whole messages, truncated, damaged and big-endian ones, and some with impossible numbers."""
+    model, rng = stick(4), np.random.default_rng(5)
+    messages = []
+    for seed in range(60):
+        frame = full(model, seed % 4, seed)
+        if seed % 5 == 1 and frame.n_people:
+            frame.markers[0, 1, 0] = np.inf
+            frame.confidences[0] = 3.0 if seed % 2 else 0.5
+        if seed % 5 == 2:
+            frame.links[:, 0] = np.nan
+        data = bytearray(Encoder(model).encode(frame))
+        if seed % 3 == 1:
+            data = data[: rng.integers(len(data))]
+        elif seed % 3 == 2:
+            data[rng.integers(min(len(data), 300))] ^= int(rng.integers(1, 256))
+        messages.append(bytes(data))
+    messages.append(gen.big_endian(Encoder(model).encode(full(model, 2))))
+    data, places = in_one(messages)
+    batch = BatchDecoder(model).decode([(data, places)])
+    assert batch is not None
+    faults = 0
+    for row, message in enumerate(messages):
+        expected = one_by_one(model, message)
+        if isinstance(expected, str):
+            faults += 1
+            assert batch.frame(row, 7) is None  # the decoder says what is wrong
+        else:
+            found = batch.frame(row, 7)
+            if any("confidence" in kind for kind in expected[1]):
+                assert found is None  # such messages are left to the decoder
+                continue
+            assert found is not None
+            assert gen.same(found[0], expected[0])
+            assert dict(found[1]) == dict(expected[1])
+    assert 10 < faults < len(messages) - 10
+
+
+def test_a_batch_leaves_messages_of_several_cameras_to_the_decoder() -> None:
+    data, places = in_one([mixed()])
+    batch = BatchDecoder(stick()).decode([(data, places)])
+    assert batch is not None
+    assert batch.frame(0, 0) is None
+
+
+def test_a_batch_may_be_empty() -> None:
+    assert BatchDecoder(stick()).decode([(b"", np.empty((0, 2), np.int64))]) is not None
+
+
+def test_a_batch_that_claims_too_many_people_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BatchDecoder, "_MOST", 1000)
+    data, places = in_one([Encoder(stick()).encode(full(stick(), 3))])
+    assert BatchDecoder(stick()).decode([(data, places)]) is None
+
+
+def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
+    turn = Rigid(np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]), np.array([1.0, 2.0, 3.0]))
+    frames = [full(stick(), 2).replace(frame_id=name) for name in ("map", "/map", "other", "hall")]
+    messages = [Encoder(stick()).encode(frame) for frame in frames]
+    poses = Poses("hall", {"map": turn, "hall": turn}.get)
+    batch = BatchDecoder(stick()).decode([in_one(messages[:1]), in_one(messages[1:])], poses)
+    assert batch is not None
+    found = [batch.frame(k, 0) for k in range(len(messages))]
+    moved = [pair[0] for pair in found if pair]
+    assert [frame.frame_id for frame in moved] == ["hall", "hall", "other", "hall"]
+    x, y, z = np.moveaxis(frames[0].positions, -1, 0)
+    expected = np.stack([1 - y, 2 + x, 3 + z], axis=-1)
+    for frame in moved[:2]:
+        np.testing.assert_allclose(frame.positions, expected, atol=1e-12)
+    for frame in moved[2:]:
+        np.testing.assert_array_equal(frame.positions, frames[0].positions)

@@ -1,0 +1,436 @@
+import itertools
+
+import numpy as np
+import pytest
+from generators import generic_writer, same
+from mcap_logs import write_log
+from test_transforms import tf_bytes
+
+import hiros_schemas
+from hiros_mcap.body.transforms import transform_to_fixed
+from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.log import DAMAGED, STALE, open_log
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+
+MODEL = SkeletonModel.of(("a", "b", "c"), (("ab", 0, 1), ("bc", 1, 2)))
+NONE = (0.0, 0.0, 0.0, 1.0)
+ENCODER = Encoder(MODEL)
+
+
+def seen(camera=0, stamp=1000, n=1, frame_id=None, value=None):
+    """A detection: marker a at (value, 0, 0), or at the stamp."""
+    name = f"camera_{camera}"
+    frame = Frame.empty(n, MODEL, stamp=stamp, source=name, frame_id=frame_id or name)
+    frame.markers[:, :, :3] = (stamp if value is None else value) / 1000
+    frame.links[:, :, :3] = 0
+    return frame
+
+
+class Maker:
+    """Writes a log message by message."""
+
+    def __init__(self, path, **options):
+        self.path, self.ids = path, {}
+        self.writer = McapWriter(path, **options)
+        self.time = itertools.count(10, 10)
+
+    def __enter__(self):
+        self.writer.__enter__()
+        return self
+
+    def __exit__(self, kind, *rest):
+        if kind is None:
+            self.writer.commit()
+        self.writer.__exit__(kind, *rest)
+
+    def add(self, frame, topic=None, data=None):
+        """Write a frame, or bytes instead of it, on the topic of its camera."""
+        topic = topic or f"/{frame.source}/skeletons"
+        if topic not in self.ids:
+            self.ids[topic] = add_skeleton_channel(self.writer, topic)
+        self.writer.write(self.ids[topic], next(self.time), data or ENCODER.encode(frame))
+
+    def transforms(self, *rows, topic="/tf_static"):
+        """Write a tf message; rows are (stamp, parent, child, translation, xyzw)."""
+        if topic not in self.ids:
+            text = hiros_schemas.text(hiros_schemas.TF_MESSAGE).encode()
+            schema = self.writer.add_schema(hiros_schemas.TF_MESSAGE, text)
+            self.ids[topic] = self.writer.add_channel(topic, schema)
+        self.writer.write(self.ids[topic], next(self.time), tf_bytes(*rows))
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "log.mcap"
+
+
+@pytest.fixture
+def two_cameras(path):
+    with Maker(path) as log:
+        log.transforms((0, "world", "camera_0", (1, 0, 0), NONE))
+        for stamp in range(1000, 1500, 100):
+            log.add(seen(0, stamp))
+            log.add(seen(1, stamp + 30))
+        log.transforms((0, "world", "camera_1", (0, 2, 0), NONE))
+    return path
+
+
+def test_the_span_is_that_of_the_skeletons_and_not_of_a_latched_transform(path):
+    first = 5_000_000_000
+    with Maker(path, chunk_size=1) as log:
+        log.time = itertools.chain([0], itertools.count(first, 10))
+        log.transforms((0, "world", "camera_0", (1, 0, 0), NONE))
+        for stamp in range(1000, 1500, 100):
+            log.add(seen(0, stamp))
+        log.add(seen(0, 1500), topic="/hiros/filtered")
+    with open_log(path) as log:
+        assert log.span == (first, first + 40)
+    with open_log(path, topics=["/hiros/*"], output_prefix="/none") as log:
+        assert log.span == (first, first + 40)
+
+
+def test_the_span_of_a_file_of_results_alone_is_theirs(path):
+    with Maker(path) as log:
+        log.add(seen(0, 1000), topic="/hiros/filtered")
+        log.add(seen(0, 1500), topic="/hiros/filtered")
+    with open_log(path, topics=["/hiros/*"], output_prefix="/none") as log:
+        assert log.span == (10, 20)
+
+
+def frames_of(path, **options):
+    with open_log(path, **options) as log:
+        return list(log.frames()), log
+
+
+def test_a_log_gives_every_detection_in_the_order_of_log_times(two_cameras):
+    frames, log = frames_of(two_cameras)
+    assert [f.stamp for f in frames] == [s + d for s in range(1000, 1500, 100) for d in (0, 30)]
+    assert [f.source for f in frames] == ["camera_0", "camera_1"] * 5
+    assert all(f.frame_id == f.source for f in frames)
+    assert log.model == MODEL
+    assert log.fixed_frame == "world"
+
+
+def test_transforms_that_come_late_hold_for_the_whole_log(two_cameras):
+    with open_log(two_cameras) as log:
+        first, second, *_ = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
+    np.testing.assert_allclose(first.positions[0, 0], [2, 1, 1])
+    np.testing.assert_allclose(second.positions[0, 0], [1.03, 3.03, 1.03])
+
+
+def test_detections_are_the_frames_in_the_fixed_frame(two_cameras):
+    with open_log(two_cameras) as log:
+        moved = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+        detections = list(log.detections())
+    assert len(moved) == len(detections) == 10
+    for a, b in zip(moved, detections, strict=True):
+        assert same(a, b)
+
+
+def test_detections_of_a_camera_that_moves_follow_it(path):
+    with Maker(path) as log:
+        log.transforms((0, "world", "camera_0", (0, 0, 0), NONE), topic="/tf")
+        log.add(seen(0, 1000))
+        log.transforms((1000, "world", "camera_0", (1, 0, 0), NONE), topic="/tf")
+        log.add(seen(0, 500))
+    with open_log(path) as log:
+        first, second = log.detections()
+    np.testing.assert_allclose(first.positions[0, 0], [2, 1, 1])
+    np.testing.assert_allclose(second.positions[0, 0], [1, 0.5, 0.5])
+
+
+def test_every_message_is_accounted_for(path):
+    with Maker(path) as log:
+        for stamp in (1000, 1000, 2000):
+            log.add(seen(0, stamp))
+        log.add(seen(0), data=b"\0\1\0\0junk")
+    frames, log = frames_of(path)
+    account = log.accounts["/camera_0/skeletons"]
+    assert (len(frames), account.read, account.used) == (2, 4, 2)
+    assert account.skipped == {STALE: 1, DAMAGED: 1}
+    assert "message ends" in account.first_error
+
+
+def test_a_strict_log_refuses_a_damaged_message(path):
+    with Maker(path) as log:
+        log.add(seen(0))
+        log.add(seen(0), data=b"\0\1\0\0junk")
+    with open_log(path) as log:
+        log.strict = True
+        with pytest.raises(LogError, match=r"log\.mcap: /camera_0/skeletons: message ends"):
+            list(log.frames())
+
+
+def test_a_person_who_is_repeated_is_left_out_and_a_new_one_stays(path):
+    both = seen(0, 2000, n=2)
+    both.markers[0] = seen(0, 1000).markers[0]
+    both.stamps[0] = 1000
+    with Maker(path) as log:
+        log.add(seen(0, 1000))
+        log.add(both)
+    frames, log = frames_of(path)
+    assert [f.n_people for f in frames] == [1, 1]
+    assert frames[1].stamps.tolist() == [2000]
+    assert log.accounts["/camera_0/skeletons"].stale == 1
+
+
+@pytest.mark.parametrize("confidence", [0.5, -1.0, 1.5])
+def test_a_repeat_is_noticed_however_it_was_decoded_and_moved(path, confidence):
+    """A confidence out of range has a message decoded on its own."""
+    both = seen(0, 2000, n=2)
+    both.markers[0] = seen(0, 1000).markers[0]
+    both.stamps[0] = 1000
+    both.marker_confidences[1] = confidence
+    with Maker(path) as log:
+        log.transforms((0, "world", "camera_0", (1.0, 2.0, 3.0), (0.6, 0.0, 0.0, 0.8)))
+        log.add(seen(0, 1000))
+        log.add(both)
+    with open_log(path) as log:
+        frames = list(log.detections())
+        assert [(f.n_people, f.frame_id) for f in frames] == [(1, "world"), (1, "world")]
+        assert log.accounts["/camera_0/skeletons"].stale == 1
+
+
+def test_what_differs_in_time_place_or_camera_is_no_repeat(path):
+    with Maker(path) as log:
+        log.add(seen(0, 1000, value=5))
+        log.add(seen(0, 2000, value=5))
+        log.add(seen(0, 2000, value=6))
+        log.add(seen(1, 2000, value=6, frame_id="camera_0"))
+    assert len(frames_of(path)[0]) == 4
+
+
+def test_a_camera_that_sees_nobody_still_gives_a_frame(path):
+    with Maker(path) as log:
+        for stamp in (1000, 2000):
+            log.add(seen(0, stamp, n=0))
+        log.add(seen(0, 3000))
+    frames, _ = frames_of(path)
+    assert [(f.n_people, f.stamp, f.source) for f in frames] == [
+        (0, 1000, "camera_0"),
+        (0, 2000, "camera_0"),
+        (1, 3000, "camera_0"),
+    ]
+
+
+def test_the_stamp_is_source_time_or_header_time_or_log_time(path):
+    for_header, for_log = seen(0, 1000, value=2), seen(0, 0, value=3)
+    for_header.stamps[:] = 0
+    with Maker(path) as log:
+        log.add(seen(0, 1000).replace(stamps=np.array([700]), stamp=1000))
+        log.add(for_header)
+        log.add(for_log)
+    assert [f.stamp for f in frames_of(path)[0]] == [700, 1000, 30]
+
+
+def test_cameras_of_one_name_go_by_their_topics(path):
+    with Maker(path) as log:
+        for topic in ("/left", "/right"):
+            log.add(seen(0).replace(source="sensor", frame_id="world"), topic)
+    frames, log = frames_of(path)
+    assert [f.source for f in frames] == ["/left", "/right"]
+    assert log.fixed_frame == "world"
+
+
+def test_several_cameras_may_share_a_channel(path):
+    people = [seen(k, 1000 + k).replace(frame_id="world") for k in (0, 1)]
+    messages = [ENCODER.encode(frame) for frame in people]
+    with Maker(path) as log:
+        for frame, data in zip(people, messages, strict=True):
+            log.add(frame, "/all", data)
+    assert [f.source for f in frames_of(path)[0]] == ["camera_0", "camera_1"]
+
+
+def test_absent_and_impossible_numbers_are_cleaned_and_counted(path):
+    frame = seen(0)
+    frame.markers[0, 1, 0] = np.inf
+    with Maker(path) as log:
+        log.add(frame)
+    frames, log = frames_of(path)
+    assert np.isnan(frames[0].positions[0, 1]).all()
+    assert log.accounts["/camera_0/skeletons"].cleaned == {"absurd number": 1}
+
+
+def test_the_model_is_complete_even_when_markers_come_late(path):
+    partial = seen(0)
+    partial.markers[:, 2] = partial.links[:, 1] = np.nan
+    with Maker(path) as log:
+        for stamp in range(5):
+            log.add(partial.replace(stamp=stamp))
+        log.add(seen(0, 3000))
+    frames, log = frames_of(path)
+    assert log.model == MODEL
+    assert np.isnan(frames[0].positions[0, 2]).all()
+    assert not np.isnan(frames[-1].positions).any()
+
+
+def test_a_camera_with_another_skeleton_is_refused(path):
+    other = SkeletonModel.of(("x", "y", "z"), (("ab", 0, 1), ("bc", 1, 2)))
+    with Maker(path) as log:
+        log.add(seen(0))
+        log.add(seen(1), data=Encoder(other).encode(seen(1)))
+    with pytest.raises(LogError, match=r"/camera_1/skeletons: marker 0 has another name, 'x'"):
+        open_log(path)
+
+
+# -- choice of channels ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def results(path):
+    with Maker(path) as log:
+        for topic in ("/camera_0/skeletons", "/hiros/merged", "/truth/skeletons", "/hirosaki"):
+            log.add(seen(0).replace(source="", frame_id="world"), topic)
+    return path
+
+
+def test_results_and_truth_are_not_read_unless_asked_for(results):
+    def topics(**options):
+        with open_log(results, **options) as log:
+            return [camera.channel.topic for camera in log.cameras]
+
+    assert topics() == ["/camera_0/skeletons", "/hirosaki"]
+    assert topics(topics=["/truth/*", "/cam*"]) == ["/camera_0/skeletons", "/truth/skeletons"]
+    assert "/hiros/merged" in topics(output_prefix="/other")
+
+
+def test_a_glob_that_fits_no_channel_is_an_error_that_lists_the_channels(results):
+    with pytest.raises(LogError, match=r"called '/nobody'; its channels: /camera_0/skeletons \("):
+        open_log(results, topics=["/cam*", "/nobody"])
+
+
+def test_a_log_of_results_only_is_an_error(path):
+    with Maker(path) as log:
+        log.add(seen(0), "/truth/skeletons")
+    with pytest.raises(LogError, match="below /hiros and /truth only"):
+        open_log(path)
+
+
+def test_a_log_without_skeletons_is_an_error_that_lists_the_channels(path):
+    with pytest.raises(LogError, match=r"no SkeletonGroup channel.*/a \(pkg/msg/Type, 20\)"):
+        open_log(write_log(path))
+
+
+def test_a_log_of_empty_rooms_is_an_error(path):
+    with Maker(path) as log:
+        log.add(seen(0, n=0))
+    with pytest.raises(LogError, match="no message holds a skeleton"):
+        open_log(path)
+
+
+def test_a_schema_with_other_fields_is_an_error(path):
+    with McapWriter(path) as writer:
+        schema = writer.add_schema(hiros_schemas.SKELETON_GROUP, b"int32 x\n")
+        writer.write(writer.add_channel("/s", schema), 0, b"\0\1\0\0")
+        writer.commit()
+    with pytest.raises(SchemaError, match=r"log\.mcap: /s: schema lacks the field"):
+        open_log(path)
+
+
+@pytest.mark.parametrize(("encoding", "kind"), [("ros1", "ros1"), ("json", "json")])
+def test_another_encoding_is_an_error(path, encoding, kind):
+    with McapWriter(path) as writer:
+        text = hiros_schemas.text(hiros_schemas.SKELETON_GROUP).encode()
+        schema = writer.add_schema(hiros_schemas.SKELETON_GROUP, text)
+        writer.write(writer.add_channel("/s", schema, encoding=encoding), 0, b"x")
+        writer.commit()
+    with pytest.raises(LogError, match=f"/s: is encoded as '{kind}', not as CDR"):
+        open_log(path)
+
+
+# -- transforms of a log -----------------------------------------------------------------------
+
+
+def test_a_camera_without_transform_is_an_error_when_the_frame_is_asked_for(path):
+    with Maker(path) as log:
+        log.transforms((0, "world", "camera_0", (1, 0, 0), NONE))
+        log.add(seen(0))
+        log.add(seen(1))
+    with open_log(path) as log, pytest.raises(LogError, match=r"log\.mcap: .*camera_1 in camera_1"):
+        _ = log.fixed_frame
+    with (
+        open_log(path, fixed_frame="world") as log,
+        pytest.raises(LogError, match="from the frame 'camera_1' to 'world'"),
+    ):
+        _ = log.fixed_frame
+
+
+def test_extrinsics_replace_the_transforms_of_the_log(two_cameras, tmp_path):
+    lines = [
+        f'[[camera]]\nframe = "camera_{k}"\nparent = "lab"\ntranslation = [0, 0, {k}]\n'
+        "quaternion_xyzw = [0, 0, 0, 1]\n"
+        for k in (0, 1)
+    ]
+    (tmp_path / "c.toml").write_text("".join(lines))
+    with open_log(two_cameras, extrinsics=tmp_path / "c.toml") as log:
+        assert log.fixed_frame == "lab"
+        assert log.transforms.frames == ["camera_0", "camera_1", "lab"]
+
+
+def test_a_named_fixed_frame_is_used(two_cameras):
+    with open_log(two_cameras, fixed_frame="camera_1") as log:
+        first, *_ = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
+    np.testing.assert_allclose(first.positions[0, 0], [2, -1, 1])
+
+
+def test_a_camera_that_moves_is_followed(path):
+    with Maker(path) as log:
+        log.add(seen(0, 1500))
+        for stamp in (1000, 2000):
+            log.transforms((stamp, "world", "camera_0", (stamp, 0, 0), NONE), topic="/tf")
+    with open_log(path) as log:
+        (frame,) = transform_to_fixed(log.frames(), log.transforms, log.fixed_frame)
+    assert frame.positions[0, 0, 0] == 1500 + 1.5
+
+
+def test_a_damaged_transform_is_fatal(path):
+    with Maker(path) as log:
+        log.add(seen(0))
+        log.transforms()
+        log.writer.write(log.ids["/tf_static"], 99, b"\0\1\0\0\5\0\0\0")
+    with pytest.raises(LogError, match=r"log\.mcap: /tf_static: a tf message is damaged"):
+        open_log(path)
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def test_a_rosbag2_folder_with_one_log_is_that_log(two_cameras, tmp_path):
+    assert len(frames_of(tmp_path)[0]) == 10
+    (tmp_path / "second.mcap").write_bytes(two_cameras.read_bytes())
+    with pytest.raises(LogError, match="folder with 2 MCAP files"):
+        open_log(tmp_path)
+
+
+def test_a_damaged_container_is_fatal_even_in_the_middle(two_cameras):
+    with McapReader(two_cameras) as reader:
+        chunk = reader.contents.chunks[-1]
+    whole = bytearray(two_cameras.read_bytes())
+    whole[chunk.data_offset + 9] ^= 4
+    two_cameras.write_bytes(whole)
+    with pytest.raises(LogError, match="checksum"):
+        frames_of(two_cameras)
+
+
+def test_messages_of_the_generic_library_are_read(path):
+    header = {"stamp": {"sec": 3, "nanosec": 7}, "frame_id": "/camera_0"}
+    data = bytes(generic_writer()({"header": header, "skeletons": []}))
+    with Maker(path) as log:
+        log.add(seen(0))
+        log.add(None, "/camera_0/skeletons", data)
+    _, frame = frames_of(path)[0]
+    assert (frame.stamp, frame.frame_id, frame.source) == (3_000_000_007, "camera_0", "camera_0")
+
+
+def test_ids_confidences_and_per_person_times_arrive_as_they_are(path):
+    frame = seen(0, n=2).replace(ids=np.array([7, UNTRACKED], np.int32))
+    frame.confidences[:] = frame.marker_confidences[:] = 0.5
+    with Maker(path) as log:
+        log.add(frame)
+    ((got,), _) = frames_of(path)
+    assert got.ids.tolist() == [7, -1]
+    assert got.stamps.tolist() == [1000, 1000]
+    np.testing.assert_array_equal(got.marker_confidences, frame.marker_confidences)

@@ -1,0 +1,125 @@
+"""MarkerArray, JointState and Log, as other programs decode them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_typestore
+from stick_figures import MODEL, at, person, seen
+
+import hiros_schemas
+from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.evaluate.logs import read_channel
+from hiros_mcap.io.export.markers import JOINTS, LABELS, LOG, MARKERS, limb_chains, marker_array
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.skeletons import SkeletonModel
+
+Messages = dict[str, list[Any]]
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("markers") / "out.mcap"
+    sample = Path(__file__).parents[2] / "sample_data" / "two_people_crossing.mcap"
+    process(sample, out, options=ProcessOptions(markers=True))
+    return out
+
+
+@pytest.fixture(scope="module")
+def messages(output: Path) -> Messages:
+    """Decoded by mcap-ros2-support."""
+    found: Messages = defaultdict(list)
+    with output.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        topics = [MARKERS, LABELS, JOINTS, LOG]
+        for _, channel, _, message in reader.iter_decoded_messages(topics=topics):
+            found[channel.topic].append(message)
+    return found
+
+
+def test_bones_lie_where_the_joints_are(output: Path, messages: Messages) -> None:
+    frames, model, _ = read_channel(output, "/hiros/filtered")
+    chains = limb_chains(model)
+    assert len(messages[MARKERS]) == len(frames) == 150
+    for frame, array in zip(frames, messages[MARKERS], strict=True):
+        by_person: dict[str, list[Any]] = defaultdict(list)
+        for marker in array.markers:
+            assert (marker.type, marker.action) == (4, 0)
+            assert marker.header.frame_id == "world"
+            stamp = marker.header.stamp
+            assert stamp.sec * 1_000_000_000 + stamp.nanosec == frame.stamp
+            by_person[marker.ns].append(marker)
+        for row, who in enumerate(frame.ids.tolist()):
+            strips = by_person[f"person {who}"]
+            assert len(strips) == len(chains)
+            for chain, strip in zip(chains, strips, strict=True):
+                points = np.array([[p.x, p.y, p.z] for p in strip.points])
+                assert np.array_equal(points, frame.positions[row, list(chain)])
+
+
+def test_everybody_has_a_label_and_a_colour(messages: Messages) -> None:
+    for array in messages[LABELS]:
+        assert sorted(marker.text for marker in array.markers) == ["0", "1"]
+        colours = {(m.color.r, m.color.g, m.color.b) for m in array.markers}
+        assert len(colours) == 2
+        assert all(m.pose.position.z > 1.4 for m in array.markers)
+
+
+def test_joint_states_are_the_flexions(output: Path, messages: Messages) -> None:
+    frames, model, _ = read_channel(output, "/hiros/filtered")
+    for frame, state in zip(frames, messages[JOINTS], strict=True):
+        bends = flexions(model, frame.positions)
+        assert np.allclose(list(state.position), bends.ravel())
+        assert state.name[0] == f"person_{frame.ids[0]}/left_shoulder"
+        assert len(state.name) == len(ANGLES) * frame.n_people
+
+
+def test_what_happened_is_logged(messages: Messages) -> None:
+    texts = [(entry.level, entry.name, entry.msg) for entry in messages[LOG]]
+    assert (20, "hiros", "limbs calibrated person 0: 150 frames") in texts
+    assert any("track born person 1" in text for _, _, text in texts)
+
+
+@pytest.mark.parametrize(
+    "name", [hiros_schemas.MARKER_ARRAY, hiros_schemas.JOINT_STATE, hiros_schemas.LOG]
+)
+def test_definitions_are_those_of_ros(name: str) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    assert hiros_schemas.type_hash(name) == store.hash_rihs01(name)
+
+
+def test_rosbags_decodes_the_same(output: Path, messages: Messages) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with output.open("rb") as file:
+        raw = [m.data for _, _, m in make_reader(file).iter_messages(topics=[MARKERS])]
+    for data, decoded in zip(raw[:20], messages[MARKERS][:20], strict=True):
+        other: Any = store.deserialize_cdr(data, hiros_schemas.MARKER_ARRAY)
+        assert [m.id for m in other.markers] == [m.id for m in decoded.markers]
+        assert bytes(store.serialize_cdr(other, hiros_schemas.MARKER_ARRAY)) == data
+
+
+def test_chains_run_from_branching_to_branching() -> None:
+    assert limb_chains(MODEL) == ((0, 1), (0, 4), (0, 5), (1, 2, 6), (1, 3, 7))
+    assert limb_chains(SkeletonModel.of(["a", "b", "c"], [("", 0, 1), ("", 1, 2)])) == ((0, 1, 2),)
+    assert limb_chains(SkeletonModel.of(["a"], [])) == ()
+
+
+def test_a_missing_joint_splits_a_chain_and_nobody_is_no_marker() -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    frame = seen([person()], at(0), ids=[3])
+    frame.markers[0, 2] = np.nan
+    array: Any = store.deserialize_cdr(
+        marker_array(frame, limb_chains(MODEL)), hiros_schemas.MARKER_ARRAY
+    )
+    assert [len(marker.points) for marker in array.markers] == [2, 2, 2, 3]
+    empty: Any = store.deserialize_cdr(
+        marker_array(frame.replace(ids=np.array([-1], np.int32)), limb_chains(MODEL)),
+        hiros_schemas.MARKER_ARRAY,
+    )
+    assert empty.markers == []

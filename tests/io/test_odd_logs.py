@@ -1,0 +1,133 @@
+"""What a run says of recordings with something wrong in them; nothing is lost in silence."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+from odd_logs import Change, believed, changed, later, scaled
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.overview import look
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.skeletons import Frame
+from hiros_mcap.summary import Summary
+
+SECOND = 1_000_000_000
+
+
+def run(source: Path, folder: Path, change: Change) -> Summary:
+    return process(changed(source, folder / "odd.mcap", change))
+
+
+def said(summary: Summary, pattern: str) -> list[str]:
+    return [note for note in summary.notes if re.search(pattern, note)]
+
+
+def plain(frame: Frame, _: int) -> Frame:
+    return frame
+
+
+def clock_set_back(frame: Frame, sent: int) -> Frame:
+    return later(frame, -100 * SECOND) if sent >= 70 and frame.source == "camera_1" else frame
+
+
+def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(
+    crossing: Path, tmp_path: Path
+) -> None:
+    summary = run(crossing, tmp_path, clock_set_back)
+    lost = {camera.topic: dict(camera.skipped) for camera in summary.cameras}
+    assert lost["/camera_1/skeletons"] == {"too late to be merged": 79}
+    assert lost["/camera_0/skeletons"] == lost["/camera_2/skeletons"] == {}
+    assert all(c.messages == c.used + sum(c.skipped.values()) for c in summary.cameras)
+    assert summary.skipped == 79
+    assert said(summary, r"clock of camera_1 jumps \(1 times, by up to 100.0 s\)")
+    assert len(said(summary, "jumps")) == 1
+
+
+@pytest.mark.parametrize("system", ["hiros", "malaguti"])
+def test_a_strict_run_refuses_messages_that_come_too_late(
+    system: str, crossing: Path, tmp_path: Path
+) -> None:
+    source = changed(crossing, tmp_path / "odd.mcap", clock_set_back)
+    options = ProcessOptions(system=system, strict=True)
+    with pytest.raises(LogError, match=r"/camera_1.*79 messages skipped: too late to be merged"):
+        process(source, tmp_path / "out.mcap", options=options)
+    assert [path.name for path in tmp_path.iterdir()] == ["odd.mcap"]
+
+
+@pytest.mark.parametrize("stamp", [0, -5 * SECOND])
+def test_a_time_that_cannot_be_is_that_of_the_log(
+    stamp: int, crossing: Path, tmp_path: Path
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        summary = run(
+            crossing,
+            tmp_path,
+            lambda f, _: f.replace(stamp=stamp, stamps=0 * f.stamps + stamp),
+        )
+    assert len(summary.people) == 2
+    assert summary.skipped == 0
+    assert said(summary, "/camera_0/skeletons: 145 messages have no time, or one before 1970")
+
+
+def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) -> None:
+    summary = run(crossing, tmp_path, lambda f, _: f.replace(frame_id="", source=""))
+    (note,) = said(summary, "name no coordinate frame")
+    assert note.startswith("3 channels")
+    assert "transforms are not used" in note
+    overview = look(tmp_path / "odd.mcap")
+    assert overview.remarks == (note,)
+    assert [camera.fault for camera in overview.cameras] == ["", "", ""]
+    assert not said(process(crossing), "name no")
+
+
+def test_one_channel_without_a_frame_is_refused_by_its_name(crossing: Path, tmp_path: Path) -> None:
+    def nameless(frame: Frame, _: int) -> Frame:
+        return frame.replace(frame_id="", source="") if frame.source == "camera_1" else frame
+
+    with pytest.raises(LogError, match=r"no name in no name"):
+        run(crossing, tmp_path, nameless)
+
+
+def test_negative_confidences_are_not_given_and_large_ones_are_1(
+    crossing: Path, tmp_path: Path
+) -> None:
+    negative = run(crossing, tmp_path, lambda f, _: believed(f, -1.0))
+    assert len(negative.people) == 2
+    assert said(negative, r"/camera_0/skeletons: \d+ x negative confidence \(taken as not given\)")
+    percent = run(crossing, tmp_path, lambda f, _: believed(f, 99.0))
+    assert len(percent.people) == 2
+    assert said(percent, r"/camera_0/skeletons: \d+ x confidence above 1 \(taken as 1\)")
+
+
+def test_nobody_is_found_because_of_the_confidences(crossing: Path, tmp_path: Path) -> None:
+    summary = run(crossing, tmp_path, lambda f, _: believed(f, 0.0))
+    assert summary.people == ()
+    assert said(summary, "every marker has the confidence 0")
+    assert said(summary, r"not confirmed: \d+ \(detections of bodies")
+
+
+def test_nobody_is_found_because_of_the_unit(crossing: Path, tmp_path: Path) -> None:
+    summary = run(crossing, tmp_path, lambda f, _: scaled(f, 1000.0))
+    assert summary.people == ()
+    assert said(summary, "looks like millimetres")
+    assert not said(summary, "confidence 0")
+
+
+def test_a_message_years_ahead_is_told(crossing: Path, tmp_path: Path) -> None:
+    def ahead(frame: Frame, sent: int) -> Frame:
+        return later(frame, 10**8 * SECOND) if sent == 50 and frame.source == "camera_2" else frame
+
+    assert said(run(crossing, tmp_path, ahead), r"camera_2 jumps \(2 times, by up to 3.2 years\)")
+
+
+def test_a_latched_transform_of_time_0_makes_the_log_no_longer(
+    crossing: Path, tmp_path: Path
+) -> None:
+    source = changed(crossing, tmp_path / "odd.mcap", plain, latched=0)
+    assert process(source).log_s == pytest.approx(process(crossing).log_s) == pytest.approx(5, 0.1)
+    assert look(source).seconds == pytest.approx(5, 0.1)

@@ -1,0 +1,219 @@
+"""A whole run, from a file to a file, on the sample logs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import same
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+import hiros_mcap
+from hiros_mcap.body.transforms import transform_to_fixed
+from hiros_mcap.config import load_config
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate import Truth, evaluate
+from hiros_mcap.evaluate.logs import evaluate_log, read_channel
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.systems import LETTERS, SYSTEMS
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+CROSSING = SAMPLES / "two_people_crossing.mcap"
+WALKING = SAMPLES / "one_person_walking.mcap"
+PLAYED = ("/hiros/filtered", "/hiros/markers", "/hiros/joint_states")
+
+
+def truth_of(path: Path) -> Truth:
+    with open_log(path, topics=["/truth/*"]) as log:
+        return Truth.of(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+
+
+def test_the_public_names_are_listed_before_their_first_use() -> None:
+    code = "import hiros_mcap; print(*dir(hiros_mcap))"
+    listed = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
+    assert set(listed.decode().split()) >= set(hiros_mcap.__all__)
+
+
+@pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)
+def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    summary = process(WALKING, out, options=ProcessOptions(stages=chain, keep=()))
+    with McapReader(out) as reader:
+        topics = {channel.topic for channel in reader.channels.values()}
+    assert topics == {f"/hiros/{LETTERS[letter]}" for letter in chain}
+    assert [person.id for person in summary.people] == [0]
+
+
+@pytest.mark.parametrize("chain", ["M", "F", "MF", "FT", "TOM", "X"])
+def test_other_chains_are_refused(chain: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no chain of stages"):
+        process(WALKING, tmp_path / "out.mcap", options=ProcessOptions(stages=chain))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_error_falls_at_every_stage(tmp_path: Path) -> None:
+    out, truth = tmp_path / "out.mcap", truth_of(CROSSING)
+    process(CROSSING, out)
+    scores = []
+    for channel in LETTERS.values():
+        with open_log(out, topics=[f"/hiros/{channel}"], output_prefix="/truth") as log:
+            scores.append(evaluate(log.frames(), truth, log.model))
+    errors = [s.mean for s in scores]
+    assert errors == sorted(errors, reverse=True)
+    assert scores[1].deviation < 0.8 * scores[0].deviation
+    assert scores[3].limb_variation < 0.01
+    assert [s.switches for s in scores] == [0, 0, 0, 0]
+    assert (scores[3].missing, scores[3].false) == (0, 0)
+
+
+def test_same_input_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        process(CROSSING, tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_limbs_of_a_first_session_serve_a_second(tmp_path: Path) -> None:
+    limbs = tmp_path / "limbs.toml"
+    process(WALKING, None, options=ProcessOptions(limbs_out=limbs))
+    for name in ("a", "b"):
+        process(WALKING, tmp_path / name, options=ProcessOptions(limbs_in=limbs))
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -> None:
+    """Presets paper and upstream: nobody is lost or renamed, and the error is larger."""
+    truth, channel, errors = truth_of(WALKING), "/hiros/filtered", {}
+    for preset in ("default", "paper", "upstream"):
+        process(WALKING, tmp_path / preset, config=load_config(preset=preset))
+        scores = evaluate_log(tmp_path / preset, truth, [channel])[channel].scores
+        assert (scores.switches, scores.missing) == (0, 0)
+        errors[preset] = scores.mean
+    assert errors["default"] < min(errors["paper"], errors["upstream"])
+    assert max(errors.values()) < 60
+
+
+def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
+    config = load_config(None, ["optimize.calibration=two-pass"])
+    process(WALKING, tmp_path / "out.mcap", config=config)
+    with open_log(tmp_path / "out.mcap", topics=["/hiros/optimized"], output_prefix="/x") as log:
+        poses = np.stack([frame.positions[0] for frame in log.frames()])
+    lengths = np.linalg.norm(
+        poses[:, log.model.links[:, 0]] - poses[:, log.model.links[:, 1]], axis=-1
+    )
+    assert (lengths.std(axis=0) / lengths.mean(axis=0)).max() < 2e-3
+
+
+def test_every_message_is_accounted_for() -> None:
+    summary = process(CROSSING)
+    for camera in summary.cameras:
+        assert camera.messages == camera.used + sum(camera.skipped.values())
+    assert sum(camera.used for camera in summary.cameras) == summary.written["/hiros/tracked"]
+    assert [person.cameras for person in summary.people] == [
+        ("camera_0", "camera_1", "camera_2")
+    ] * 2
+
+
+def test_progress_is_told(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+
+    class Watcher:
+        def update(self, done: int, total: int) -> None:
+            told.append((done, total))
+
+    process(WALKING, progress=Watcher())
+    assert told[-1][0] == told[-1][1] > 0
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_the_output_is_not_the_input(tmp_path: Path) -> None:
+    copy = tmp_path / "log.mcap"
+    copy.write_bytes(WALKING.read_bytes())
+    with pytest.raises(LogError):
+        process(copy, copy)
+    assert copy.read_bytes() == WALKING.read_bytes()
+
+
+def test_replay_of_the_output_is_causal(tmp_path: Path) -> None:
+    process(CROSSING, tmp_path / "out.mcap")
+    for channel in LETTERS.values():
+        topics = [f"/hiros/{channel}"]
+        with open_log(tmp_path / "out.mcap", topics=topics, output_prefix="/truth") as log:
+            frames = list(log.frames())
+        assert all(frame.log_time >= frame.stamp for frame in frames)
+        stamps = [frame.stamp for frame in frames]
+        assert stamps == sorted(stamps)
+
+
+def test_an_output_may_be_logged_at_the_time_of_its_data(tmp_path: Path) -> None:
+    by_stamp = load_config(None, ["output.log_time=stamp"])
+    process(CROSSING, tmp_path / "causal", options=ProcessOptions(markers=True))
+    process(CROSSING, tmp_path / "stamp", config=by_stamp, options=ProcessOptions(markers=True))
+    for channel in LETTERS.values():
+        causal, stamped = (
+            read_channel(tmp_path / name, f"/hiros/{channel}")[0] for name in ("causal", "stamp")
+        )
+        assert all(frame.log_time == frame.stamp for frame in stamped)
+        assert all(
+            same(a.replace(log_time=a.stamp), b) for a, b in zip(causal, stamped, strict=True)
+        )
+    with (tmp_path / "stamp").open("rb") as file:
+        decoded = list(
+            make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        )
+    shown = [(c.topic, m.log_time, d) for _, c, m, d in decoded if c.topic in PLAYED]
+    for _, log_time, data in shown:
+        header = data.markers[0].header if hasattr(data, "markers") else data.header
+        assert header.stamp.sec * 1_000_000_000 + header.stamp.nanosec == log_time
+    assert {topic for topic, _, _ in shown} == set(PLAYED)
+    assert all(m.log_time == d.stamp.sec * 10**9 + d.stamp.nanosec for _, c, m, d in decoded
+               if c.topic == "/hiros/log")  # fmt: skip
+    scores = [
+        evaluate_log(tmp_path / name, truth_of(CROSSING))["/hiros/filtered"].scores.mean
+        for name in ("causal", "stamp")
+    ]
+    assert scores[0] == scores[1]
+
+
+def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
+    process(WALKING, tmp_path / "out.mcap")
+    with McapReader(tmp_path / "out.mcap") as reader:
+        assert [name for name, _ in reader.contents.metadata] == ["hiros.provenance"]
+        found = {a.name: reader.attachment(a) for a in reader.contents.attachments}
+    names = ("config.toml", "events.json", "limbs.toml", "report.json")
+    assert sorted(found) == [f"hiros/{name}" for name in names]
+    assert b"[track]" in bytes(found["hiros/config.toml"])
+    assert str(tmp_path).encode() not in bytes(found["hiros/report.json"])
+
+
+@pytest.mark.parametrize(
+    ("system", "stages", "switch", "merging"),
+    [
+        ("hiros", "TMF", [], "flips,outliers,mean"),
+        ("hiros", "TM", ["merge.max_facing_delta=0"], "outliers,mean"),
+        ("hiros", "TF", [], None),
+        ("lee", "TM", [], None),
+    ],
+)
+def test_provenance_tells_the_order_of_stages_and_of_the_merger(
+    tmp_path: Path, system: str, stages: str, switch: list[str], merging: str | None
+) -> None:
+    config = load_config(None, switch, system=system)
+    options = ProcessOptions(system=system, stages=stages, keep=())
+    process(WALKING, tmp_path / "out.mcap", config=config, options=options)
+    with McapReader(tmp_path / "out.mcap") as reader:
+        ((_, provenance),) = reader.contents.metadata
+    assert provenance["stages"] == ",".join(LETTERS[letter] for letter in stages)
+    assert provenance.get("merging") == merging
+
+
+def test_a_system_or_a_chain_that_does_not_exist() -> None:
+    with pytest.raises(ConfigError, match=r"no system 'hydra' \(there are: hiros"):
+        process(WALKING, None, options=ProcessOptions(system="hydra"))
+    with pytest.raises(ConfigError, match="system hiros has no chain of stages 'FT'"):
+        process(WALKING, None, options=ProcessOptions(stages="FT"))

@@ -1,0 +1,429 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.kernels.filtering import restore_lengths
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.stages.filter import FilterParams, filter_blocks, filter_frames
+
+MODEL = SkeletonModel.of(["root", "hand"], [("arm", 0, 1)])
+METHODS = [("state_space", 2), ("state_space", 3)] + [("butterworth", n) for n in (1, 2, 3, 4, 8)]
+LOOKAHEADS = [0.0, 0.3]
+START = 1_700_000_000_000_000_000
+
+
+def params(method="state_space", order=2, **others):
+    return FilterParams(method=method, order=order, **{"keep_lengths": False, **others})
+
+
+def frame_at(time, root=(0, 0, 0), hand=(0, 0, 0), turn=(0, 0, 0, 1), ids=(7,)):
+    frame = Frame.empty(len(ids), MODEL, stamp=START + round(time * 1e9), source="world")
+    frame.ids[:] = ids
+    frame.markers[:, 0, :3], frame.markers[:, 1, :3] = root, hand
+    frame.links[:, 0, 3:7] = turn
+    return frame
+
+
+def along(times, values, turns=None):
+    """Frames whose root's x is ``values``."""
+    turns = itertools.repeat((0, 0, 0, 1)) if turns is None else turns
+    return [
+        frame_at(t, (x, 0, 0), (x, 0.3, 0), q)
+        for t, x, q in zip(times, values, turns, strict=False)
+    ]
+
+
+def run(frames, p, column=0, row="markers"):
+    return np.array([getattr(f, row)[0, 0, column] for f in filter_frames(frames, MODEL, p)])
+
+
+def amplitude(times, values, frequency):
+    """Amplitude of the sine of ``frequency`` in ``values``, by least squares."""
+    phase = 2 * np.pi * frequency * times
+    basis = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
+    return np.hypot(*np.linalg.lstsq(basis, values, rcond=None)[0][:2])
+
+
+def turned(angles):
+    """Quaternions of rotations about z."""
+    half = np.asarray(angles) / 2
+    return np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+@pytest.mark.parametrize(("rate", "cutoff"), [(30, 4.5), (30, 8.0), (100, 6.0), (15, 3.0)])
+def test_minus_3_db_at_the_cutoff_by_sine_sweep(method, order, lookahead, rate, cutoff):
+    times = np.arange(int(6 * rate)) / rate
+    p = params(method, order, lookahead=lookahead, cutoff=cutoff)
+    middle = slice(2 * rate, 5 * rate)
+    gains = []
+    for f in (0.98 * cutoff, 1.02 * cutoff):
+        out = run(along(times, np.sin(2 * np.pi * f * times)), p)
+        gains.append(amplitude(times[middle], out[middle], f))
+    assert gains[0] > np.sqrt(0.5) > gains[1]
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_links_have_the_same_cutoff(method, order, lookahead):
+    times = np.arange(150) / 30
+    p = params(method, order, lookahead=lookahead, cutoff=4.5)
+    turns = turned(0.2 * np.sin(2 * np.pi * 4.5 * times))
+    out = list(filter_frames(along(times, times, turns), MODEL, p))
+    angles = np.array([2 * np.arcsin(f.links[0, 0, 5]) for f in out])
+    assert amplitude(times[45:130], angles[45:130], 4.5) == pytest.approx(
+        0.2 * np.sqrt(0.5), rel=0.02
+    )
+
+
+@pytest.mark.parametrize("lookahead", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_the_future_beyond_the_lookahead_changes_nothing(method, order, lookahead):
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.02, 0.05, 80))
+    values = rng.normal(size=80)
+    other = np.where(np.arange(80) < 50, values, 9.0)
+    p = params(method, order, lookahead=lookahead)
+    complete = times + lookahead <= times[49]
+    a, b = run(along(times, values), p), run(along(times, other), p)
+    assert complete.sum() > 35
+    np.testing.assert_array_equal(a[complete], b[complete])
+    assert a[60] != b[60]
+
+
+def test_output_is_logged_when_its_lookahead_is_complete():
+    out = list(filter_frames(along(np.arange(8) / 10, np.zeros(8)), MODEL, params(lookahead=0.3)))
+    assert [round((f.stamp - START) / 1e8) for f in out] == list(range(8))
+    assert [round((f.log_time - START) / 1e8) for f in out] == [3, 4, 5, 6, 7, 7, 7, 7]
+
+
+def test_frames_come_out_as_soon_as_they_can():
+    taken = []
+    frames = (taken.append(f) or f for f in along(np.arange(9) / 10, np.zeros(9)))
+    stream = filter_frames(frames, MODEL, params(lookahead=0.3))
+    next(stream)
+    assert len(taken) == 4
+    next(stream)
+    assert len(taken) == 5
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize("order", [2, 3])
+def test_state_space_has_no_lag_on_steady_motion(order, lookahead):
+    times = np.cumsum(np.random.default_rng(2).uniform(0.02, 0.05, 60))
+    p = params(order=order, lookahead=lookahead)
+    np.testing.assert_allclose(run(along(times, 1.5 * times), p), 1.5 * times, atol=2e-5)
+    np.testing.assert_allclose(run(along(times, 1.5 * times), p, 7)[3:], 1.5, atol=2e-3)
+
+
+def test_causal_butterworth_lags_by_its_group_delay_and_no_more():
+    times = np.arange(90) / 30
+    out = run(along(times, times), params("butterworth", 2, lookahead=0, cutoff=4.5))
+    analogue = np.sqrt(2) / (2 * np.pi * 4.5)
+    assert 0.8 * analogue < times[-1] - out[-1] < 1.01 * analogue
+
+
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_lookahead_has_no_phase_lag(method, order):
+    times = np.arange(200) / 30
+    out = run(along(times, np.sin(6 * times)), params(method, order, lookahead=0.5))[30:-30]
+    basis = np.stack([np.sin(6 * times), np.cos(6 * times)], axis=1)[30:-30]
+    in_phase, quadrature = np.linalg.lstsq(basis, out, rcond=None)[0]
+    assert abs(np.arctan2(quadrature, in_phase) / 6) < 0.001
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_no_start_transient(method, order, lookahead):
+    frames = along(np.arange(40) / 30, np.full(40, 3.0), turned(np.full(40, 1.0)))
+    out = list(filter_frames(frames, MODEL, params(method, order, lookahead=lookahead)))
+    for f in out:
+        np.testing.assert_allclose(f.markers[0, 0, :3], (3, 0, 0), atol=1e-12)
+        np.testing.assert_allclose(f.links[0, 0, 3:7], turned(1.0), atol=1e-12)
+        np.testing.assert_allclose(f.markers[0, 0, 7:10], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_first_causal_output_is_the_first_input(method, order):
+    values = np.random.default_rng(3).normal(size=10)
+    out = run(along(np.arange(10) / 30, values), params(method, order, lookahead=0))
+    assert out[0] == values[0]
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_sign_of_a_quaternion_does_not_matter(method, order, lookahead):
+    times = np.arange(60) / 30
+    turns = turned(3 * times)
+    flipping = turns * np.where(np.arange(60) % 2, -1, 1)[:, None]
+    p = params(method, order, lookahead=lookahead)
+    same = list(filter_frames(along(times, times, turns), MODEL, p))
+    out = list(filter_frames(along(times, times, flipping), MODEL, p))
+    for a, b in zip(same, out, strict=True):
+        np.testing.assert_allclose(a.links[0, 0, 3:7], b.links[0, 0, 3:7], atol=1e-12)
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_orientations_are_unit_quaternions(method, order, lookahead):
+    turns = np.random.default_rng(4).normal(size=(60, 4))  # neither smooth nor of unit length
+    frames = along(np.arange(60) / 30, np.zeros(60), turns)
+    out = np.array(
+        [
+            f.links[0, 0, 3:7]
+            for f in filter_frames(frames, MODEL, params(method, order, lookahead=lookahead))
+        ]
+    )
+    np.testing.assert_allclose(np.linalg.norm(out, axis=1), 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+def test_angular_velocity_is_in_the_fixed_frame(lookahead):
+    times, tilt = np.arange(60) / 30, np.array([np.sin(0.5), 0, 0, np.cos(0.5)])
+    z, w = turned(2 * times)[:, 2], turned(2 * times)[:, 3]
+    turns = np.stack(
+        [w * tilt[0], z * tilt[0], z * tilt[3], w * tilt[3]], axis=-1
+    )  # about the room's z after a tilt about x
+    out = list(filter_frames(along(times, times, turns), MODEL, params(lookahead=lookahead)))
+    np.testing.assert_allclose(out[40].links[0, 0, 10:13], (0, 0, 2), atol=1e-3)
+    np.testing.assert_allclose(out[40].links[0, 0, 16:19], 0, atol=1e-2)
+    np.testing.assert_allclose(out[40].links[0, 0, 3:7], turns[40], atol=1e-4)
+
+
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_velocity_on_sines_within_10_percent_of_the_peak(method, order):
+    times = np.arange(150) / 30
+    omega = 2 * np.pi * 0.8
+    p = params(method, order, cutoff=6.0)
+    out = run(along(times, np.sin(omega * times)), p, 7)
+    error = (out - omega * np.cos(omega * times))[30:]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * omega
+
+
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_acceleration_on_sines_within_10_percent_of_the_peak(method, order):
+    times = np.arange(150) / 30
+    omega = 2 * np.pi * 0.5
+    p = params(method, order, cutoff=8.0)
+    out = run(along(times, np.sin(omega * times)), p, 13)
+    error = (out + omega**2 * np.sin(omega * times))[30:-15]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * omega**2
+
+
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_varying_sample_times_give_the_same_trajectory(method, order):
+    rng = np.random.default_rng(5)
+    even = np.arange(300) / 60
+    uneven = np.sort(even + rng.uniform(-0.005, 0.005, 300))
+    p = params(method, order, cutoff=4.0, lookahead=1.0)
+    a = run(along(even, np.sin(9 * even)), p)
+    b = run(along(uneven, np.sin(9 * uneven)), p)
+    np.testing.assert_allclose(np.interp(even, uneven, b)[20:-20], a[20:-20], atol=0.01)
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_stable_at_any_mixture_of_sample_times(method, order, lookahead):
+    rng = np.random.default_rng(6)
+    times = np.cumsum(10 ** rng.uniform(-3, 0, 400))
+    out = run(
+        along(times, np.where(rng.random(400) < 0.5, -1.0, 1.0)),
+        params(method, order, lookahead=lookahead, max_gap=1.5, cutoff=3.0),
+    )
+    assert np.abs(out).max() < 20
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_marker_that_is_away_for_5_frames_comes_back_in_place(method, order, lookahead):
+    times = np.arange(60) / 30
+    frames = along(times, 0.5 * times, turned(times))
+    for f in frames[30:35]:
+        f.markers[0, 0] = f.links[0, 0] = np.nan
+    p = params(method, order, lookahead=lookahead, bridge=0.0, cutoff=6.0)
+    out = list(filter_frames(frames, MODEL, p))
+    x = np.array([f.markers[0, 0, 0] for f in out])
+    assert np.isnan(x[30:35]).all() and np.isnan(out[32].links[0, 0]).all()
+    there = [f for k, f in enumerate(out) if not 30 <= k < 35]
+    assert not any(np.isnan(f.links[0, 0, 3:7]).any() for f in there)
+    np.testing.assert_allclose(x[35:], 0.5 * times[35:], atol=0.5 * 0.3)
+    assert np.abs(np.diff(x[35:]) - 0.5 / 30).max() < 0.02
+
+
+@pytest.mark.parametrize("method", ["state_space", "butterworth"])
+def test_short_gap_is_bridged_and_a_long_one_is_not(method):
+    times = np.arange(90) / 30
+    frames = along(times, np.sin(2 * times))
+    for f in frames[20:24] + frames[50:60]:
+        f.markers[0, 0] = f.marker_confidences[0, 0] = np.nan
+    for f in frames[:20]:
+        f.marker_confidences[0, 0] = 0.8
+    out = list(filter_frames(frames, MODEL, params(method, cutoff=6.0, bridge=0.2)))
+    x = np.array([f.markers[0, 0, 0] for f in out])
+    np.testing.assert_allclose(x[20:24], np.sin(2 * times[20:24]), atol=0.02)
+    assert out[21].marker_confidences[0, 0] == 0.4
+    assert np.isnan(x[50:60]).all() and not np.isnan(x[60:]).any()
+
+
+def test_causal_filter_bridges_with_what_it_knows():
+    times = np.arange(40) / 30
+    frames = along(times, 2 * times)
+    for f in frames[30:]:
+        f.markers[0, 0] = np.nan
+    x = run(frames, params(lookahead=0, bridge=0.21))
+    np.testing.assert_allclose(x[30:35], 2 * times[30:35], atol=1e-3)
+    assert np.isnan(x[36:]).all()
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_person_starts_anew_after_a_long_gap(method, order, lookahead):
+    times = np.concatenate([np.arange(30) / 30, 20 + np.arange(30) / 30])
+    values = np.where(times < 10, times, 50.0)
+    p = params(method, order, lookahead=lookahead)
+    out = run(along(times, values), p)
+    np.testing.assert_array_equal(out[:30], run(along(times[:30], values[:30]), p))
+    np.testing.assert_allclose(out[30:], 50.0, atol=1e-9)
+
+
+def test_nothing_waits_over_a_gap():
+    times = [0.0, 0.1, 0.2, 20.0]
+    out = list(filter_frames(along(times, np.zeros(4)), MODEL, params()))
+    assert [(f.log_time - START) // 10**8 for f in out] == [2, 2, 2, 200]
+
+
+def test_untracked_people_pass_unchanged():
+    rng = np.random.default_rng(7)
+    frames = [frame_at(k / 30, rng.normal(size=3), ids=(-1, 3)) for k in range(20)]
+    for before, after in zip(frames, filter_frames(frames, MODEL, params()), strict=True):
+        np.testing.assert_array_equal(before.markers[0], after.markers[0])
+        assert not np.array_equal(before.markers[1], after.markers[1])
+
+
+def test_people_are_independent_and_may_come_and_go():
+    rng = np.random.default_rng(8)
+    both = [frame_at(k / 30, rng.normal(size=3), ids=(1, 2)) for k in range(60)]
+    mixed = [f.select([1, 0]) if k % 2 else f for k, f in enumerate(both)]
+    mixed = [f.select(f.ids == 1) if 20 <= k < 30 else f for k, f in enumerate(mixed)]
+    alone = list(filter_frames([f.select([0]) for f in both], MODEL, params()))
+    out = list(filter_frames(mixed, MODEL, params()))
+    assert [list(f.ids) for f in out] == [list(f.ids) for f in mixed]
+    for a, b in zip(alone, out, strict=True):
+        np.testing.assert_array_equal(a.markers[0], b.markers[b.ids == 1][0])
+
+
+def test_second_row_of_one_id_passes_unchanged_and_is_counted():
+    events = Events()
+    frames = [frame_at(k / 30, (k % 2, 0, 0), ids=(4, 4)) for k in range(9)]
+    out = list(filter_frames(frames, MODEL, params(), events))
+    assert all(f.markers[1, 0, 0] == k % 2 for k, f in enumerate(out))
+    assert events.total("filter: time not increasing") == 9
+
+
+def test_it_does_not_matter_how_frames_are_cut_even_if_an_id_comes_often():
+    frames = []
+    for k in range(64):
+        frame = frame_at(k / 30, (math.sin(k), 0, 0), ids=(4, 4, 4, 4))
+        frame.stamps[:] = frame.stamp + np.arange(4) * 8_000_000
+        frames.append(frame)
+    block = join([(Block.of(frame), 0) for frame in frames])
+    found = frames_of(filter_blocks([block], MODEL))
+    for one, other in zip(filter_frames(frames, MODEL), found, strict=True):
+        np.testing.assert_array_equal(one.markers, other.markers)
+
+
+def test_persons_own_time_counts():
+    times = np.arange(60) / 30
+    late = np.random.default_rng(9).uniform(0, 0.02, 60)
+    frames = along(times, times + late)
+    for f, delay in zip(frames, late, strict=True):
+        f.stamps[0] = f.stamp + round(delay * 1e9)
+    out = run(frames, params(lookahead=0))
+    np.testing.assert_allclose(out, times + late, atol=2e-5)
+
+
+def test_never_changes_its_input_and_repeats_itself():
+    rng = np.random.default_rng(10)
+    frames = [frame_at(k / 30, rng.normal(size=3)) for k in range(40)]
+    frames[7].markers[0, 0] = np.nan
+    copies = [(f.markers.copy(), f.links.copy(), f.log_time) for f in frames]
+    first = list(filter_frames(frames, MODEL, FilterParams()))
+    second = list(filter_frames(frames, MODEL, FilterParams()))
+    for f, (markers, links, log_time) in zip(frames, copies, strict=True):
+        np.testing.assert_array_equal(f.markers, markers)
+        np.testing.assert_array_equal(f.links, links)
+        assert f.log_time == log_time
+    for a, b in zip(first, second, strict=True):
+        assert a.markers.tobytes() == b.markers.tobytes()
+
+
+def test_moving_the_room_moves_the_result():
+    rng = np.random.default_rng(11)
+    points = rng.normal(size=(40, 3))
+    here = [frame_at(k / 30, p, p + np.array((0, 0.3, 0))) for k, p in enumerate(points)]
+    there = [frame_at(k / 30, p + 5, p + np.array((5, 5.3, 5))) for k, p in enumerate(points)]
+    for a, b in zip(filter_frames(here, MODEL), filter_frames(there, MODEL), strict=True):
+        np.testing.assert_allclose(a.markers[0, :, :3] + 5, b.markers[0, :, :3], atol=1e-7)
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+def test_swinging_limb_keeps_its_length(lookahead):
+    times = np.arange(120) / 30
+    hands = 0.3 * np.stack([np.cos(12 * times), np.sin(12 * times), 0 * times], axis=1)
+    frames = [frame_at(t, (0, 0, 0), hand) for t, hand in zip(times, hands, strict=True)]
+
+    def lengths(**others):
+        out = filter_frames(frames, MODEL, FilterParams(lookahead=lookahead, **others))
+        return [np.linalg.norm(f.markers[0, 1, :3] - f.markers[0, 0, :3]) for f in out]
+
+    assert abs(lengths(keep_lengths=False)[60] - 0.3) > 0.001
+    np.testing.assert_allclose(lengths(), 0.3, rtol=0.0025)
+
+
+def test_lengths_are_restored_on_a_graph_with_a_loop_and_missing_ends():
+    links = np.array([[0, 1], [1, 2], [2, 0], [-1, 2], [2, 3]], np.int32)
+    lengths = np.array([[1.0, 1]] * 5)
+    markers = np.full((1, 4, 19), np.nan)
+    markers[0, :3, :3] = [(0, 0, 0), (1.2, 0, 0), (0.5, 0.7, 0)]
+    middle = markers[0, :3, :3].mean(axis=0)
+    restore_lengths(markers, 0, links, lengths, 100, 1e-9)
+    sides = markers[0, [1, 2, 0], :3] - markers[0, :3, :3]
+    np.testing.assert_allclose(np.linalg.norm(sides, axis=1), 1, atol=1e-8)
+    np.testing.assert_allclose(markers[0, :3, :3].mean(axis=0), middle, atol=1e-12)
+    assert np.isnan(markers[0, 3]).all()
+
+
+def test_marker_orientation_and_link_position_are_filtered_too():
+    times = np.arange(60) / 30
+    frames = along(times, times)
+    for f, q, x in zip(frames, turned(times), times, strict=True):
+        f.markers[0, 0, 3:7], f.links[0, 0, :3] = q, (x, 0, 1)
+    out = list(filter_frames(frames, MODEL, params()))
+    np.testing.assert_allclose(out[30].markers[0, 0, 10:13], (0, 0, 1), atol=1e-3)
+    np.testing.assert_allclose(out[30].links[0, 0, 7:10], (1, 0, 0), atol=1e-3)
+
+
+def test_cutoff_is_lowered_where_the_rate_is_too_low_for_it():
+    events = Events()
+    frames = along(np.arange(40) / 5, np.sin(np.arange(40)))
+    out = list(filter_frames(frames, MODEL, params(cutoff=6.0), events))
+    assert events.total("filter: cut-off lowered") > 0
+    assert np.isfinite([f.markers[0, 0, 0] for f in out]).all()
+
+
+def test_no_frames_and_empty_frames():
+    assert list(filter_frames([], MODEL)) == []
+    nobody = [Frame.empty(0, MODEL, stamp=START + k) for k in range(3)]
+    assert [f.stamp for f in filter_frames(nobody, MODEL)] == [f.stamp for f in nobody]
+
+
+@pytest.mark.parametrize("order", [1, 4])
+def test_state_space_is_of_order_2_or_3(order):
+    with pytest.raises(ValidationError, match="2 or 3"):
+        FilterParams(method="state_space", order=order)

@@ -1,0 +1,249 @@
+"""Limb calibration: H31 to H33, H41, and the table of limbs."""
+
+import numpy as np
+import pytest
+
+from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.events import Events
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.stages.limb_calibration import CalibrationParams, Moments, calibrate
+from hiros_mcap.stages.optimize import OptimizeParams, optimize
+
+ARM = SkeletonModel.of(
+    ["shoulder", "elbow", "wrist", "hand"],
+    [("upper arm", 0, 1), ("forearm", 1, 2), ("palm", 2, 3)],
+)
+LENGTHS = np.array([0.30, 0.25, 0.20])
+
+
+def arm_frames(count, sd=0.01, seed=0, ids=(0,), forearm_sd=0.0, rate=30.0, start=0.0):
+    """An arm that turns in space, lengths constant but for the noise of its joints."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        frame = Frame.empty(len(ids), ARM, stamp=int((start + k / rate) * 1e9))
+        frame.ids[:] = ids
+        for row in range(len(ids)):
+            steps = rng.normal(size=(3, 3))
+            steps *= (LENGTHS / np.linalg.norm(steps, axis=1))[:, None]
+            steps[1] *= 1.0 + rng.normal() * forearm_sd
+            frame.markers[row, 1:, :3] = np.cumsum(steps, axis=0)
+            frame.markers[row, 0, :3] = 0.0
+            frame.markers[row, :, :3] += rng.normal(size=(4, 3)) * sd
+        yield frame
+
+
+def notes(events, kind):
+    return [event for event in events.log if event.kind == kind]
+
+
+def lengths(frames, row=0):
+    points = np.array([frame.positions[row] for frame in frames])
+    return np.linalg.norm(np.diff(points, axis=1), axis=2)
+
+
+def test_rigid_arm_is_measured_within_the_error_of_the_mean():  # H31
+    limbs = calibrate(arm_frames(100), ARM).people[0]
+    for name, truth in zip(ARM.link_names, LENGTHS, strict=True):
+        limb = limbs[name]
+        assert abs(limb.length - truth) < 2 * limb.deviation / np.sqrt(100)
+        assert limb.deviation == pytest.approx(0.01 * np.sqrt(2), rel=0.3)
+        assert limb.frames == 100
+
+
+def test_noise_does_not_lengthen_limbs():
+    rng = np.random.default_rng(1)
+    d = np.array([0.1, 0.0, 0.0]) + rng.normal(size=(20000, 3)) * 0.02
+    moments = Moments.of(np.linalg.norm(d, axis=1)[:, None], np.ones((20000, 1)))
+    assert moments.lengths(debias=True)[0][0] == pytest.approx(0.1, abs=5e-4)
+    assert moments.lengths(debias=False)[0][0] == pytest.approx(0.104, abs=5e-4)
+
+
+def test_measurements_count_by_confidence():
+    frames = list(arm_frames(90, sd=0.0))
+    for frame in frames[60:]:
+        frame.markers[0, 3, :3] += 0.01 * (frame.markers[0, 3, :3] - frame.markers[0, 2, :3])
+        frame.marker_confidences[0, 3] = 0.0
+    assert calibrate(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=1e-9)
+
+
+def test_a_few_wild_frames_do_not_matter():
+    frames = list(arm_frames(100, sd=0.001))
+    for frame in frames[::20]:
+        frame.markers[0, 3, :3] += 1.0
+    assert calibrate(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=0.002)
+
+
+def test_noisy_forearm_is_rejected_by_name():  # H32
+    events = Events()
+    assert not calibrate(arm_frames(100, forearm_sd=0.4), ARM, events=events).people
+    (note,) = notes(events, "calibration rejected")
+    assert (note.person, note.detail) == (0, "forearm varies too much")
+
+
+def test_rejected_person_is_tried_again():
+    noisy = arm_frames(110, forearm_sd=0.4)
+    events = Events()
+    frames = [*noisy, *arm_frames(250, start=4.0)]
+    list(optimize(frames, ARM, OptimizeParams(lookahead=3.0), events))
+    assert notes(events, "calibration rejected")
+    assert notes(events, "limbs calibrated")
+
+
+def test_frames_before_the_calibration_get_the_same_lengths():
+    frames = list(optimize(arm_frames(600), ARM))
+    spread = lengths(frames).std(axis=0) / lengths(frames).mean(axis=0)
+    assert spread.max() < 0.005
+    assert lengths(frames)[0] == pytest.approx(LENGTHS, abs=0.004)
+
+
+def test_refinement_moves_little_and_towards_the_truth():
+    early, late = arm_frames(100, sd=0.0), arm_frames(900, sd=0.0, start=4.0)
+    late = [frame.replace(markers=frame.markers * 1.005) for frame in late]
+    frames = list(optimize([*early, *late], ARM, OptimizeParams(lookahead=3.4)))
+    result = lengths(frames) / LENGTHS
+    assert result[50] == pytest.approx(1.0, abs=1e-3)
+    assert result[-1] == pytest.approx(1.0045, abs=1e-3)
+    assert np.abs(np.diff(result, axis=0)).max() < 1e-3
+
+
+@pytest.mark.parametrize("lookahead", [0.0, 1.0, 10.0])
+def test_no_frame_is_lost_or_overtaken(lookahead):
+    frames = [*arm_frames(40), *arm_frames(40, ids=(0, 1), start=2.0), *arm_frames(9, ids=())]
+    result = list(optimize(frames, ARM, OptimizeParams(lookahead=lookahead)))
+    assert [frame.stamp for frame in result] == [frame.stamp for frame in frames]
+
+
+def test_frames_are_held_back_no_longer_than_the_lookahead():
+    pulled = []
+    source = (pulled.append(frame.stamp) or frame for frame in arm_frames(300))
+    stage = optimize(source, ARM, OptimizeParams(lookahead=2.0))
+    first = next(stage)
+    assert pulled[-1] - first.stamp == pytest.approx(2e9, abs=1e9 / 30)
+
+
+def test_somebody_who_left_is_not_waited_for():
+    frames = [*arm_frames(60, ids=(7,)), *arm_frames(300, ids=(), start=2.0)]
+    pulled = []
+    stage = optimize((pulled.append(f.stamp) or f for f in frames), ARM)
+    next(stage)
+    assert pulled[-1] < 5e9
+
+
+def test_too_short_a_visit_passes_unchanged():  # H41
+    frames, events = list(arm_frames(20)), Events()
+    result = list(optimize(frames, ARM, events=events))
+    assert all(
+        a.markers.tobytes() == b.markers.tobytes() for a, b in zip(frames, result, strict=True)
+    )
+    assert notes(events, "calibration rejected")[0].detail == "20 frames are too few"
+
+
+def test_without_lookahead_frames_change_once_calibrated():
+    frames = list(arm_frames(150))
+    result = list(optimize(frames, ARM, OptimizeParams(lookahead=0.0)))
+    same = [
+        np.array_equal(a.markers, b.markers, equal_nan=True)
+        for a, b in zip(frames, result, strict=True)
+    ]
+    assert same == [True] * 99 + [False] * 51
+
+
+def test_windows_choose_the_frames():
+    frames = [*arm_frames(60, sd=0.0), *arm_frames(60, sd=0.0, start=2.0)]
+    frames[60:] = [frame.replace(markers=frame.markers * 1.1) for frame in frames[60:]]
+    params = CalibrationParams(calibration_windows=((2.0, 5.0),))
+    assert calibrate(frames, ARM, params).people[0]["palm"].length == pytest.approx(0.22)
+
+
+def test_two_passes_give_strictly_constant_lengths():
+    params = OptimizeParams(calibration="two-pass")
+    assert lengths(optimize(arm_frames(200), ARM, params)).std(axis=0).max() < 2e-4
+
+
+def test_off_leaves_everybody_alone():
+    frames = list(arm_frames(120))
+    result = optimize(frames, ARM, OptimizeParams(calibration="off"))
+    for before, after in zip(frames, result, strict=True):
+        assert np.shares_memory(before.markers, after.markers)
+        np.testing.assert_array_equal(before.markers, after.markers)
+
+
+def test_second_session_loads_and_gives_identical_output(tmp_path):  # H33
+    frames, limbs = list(arm_frames(120)), LimbTable()
+    first = list(optimize(frames, ARM, OptimizeParams(refine=False), limbs=limbs))
+    limbs.save(tmp_path / "limbs.toml")
+    second = optimize(frames, ARM, limbs=LimbTable.load(tmp_path / "limbs.toml"))
+    assert all(
+        a.markers.tobytes() == b.markers.tobytes() for a, b in zip(first, second, strict=True)
+    )
+
+
+def test_loaded_limbs_follow_a_renamed_person():
+    limbs = calibrate(arm_frames(100), ARM).rename({0: 5})
+    assert list(limbs.people) == [5]
+    result = list(optimize(arm_frames(3, ids=(5,)), ARM, limbs=limbs))
+    assert lengths(result)[0] == pytest.approx(limbs.lengths(5, ARM), abs=1e-4)
+
+
+def test_symmetric_links_share_their_length():
+    names = ["NECK", "SHOULDER_LEFT", "SHOULDER_RIGHT"]
+    model = SkeletonModel.of(names, [("left", 0, 1), ("right", 0, 2)])
+    frames = [Frame.empty(1, model, stamp=k * 33_000_000) for k in range(100)]
+    for frame in frames:
+        frame.ids[:] = 0
+        frame.markers[0, :, :3] = [[0, 0, 0], [0.2, 0, 0], [-0.22, 0, 0]]
+    limbs = calibrate(frames, model, CalibrationParams(symmetric=True)).people[0]
+    assert limbs["left"].length == pytest.approx(0.21) == limbs["right"].length
+
+
+def test_links_without_a_name_of_their_own_go_by_id():
+    model = SkeletonModel.of("abcd", [("", 0, 1), ("x", 1, 2), ("x", 2, 3)])
+    assert link_keys(model) == ("link 0", "link 1", "link 2")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("person = 3", "expects tables"),
+        ("[person.x.palm]\nlength = 1", "'x' is not an id"),
+        ("[person.0.palm]\nlength = -1", "person 0: palm: length -1 m is not positive"),
+        ("[person.0.palm]\nlength = 'long'", "person 0: palm: expects numbers"),
+        ("[person.0.palm]\nheight = 1", "person 0: palm: expects length"),
+        ("[person.0]\npalm = 1", "person 0: palm: expects length"),
+        ("[[", "not a TOML file"),
+    ],
+)
+def test_bad_limb_file_names_file_and_link(tmp_path, text, message):
+    path = tmp_path / "limbs.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message) as error:
+        LimbTable.load(path)
+    assert str(path) in str(error.value)
+
+
+def test_missing_limb_file_is_an_error_that_names_it(tmp_path):
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: No such file"):
+        LimbTable.load(tmp_path / "nowhere.toml")
+    with pytest.raises(ConfigError, match="No such file"):
+        LimbTable().save(tmp_path / "nowhere" / "limbs.toml")
+
+
+def test_limb_of_another_model_is_an_error_that_names_it():
+    limbs = LimbTable({0: {"tail": Limb(0.3)}}, "cat.toml")
+    with pytest.raises(ConfigError, match=r"cat\.toml: person 0: this log has no link 'tail'"):
+        next(optimize(arm_frames(1), ARM, limbs=limbs))
+
+
+def test_renaming_onto_somebody_is_an_error():
+    limbs = LimbTable({0: {}, 1: {}})
+    assert list(limbs.rename({0: 1, 1: 0}).people) == [1, 0]
+    with pytest.raises(ConfigError, match="two people would have id 1"):
+        limbs.rename({0: 1})
+    with pytest.raises(ConfigError, match="no person 9"):
+        limbs.rename({9: 1})
+
+
+def test_window_must_not_end_before_it_starts():
+    with pytest.raises(ValueError, match="start must precede end"):
+        CalibrationParams(calibration_windows=((3.0, 2.0),))

@@ -1,0 +1,126 @@
+"""``hiros compare``: a page with plots, and all systems overlaid in the viewer."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hiros_mcap.config import load_config
+from hiros_mcap.evaluate import comparison
+from hiros_mcap.evaluate import comparison_tables as tables
+from hiros_mcap.evaluate.comparison import Entry, Outcome
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.observe import DETECTIONS
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_viewer.blueprint import blueprint
+from hiros_viewer.figures import SPREAD, TRUTH, new_figure, tidy
+from hiros_viewer.page import Page
+from hiros_viewer.replay import content_of, describe, in_time_order
+from hiros_viewer.scene import Scene
+from hiros_viewer.show import save
+
+if TYPE_CHECKING:
+    import rerun as rr
+    from matplotlib.figure import Figure
+
+
+def comparison_page(outcomes: Sequence[Outcome], study: str) -> Page:
+    """Page with the ranked tables, a plot, and the orders of the papers."""
+    page = Page("Systems compared")
+    orderings = list(comparison.check_orderings(outcomes))
+    if study == "cameras":
+        table = comparison.by_number_of_cameras(outcomes)
+        header, rows = tables.camera_rows(table)
+        page.heading("Number of cameras")
+        page.table(header, rows, "Mean joint error (SD), mm, mean over all subsets")
+        page.figure(_camera_figure(table), "Mean joint error by number of cameras")
+        orderings = list(comparison.camera_orderings(table))
+    else:
+        for log in dict.fromkeys(o.log for o in outcomes):
+            mine = [o for o in outcomes if o.log == log]
+            page.heading(log)
+            page.table(*tables.ranked(mine), "Best first; mm, degrees, ms")
+            page.figure(_bars(mine), "Error; the line is its standard deviation")
+        if study == "malaguti":
+            page.heading("Malaguti 2019, Table I")
+            page.table(tables.MALAGUTI_HEADER, tables.malaguti_rows(outcomes), "cm")
+        if study in ("lee", "radius"):
+            page.heading("Lee 2022")
+            page.table(tables.LEE_HEADER, tables.lee_rows(outcomes), "mm [paper]")
+    if orderings:
+        page.heading("Orders that the papers report")
+        page.table(
+            ["order", "", "here"],
+            [[o.text, "holds" if o.holds else "does not hold", o.detail] for o in orderings],
+        )
+    return page
+
+
+def _bars(outcomes: Sequence[Outcome]) -> Figure:
+    ordered = sorted(outcomes, key=lambda o: -o.rank)
+    figure = new_figure(8, 0.32 * len(ordered) + 0.9)
+    axes = figure.subplots()
+    spread = [0.0 if o.scores is None else o.scores.deviation for o in ordered]
+    axes.barh(
+        [o.name for o in ordered],
+        [o.rank for o in ordered],
+        xerr=spread if any(spread) else None,
+        color=TRUTH,
+        ecolor=SPREAD,
+    )
+    axes.set(xlabel="mm", xlim=(0, None))
+    tidy(axes)
+    return figure
+
+
+def _camera_figure(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
+    figure = new_figure(7, 3.4)
+    axes = figure.subplots()
+    for name, row in table.items():
+        sizes = sorted(row)
+        axes.plot(sizes, [row[size][0] for size in sizes], marker="o", label=name)
+    axes.set(xlabel="cameras", ylabel="mm", ylim=(0, None))
+    axes.set_xticks(sorted({size for row in table.values() for size in row}))
+    axes.legend(frameon=False)
+    tidy(axes)
+    return figure
+
+
+def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
+    """Write a recording with the last stage of every system, each a tree of its own."""
+
+    def draw(recording: rr.RecordingStream) -> None:
+        scenes, prefixes = [], []
+        with tempfile.TemporaryDirectory() as folder:
+            for k, entry in enumerate(entries):
+                out = Path(folder) / f"{k}.mcap"
+                config = load_config(None, entry.assignments, "default", entry.system)
+                options = ProcessOptions(system=entry.system, stages=entry.stages)
+                process(log, out, config=config, options=options)
+                prefixes.append("/" + "".join(c if c.isalnum() else "_" for c in entry.name))
+                scenes.append(_draw_one(recording, out, prefixes[-1], (k, entry.name)))
+        content = content_of(scenes, prefixes)
+        recording.send_blueprint(blueprint(content))
+
+    save(target, log.name, draw)
+
+
+def _draw_one(
+    recording: rr.RecordingStream, out: Path, prefix: str, team: tuple[int, str]
+) -> Scene:
+    with open_log(out, topics=["*"], output_prefix="/none") as opened:
+        source = describe(opened)
+        final = source.stages[-1]
+        # Whatever a system's last stage is called: here it is the one that layouts show.
+        scene = Scene(recording, source.model, final="filtered", prefix=prefix, team=team)
+        if team[0] == 0:
+            scene.begin(source.cameras)
+        for kind, frame in in_time_order(opened):
+            if kind == DETECTIONS and team[0] == 0:
+                scene.detections(source.names[frame.source], frame)
+            elif kind == final:
+                scene.stage("filtered", frame)
+        scene.finish()
+        return scene
