@@ -19,7 +19,7 @@ from pydantic import Field, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.params import Params
+from hiros_mcap.params import Params, explain
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
 from hiros_mcap.stages.filter import FilterParams
@@ -30,7 +30,6 @@ from hiros_mcap.stages.optimize import OptimizeParams
 from hiros_mcap.stages.predict import PredictParams
 from hiros_mcap.stages.straighten import StraightenParams
 from hiros_mcap.stages.track import TrackParams
-from hiros_mcap.validation import explain
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""

@@ -11,46 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from hiros_mcap.kernels.gathering import gather
 from hiros_mcap.skeletons import (
-    BOX,
-    STATE,
-    Floats,
     Frame,
-    Ints,
+    People,
     Stage,
     Stamps,
 )
-
-
-class People(NamedTuple):
-    """Arrays of P people, each as a :class:`Frame` has it; C-contiguous."""
-
-    ids: Ints
-    stamps: Stamps
-    confidences: Floats
-    markers: Floats
-    marker_confidences: Floats
-    links: Floats
-    link_confidences: Floats
-    boxes: Floats
-
-    @classmethod
-    def room(cls, n_people: int, n_markers: int, n_links: int) -> People:
-        """Arrays whose contents are still to come."""
-        p, m, n = n_people, n_markers, n_links
-        shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
-        numbers = [np.empty(shape) for shape in shapes]
-        return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
-
-    def at(self, rows: Any) -> People:
-        """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
-        return People(*[array[rows] for array in self])
-
 
 _PEOPLE = attrgetter(*People._fields)
 

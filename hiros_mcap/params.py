@@ -1,15 +1,40 @@
-"""The base of every stage's parameters."""
+"""The base of every stage's parameters, and what is wrong with them in one line."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+_UNKNOWN = "extra_forbidden"
+_PLAIN = {_UNKNOWN: "there is no such key", "missing": "is missing"}
 
 
 class Params(BaseModel):
     """Immutable, validated parameters of one stage; each field carries its documentation.
 
     A subclass gives every field a default that works on an unknown log, its unit and the source
-    of the number (a paper's section, or what was measured) in ``Field(description=...)``.
+    of the number (a paper's section, or what was measured) in ``Field(description=...)``, and marks
+    what only an expert changes with :func:`advanced` in place of ``Field``.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
+
+
+def advanced(default: Any, **options: Any) -> Any:
+    """Return a Field that ``hiros config`` shows only with ``--all``."""
+    return Field(default, json_schema_extra={"advanced": True}, **options)
+
+
+def explain(error: ValidationError) -> tuple[list[str], str]:
+    """Return where the first fault is (names from the outside in) and what is wrong there."""
+    faults = error.errors(include_url=False)
+    # A name that does not exist comes first: another one may be missing only because of it.
+    fault = next((f for f in faults if f["type"] == _UNKNOWN), faults[0])
+    where = [str(part) for part in fault["loc"]]
+    if fault["type"] in _PLAIN:
+        return where, _PLAIN[fault["type"]]
+    message = fault["msg"].replace("Input should", "should").replace("Value error, ", "")
+    given = fault["input"]
+    return where, message if isinstance(given, Mapping | BaseModel) else f"{message}, is {given!r}"

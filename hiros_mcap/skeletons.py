@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -89,6 +89,42 @@ class SkeletonModel:
             max_markers=len(names),
             max_links=len(rows),
         )
+
+
+class People(NamedTuple):
+    """Arrays of P people, M markers, L links; C-contiguous. NaN means absent.
+
+    Kernels take it as it is (``kernels.compile.PEOPLE``).
+    """
+
+    ids: Ints
+    """(P,) person, UNTRACKED (-1) where unknown."""
+    stamps: Stamps
+    """(P,) source time per person, ns; 0 = not given."""
+    confidences: Floats
+    """(P,) 0..1, NaN = not given."""
+    markers: Floats
+    """(P, M, 19) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2."""
+    marker_confidences: Floats
+    """(P, M) 0..1, NaN = not given."""
+    links: Floats
+    """(P, L, 19) KinematicState of each link."""
+    link_confidences: Floats
+    """(P, L) 0..1, NaN = not given."""
+    boxes: Floats
+    """(P, 22) bounding box: KinematicState of its centre, then height, length, width."""
+
+    @classmethod
+    def room(cls, n_people: int, n_markers: int, n_links: int) -> People:
+        """Arrays whose contents are still to come."""
+        p, m, n = n_people, n_markers, n_links
+        shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
+        numbers = [np.empty(shape) for shape in shapes]
+        return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
+
+    def at(self, rows: Any) -> People:
+        """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
+        return People(*[array[rows] for array in self])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

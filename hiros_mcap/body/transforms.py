@@ -24,8 +24,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.kernels.transforming import move
+from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.validation import explain
 
 _DENORMALISED = 1e-3
 _ZERO = 1e-6

@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.errors import LogError
-from hiros_mcap.frames import Block, People
+from hiros_mcap.frames import Block
 from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout, check_schema
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
-from hiros_mcap.skeletons import BOX, STATE, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import BOX, STATE, Floats, Frame, People, SkeletonModel, Stamps
 
 __all__ = [
     "PUBLISHED",

@@ -25,7 +25,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.body.transforms import Mover, TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError
-from hiros_mcap.frames import Block, People, frames_of
+from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.bags import BagReader, kind_of
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
@@ -46,7 +46,7 @@ from hiros_mcap.io.codec import (
 from hiros_mcap.io.container import McapReader, Message, Records
 from hiros_mcap.io.layout import Layout
 from hiros_mcap.kernels.record_index import CHANNEL, START, STOP
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, People, SkeletonModel
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"

@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from hiros_mcap.kernels.bytes import copy, kernel
+from hiros_mcap.kernels.bytes import copy
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.tracking import exponential, multiply
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 

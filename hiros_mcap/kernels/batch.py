@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 
-from hiros_mcap.kernels.bytes import kernel
 from hiros_mcap.kernels.cdr import COUNT, FRAME, FRAME_END, OK, decode, read_header
 from hiros_mcap.kernels.cleaning import clean
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.transforming import move
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 

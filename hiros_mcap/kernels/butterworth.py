@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.filtering import (
     AGE,
     BEND,

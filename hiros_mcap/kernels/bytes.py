@@ -6,35 +6,12 @@ in bytes, and nothing is checked: the caller knows that the bytes are there.
 
 from __future__ import annotations
 
-from functools import partial
-from types import FunctionType
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
-
-# Without numba's reference counts, which kernels that make no arrays have no use for, the code is
-# four times as fast.
-_njit: Any = partial(njit, cache=True, nogil=True, error_model="numpy", _nrt=False)
-
-
-def kernel(signature: Any, **options: Any) -> Any:
-    """Compile a function that makes no arrays: ``@kernel``, or ``@kernel(signature)``.
-
-    A private one cannot be called from Python (the process would die of it), only from kernels: to
-    make them callable, too, would take an eighth of the time that compiling all of them takes.
-    """
-    if isinstance(signature, FunctionType):
-        private = signature.__name__.startswith("_")
-        return _njit(no_cpython_wrapper=private, no_cfunc_wrapper=private)(signature)
-    return _njit(signature, **options)
-
-
-def named_tuple(kind: type[Any], *fields: Any) -> Any:
-    """Return numba's type of a NamedTuple, for signatures, from those of its fields."""
-    return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, offset: Any) -> Any:

@@ -25,7 +25,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 
-from hiros_mcap.kernels.bytes import copy, kernel, load32, load64, swap32, swap64, to_double
+from hiros_mcap.kernels.bytes import copy, load32, load64, swap32, swap64, to_double
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 OK = 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Floats, Stamps
 
 LIMIT = 1e4

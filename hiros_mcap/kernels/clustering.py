@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from hiros_mcap.kernels.averaging import mean_people
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.tracking import norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 

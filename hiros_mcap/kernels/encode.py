@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.bytes import copy, kernel, store32, store64
+from hiros_mcap.kernels.bytes import copy, store32, store64
 from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 # Faults of a frame.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from hiros_mcap.kernels.bytes import copy, kernel
+from hiros_mcap.kernels.bytes import copy
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 

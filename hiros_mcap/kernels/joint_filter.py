@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 # Columns of ``numbers``.

@@ -23,7 +23,7 @@ from hiros_mcap.kernels.averaging import (
     mean_people,
     mean_turn,
 )
-from hiros_mcap.kernels.bytes import kernel, named_tuple
+from hiros_mcap.kernels.compile import kernel, named_tuple
 from hiros_mcap.kernels.tracking import angle_of, norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 

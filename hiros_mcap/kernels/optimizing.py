@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit, types
 
-from hiros_mcap.kernels.bytes import kernel, named_tuple
+from hiros_mcap.kernels.compile import kernel, named_tuple
 from hiros_mcap.skeletons import Floats, Ints
 
 # Weights of an outlier's position and of its links' directions: just enough to make its place

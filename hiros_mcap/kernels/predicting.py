@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Floats
 
 _DERIVATIVES = (7, 13)  # first columns of velocity and acceleration in a KinematicState

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 # What may be wrong with a detection.

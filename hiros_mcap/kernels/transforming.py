@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiros_mcap.kernels.bytes import kernel
+from hiros_mcap.kernels.compile import kernel
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -31,7 +31,7 @@ from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.outputs import check_outputs
-from hiros_mcap.params import Params
+from hiros_mcap.params import Params, explain
 from hiros_mcap.regression.differences import Divergence, compare_logs
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import (
@@ -43,7 +43,6 @@ from hiros_mcap.regression.metrics import (
 )
 from hiros_mcap.regression.tolerances import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
-from hiros_mcap.validation import explain
 from hiros_mcap.workers import run_tasks
 
 Status = Literal["equal", "different", "error"]

@@ -9,8 +9,7 @@ from typing import Any
 from pydantic import Field, NonNegativeFloat, ValidationError
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.params import Params
-from hiros_mcap.validation import explain
+from hiros_mcap.params import Params, explain
 
 SUFFIX = ".tolerances.toml"
 

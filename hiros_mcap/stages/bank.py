@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 
-class Bank:
+class ArrayBank:
     """Arrays with a row per person; rows are reused, and more are made when none is left.
 
     A subclass names its arrays in ``ARRAYS`` and makes them, with no rows.
@@ -36,4 +36,66 @@ class Bank:
             bigger = np.zeros((size, *array.shape[1:]), array.dtype)
             bigger[:old] = array
             setattr(self, name, bigger)
+        self._free += range(size - 1, old - 1, -1)
+
+
+P = TypeVar("P", bound=NamedTuple)
+
+
+class Bank(Generic[P]):
+    """What a stage remembers of people: a NamedTuple of arrays with a row per person.
+
+    Kernels take ``past`` and rows. Rows are reused, and more are made when none is left; whoever
+    was not seen for a while is forgotten.
+
+    Parameters
+    ----------
+    empty : the arrays with no rows.
+    forget_after : s without a sighting after which :meth:`expire` forgets a person.
+    """
+
+    def __init__(self, empty: P, forget_after: float = 10.0) -> None:
+        self.past = empty
+        self.rows: dict[int, int] = {}
+        """Person to row."""
+        self.last_seen: dict[int, int] = {}
+        """Person to the latest time of a sighting, ns."""
+        self._patience = round(forget_after * 1e9)
+        self._free: list[int] = []
+
+    def row(self, person: int, stamp: int) -> int:
+        """Row of a person who is seen at ``stamp``, ns; a new person's holds zeros."""
+        if person not in self.rows:
+            if not self._free:
+                self._add_rows()
+            self.rows[person] = self._free.pop()
+            self._clear(self.rows[person])
+        self.last_seen[person] = max(stamp, self.last_seen.get(person, stamp))
+        return self.rows[person]
+
+    def expire(self, now: int) -> list[int]:
+        """Forget those who were not seen for long enough at ``now``, ns; return who they were."""
+        gone = [p for p, stamp in self.last_seen.items() if now - stamp > self._patience]
+        for person in gone:
+            self.forget(person)
+        return gone
+
+    def forget(self, person: int) -> None:
+        """Free the row of a person, if there is one."""
+        if person in self.rows:
+            self._free.append(self.rows.pop(person))
+            del self.last_seen[person]
+
+    def _clear(self, row: int) -> None:
+        for array in self.past:
+            array[row] = 0
+
+    def _add_rows(self) -> None:
+        old = len(self.past[0])
+        size = max(8, 2 * old)
+        grown = []
+        for array in self.past:
+            grown.append(np.zeros((size, *array.shape[1:]), array.dtype))
+            grown[-1][:old] = array
+        self.past = self.past._make(grown)
         self._free += range(size - 1, old - 1, -1)

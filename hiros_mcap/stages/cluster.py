@@ -18,7 +18,7 @@ from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.bank import ArrayBank
 from hiros_mcap.stages.instants import Instant, Views, instants
 
 LEE_JOINTS = (
@@ -141,7 +141,7 @@ def pairs_of(model: SkeletonModel) -> Ints:
     return np.array(rows, np.int32).reshape(-1, 2)
 
 
-class _Past(Bank):
+class _Past(ArrayBank):
     """Where each person was last."""
 
     ARRAYS = ("seen", "positions")

@@ -19,11 +19,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, People, frames_of, join, most_often
+from hiros_mcap.frames import Block, Part, frames_of, join, most_often
 from hiros_mcap.kernels import filtering as _filters
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.bank import Bank
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel
+from hiros_mcap.stages.bank import ArrayBank
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
@@ -231,7 +231,7 @@ class _Person:
     """The step that is estimated next."""
 
 
-class _Bank(Bank):
+class _Bank(ArrayBank):
     """The filters of all people."""
 
     ARRAYS = ("now", "ring", "times", "lengths")

@@ -19,7 +19,7 @@ from hiros_mcap.skeletons import (
     Frame,
     SkeletonModel,
 )
-from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.bank import ArrayBank
 
 
 class KalmanParams(Params):
@@ -82,7 +82,7 @@ class KalmanParams(Params):
     )
 
 
-class _Filters(Bank):
+class _Filters(ArrayBank):
     """The filters of all people."""
 
     ARRAYS = ("states", "known", "_history", "_filled", "_strikes")

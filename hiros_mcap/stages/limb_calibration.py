@@ -25,10 +25,10 @@ from pydantic import Field, model_validator
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, People
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
 
 _SECOND = 1_000_000_000
 _GONE = _SECOND  # unseen for so long, a person has left and nothing is gained by waiting

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, People, frames_of, join, most_often
+from hiros_mcap.frames import Block, Part, frames_of, join, most_often
 from hiros_mcap.kernels import merging as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import (
@@ -27,10 +27,11 @@ from hiros_mcap.skeletons import (
     VELOCITY,
     Floats,
     Frame,
+    People,
     SkeletonModel,
     Stamps,
 )
-from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.bank import ArrayBank
 from hiros_mcap.stages.instants import Instant, Instants, Views
 
 
@@ -118,7 +119,7 @@ class MergeParams(Params):
     )
 
 
-class _Bank(Bank):
+class _Bank(ArrayBank):
     """Where each person was last merged, and the cameras' offsets."""
 
     ARRAYS = (

@@ -39,9 +39,9 @@ from pydantic import Field
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, People, frames_of, join
+from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels import optimizing as kernels
-from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, SkeletonModel
+from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, People, SkeletonModel
 from hiros_mcap.stages.elimination import outward, plan
 from hiros_mcap.stages.limb_calibration import Calibration, CalibrationParams, calibrate
 

@@ -27,7 +27,7 @@ from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.bank import ArrayBank
 from hiros_mcap.stages.coverage import Coverage
 
 Indices = npt.NDArray[np.intp]
@@ -196,7 +196,7 @@ class _Track:
         return self.person != UNTRACKED and len(self.evidence.reports) > 1
 
 
-class _Bank(Bank):
+class _Bank(ArrayBank):
     """Motion of all tracks."""
 
     ARRAYS = ("motion", "spread", "turn", "spin", "turn_spread", "seen", "turn_seen")

@@ -101,8 +101,8 @@ def simulate(
 def _params(given: dict[str, Any]) -> SimulateParams:
     from pydantic import ValidationError
 
+    from hiros_mcap.params import explain
     from hiros_mcap.simulate import SimulateParams
-    from hiros_mcap.validation import explain
 
     if "rate" in given:
         given["rig"] = {"rate": given.pop("rate")}
