@@ -52,7 +52,7 @@ class BagReader(McapReader):
     Raises
     ------
     LogError
-        the bag is damaged or holds no skeletons, or the rosbags library is not installed.
+        the bag is damaged or holds no skeletons.
     """
 
     def __init__(self, path: Path, kind: str) -> None:
@@ -113,12 +113,8 @@ def _as_is(data: bytes, _: str) -> bytes:
 @contextmanager
 def _readable(path: Path, kind: str) -> Iterator[Any]:
     """Open a bag; whatever rosbags has to say against it becomes one LogError."""
-    try:
-        from rosbags.highlevel import AnyReader
-    except ImportError:
-        raise LogError(
-            f"is {kind}; to read it: pip install 'hiros-mcap[bags]'", path=path
-        ) from None
+    from rosbags.highlevel import AnyReader
+
     # SQLite bags of before 2023 do not say what their messages look like.
     name = hiros_schemas.SKELETON_GROUP
     types = _ros2_types({name: hiros_schemas.text(name)})

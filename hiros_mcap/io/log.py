@@ -453,8 +453,8 @@ def open_log(
 
     Parameters
     ----------
-    path : an MCAP file, a ROS 1 bag, a SQLite bag (.db3), or a rosbag2 folder. All but MCAP need
-        the extra hiros-mcap[bags], and are rewritten into a temporary file first.
+    path : an MCAP file, a ROS 1 bag, a SQLite bag (.db3), or a rosbag2 folder. All but MCAP
+        are rewritten into a temporary file first.
     topics : globs of the skeleton channels to read (see channels.select_skeletons).
     extrinsics : file with the cameras' poses, instead of /tf_static and /tf.
     fixed_frame : frame of the results, instead of the root of the transforms.

@@ -183,9 +183,6 @@ AGAIN = [
 def test_what_hiros_wrote_is_replaced_by_the_next_run(
     command: str, lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("matplotlib")
-    if ".rrd" in command:
-        pytest.importorskip("rerun")
     monkeypatch.chdir(lab)
     before = {path.name for path in lab.iterdir()}
     assert run(command.split()) == 0

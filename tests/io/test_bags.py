@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -206,12 +205,3 @@ def test_a_bag_cut_short_is_an_error(bag: Path) -> None:
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(LogError, match="cannot be read"):
         open_log(bag)
-
-
-def test_without_rosbags_it_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "lab.bag").write_bytes(b"#ROSBAG V2.0\n")
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(LogError, match=r"pip install 'hiros-mcap\[bags\]'"):
-        open_log(tmp_path / "lab.bag")

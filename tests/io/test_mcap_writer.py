@@ -86,7 +86,8 @@ def test_the_statistics_count_what_is_there(out):
 
 
 def test_rosbags_reads_what_was_written(out):
-    highlevel = pytest.importorskip("rosbags.highlevel")
+    from rosbags import highlevel
+
     with McapWriter(out) as writer:
         channel = add_skeleton_channel(writer, "/hiros/tracked")
         for k in range(5):

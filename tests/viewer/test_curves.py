@@ -15,7 +15,6 @@ from hiros_mcap.running.pipeline import process
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
-pytest.importorskip("matplotlib")
 
 from hiros_viewer import curves  # noqa: E402
 from hiros_viewer.figures import with_gaps  # noqa: E402

@@ -6,19 +6,19 @@ import re
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from hiros_mcap.errors import LogError
 from hiros_viewer.page import Page
 
 
 def page() -> Page:
-    figure_module = pytest.importorskip("matplotlib.figure")
     result = Page("A <title> & more")
     result.heading("Errors")
     result.text("per joint")
     result.table(["joint", "mm"], [["<wrist>", "1.0"]], caption="Table")
     for _ in range(2):
-        figure = figure_module.Figure()
+        figure = Figure()
         figure.subplots().plot([0, 1], [0, 1], marker="o")
         result.figure(figure, "A line")
     return result

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from viewers import need_rerun
 
 from hiros_cli.app import run
 from hiros_mcap.body.angles import flexions
@@ -33,7 +32,6 @@ def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def recording(processed: Path) -> Path:
-    need_rerun()
     target = processed.with_suffix(".rrd")
     assert run(["view", str(processed), "--save", str(target), "--quiet"]) == 0
     return target
@@ -91,7 +89,6 @@ def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Pat
 
 
 def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -> None:
-    need_rerun()
     from hiros_viewer import show
     from hiros_viewer.scene import Scene
 
@@ -200,7 +197,6 @@ def test_the_tree(recording: Path) -> None:
 
 
 def test_a_time_range(processed: Path, tmp_path: Path) -> None:
-    need_rerun()
     target = tmp_path / "part.rrd"
     arguments = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q"]
     assert run(arguments) == 0
@@ -212,7 +208,6 @@ def test_a_time_range(processed: Path, tmp_path: Path) -> None:
 
 
 def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Path) -> None:
-    need_rerun()
     from hiros_mcap.config import load_config
 
     other, target = tmp_path / "other.mcap", tmp_path / "both.rrd"
@@ -230,7 +225,6 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
 
 
 def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
-    need_rerun()
     target = tmp_path / "raw.rrd"
     assert run(["view", str(CROSSING), "--save", str(target), "-q", "--layout", "cameras"]) == 0
     assert "/detections/camera_1" in entities(target)
@@ -238,7 +232,6 @@ def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
 
 
 def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
-    need_rerun()
     from hiros_viewer.replay import describe, in_time_order
     from hiros_viewer.scene import Scene
     from hiros_viewer.show import new_recording
@@ -275,7 +268,6 @@ def test_faults_are_one_line_and_leave_no_file(
     arguments: list[str],
     fault: str,
 ) -> None:
-    need_rerun()
     given = [a.format(log=processed) for a in arguments]
     assert run(["view", *given, "--save", str(tmp_path / "a.rrd")]) == 2
     captured = capsys.readouterr()
@@ -285,7 +277,6 @@ def test_faults_are_one_line_and_leave_no_file(
 
 
 def test_a_file_that_is_no_recording_is_not_replaced(processed: Path, tmp_path: Path) -> None:
-    need_rerun()
     precious = tmp_path / "thesis.txt"
     precious.write_text("words")
     assert run(["view", str(processed), "--save", str(precious)]) == 2
@@ -293,21 +284,12 @@ def test_a_file_that_is_no_recording_is_not_replaced(processed: Path, tmp_path: 
 
 
 def test_nothing_listens_where_it_should_connect() -> None:
-    need_rerun()
     from hiros_viewer.show import connect, free_port
 
     with pytest.raises(ConfigError, match="no viewer at"):
         connect(f"rerun+http://127.0.0.1:{free_port()}/proxy", "x", lambda recording: None)
     with pytest.raises(ConfigError, match="not of the form"):
         connect("http://127.0.0.1", "x", lambda recording: None)
-
-
-def test_without_rerun_the_command_that_installs_it_is_printed(
-    processed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("hiros_viewer.show.find_spec", lambda name: None)
-    assert run(["view", str(processed)]) == 2
-    assert "pip install 'hiros-mcap[viewer]'" in capsys.readouterr().err
 
 
 def test_a_damaged_list_of_events_is_told(processed: Path) -> None:
@@ -320,7 +302,6 @@ def test_a_damaged_list_of_events_is_told(processed: Path) -> None:
 
 
 def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
-    need_rerun()
     target = tmp_path / "systems.rrd"
     walking = SAMPLES / "one_person_walking.mcap"
     arguments = ["--system", "hiros", "--system", "malaguti:TM", "--jobs", "1", "-q"]
@@ -332,7 +313,6 @@ def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
 
 def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Path) -> None:
     """Golden logs hold no recording: their log times begin later than their stamps."""
-    need_rerun()
     from hiros_mcap.regression.golden import write_golden
 
     golden, target = tmp_path / "golden.mcap", tmp_path / "both.rrd"

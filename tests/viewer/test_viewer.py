@@ -18,7 +18,6 @@ from viewers import (
     headless,
     listeners,
     need_chromium,
-    need_rerun,
     picture,
     pixels_like,
     settled_picture,
@@ -102,7 +101,6 @@ def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
     """Person 1 leaves the log after 2 s: seen at 1 s, no pixel of them at 4 s."""
     from hiros_viewer import replay, show
 
-    need_rerun()
     target = tmp_path / "left.rrd"
     cut = round((start_of(processed) + 2.0) * 1e9)
 
@@ -223,7 +221,6 @@ def children_of(pid: int) -> list[int]:
 
 
 def test_the_web_viewer_listens_on_the_loopback_address_alone(processed: Path) -> None:
-    need_rerun()
     with served(processed) as (server, _):
         end = time.monotonic() + 20
         addresses: list[str] = []
@@ -235,7 +232,6 @@ def test_the_web_viewer_listens_on_the_loopback_address_alone(processed: Path) -
 
 
 def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None:
-    need_rerun()
     chromium = need_chromium()
     shown = [0, 0]
     with (
@@ -253,7 +249,6 @@ def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None
 def test_the_window_ends_with_one_line_where_there_is_no_screen(
     processed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    need_rerun()
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
     if sys.platform != "linux":

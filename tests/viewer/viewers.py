@@ -13,16 +13,22 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from matplotlib.image import imread
 
 from hiros_mcap.errors import HirosError
+from hiros_viewer.show import running_viewer
 
 REQUIRED = os.environ.get("HIROS_REQUIRE_VIEWER") == "1"
 """Set where a skipped viewer test is a failure, as in .ci/run."""
+
+PACKAGES = "libvulkan1 mesa-vulkan-drivers"
+"""What draws without a graphics card."""
 
 Picture = npt.NDArray[np.uint8]
 
@@ -32,13 +38,6 @@ def skip(reason: str) -> None:
     if REQUIRED:
         pytest.fail(reason)
     pytest.skip(reason)
-
-
-def need_rerun() -> None:
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        skip("the Rerun viewer is not installed: pip install 'hiros-mcap[viewer]'")
 
 
 def need_chromium() -> str:
@@ -51,30 +50,41 @@ def need_chromium() -> str:
     return str(found)
 
 
+@cache
+def fault_of_headless_viewer() -> str:
+    """Why the viewer cannot draw without a screen here; "" if it can."""
+    from rerun.experimental import ViewerClient
+
+    try:
+        with _viewer() as (url, _), ViewerClient.connect(url) as client:
+            client.take_screenshot()
+    except (HirosError, ConnectionError) as error:
+        return f"no headless viewer ({error}); Debian packages: {PACKAGES}"
+    return ""
+
+
 @contextmanager
 def headless() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Start the viewer that ``hiros process --view`` starts, without a screen."""
-    need_rerun()
-    from hiros_viewer.show import running_viewer
+    if fault := fault_of_headless_viewer():
+        skip(fault)
+    with _viewer() as found:
+        yield found
 
-    try:
-        context = running_viewer("--headless")
-        url, process = context.__enter__()
-    except HirosError as error:
-        skip(f"no headless viewer ({error}); Debian: mesa-vulkan-drivers libvulkan1")
-        raise
-    try:
-        yield url, process
-    finally:
-        context.__exit__(None, None, None)
-        process.kill()
-        process.wait()
+
+@contextmanager
+def _viewer() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    with running_viewer("--headless") as (url, process):
+        try:
+            yield url, process
+        finally:
+            process.kill()
+            process.wait()
 
 
 def picture(png: bytes) -> Picture:
     """(H, W, 3) pixels of a PNG."""
-    matplotlib_image = pytest.importorskip("matplotlib.image")
-    pixels = matplotlib_image.imread(io.BytesIO(png), format="png")
+    pixels = imread(io.BytesIO(png), format="png")
     return np.asarray(np.rint(pixels[..., :3] * 255), np.uint8)
 
 

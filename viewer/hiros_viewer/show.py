@@ -12,7 +12,6 @@ import tempfile
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,21 +22,13 @@ if TYPE_CHECKING:
 
 APPLICATION = "hiros"
 LOOPBACK = "127.0.0.1"
-INSTALL = "pip install 'hiros-mcap[viewer]'"
 MEMORY_LIMIT = "50%"
 
 Draw = Callable[["rr.RecordingStream"], object]
 
 
-def need_rerun() -> None:
-    """Raise ConfigError with the command that installs the viewer, if it is missing."""
-    if find_spec("rerun") is None:
-        raise ConfigError(f"this needs the Rerun viewer: {INSTALL}")
-
-
 def new_recording(name: str, identity: str = "") -> rr.RecordingStream:
     """Return a recording that goes nowhere yet; ``identity`` makes its id reproducible."""
-    need_rerun()
     # Wall-clock times in a recording would differ from run to run.
     os.environ.setdefault("RERUN_LOG_TIME", "0")
     import rerun as rr
@@ -137,7 +128,6 @@ def web(name: str, draw: Draw, announce: Callable[[str], None], port: int = 0) -
 
 
 def _with_file(name: str, draw: Draw, use: Callable[[Path, dict[str, str]], int]) -> int:
-    need_rerun()
     with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
         path = Path(folder) / "log.rrd"
         save(path, name, draw)
@@ -146,10 +136,9 @@ def _with_file(name: str, draw: Draw, use: Callable[[Path, dict[str, str]], int]
 
 def viewer_binary() -> Path:
     """Return the viewer itself; the ``rerun`` script would only start it as a child."""
-    spec = find_spec("rerun_cli")
-    if spec is None or spec.origin is None:
-        raise ConfigError(f"this needs the Rerun viewer: {INSTALL}")
-    return Path(spec.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
+    import rerun_cli
+
+    return Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
 def viewer_command(*arguments: Path | str) -> list[str]:
@@ -202,7 +191,6 @@ def running_viewer(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[byte
     HirosError
         It does not start (there may be no screen).
     """
-    need_rerun()
     command = viewer_command("--expect-data-soon", *arguments)
     port = int(command[command.index("--port") + 1])
     with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:

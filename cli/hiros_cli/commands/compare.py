@@ -61,7 +61,6 @@ def compare(
 
     Without a truth, by how far the camera that is left out is from what the others give.
     """
-    from hiros_cli.commands.evaluate import need_matplotlib
     from hiros_cli.compiling import ALL, prepare
     from hiros_cli.output import check_outputs
 
@@ -69,7 +68,6 @@ def compare(
     for path in paths:
         path.stat()
     _check(paths, study, truth, rrd)
-    need_matplotlib(html)
     check_outputs(
         (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
     )
@@ -107,12 +105,8 @@ def _check(paths: list[Path], study: str | None, truth: str | None, rrd: Path | 
         raise ConfigError("--study people simulates its logs; leave LOG out")
     if truth is not None and len(paths) != 1:
         raise ConfigError("--truth is of one LOG")
-    if rrd is not None:
-        from hiros_viewer.show import need_rerun
-
-        if len(paths) != 1:
-            raise ConfigError("--rrd shows one LOG")
-        need_rerun()
+    if rrd is not None and len(paths) != 1:
+        raise ConfigError("--rrd shows one LOG")
 
 
 def _simulated(folder: Path) -> list[Path]:

@@ -94,7 +94,6 @@ def evaluate(
 
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
-    need_matplotlib(html)
     check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
     if table is None and log is None:
         raise ConfigError("eval needs a LOG, or --table hiros (see hiros eval --help)")
@@ -123,14 +122,6 @@ def evaluate(
 
         results = evaluate_log(processed, moved, channel or (), match_distance)
     _show_truth(log, moved, results, html=html, json=json, quiet=quiet, joints=joints)
-
-
-def need_matplotlib(html: Path | None) -> None:
-    """Raise ConfigError where a page is wanted and cannot be drawn."""
-    from importlib.util import find_spec
-
-    if html is not None and find_spec("matplotlib") is None:
-        raise ConfigError("--html needs matplotlib: pip install 'hiros-mcap[plots]'")
 
 
 def _start(log: Path) -> int:

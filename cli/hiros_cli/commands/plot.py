@@ -42,8 +42,6 @@ def plot(
     quiet: Quiet = False,
 ) -> None:
     """Plot joint angles, limb lengths and errors over time, as PNG or one HTML file."""
-    from importlib.util import find_spec
-
     from hiros_cli.compiling import prepare
     from hiros_cli.output import beside, check_outputs
 
@@ -53,8 +51,6 @@ def plot(
         raise ConfigError(f"{target}: a plot ends in .png or .html")
     kind: Kind = "HTML page" if target.suffix == ".html" else "PNG picture"
     check_outputs((target, kind), inputs=(log, truth), force=force)
-    if find_spec("matplotlib") is None:
-        raise ConfigError("plots need matplotlib: pip install 'hiros-mcap[plots]'")
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
     from hiros_viewer import curves

@@ -167,9 +167,6 @@ def process(
 
 
 def _live(source: Path) -> AbstractContextManager[Watcher]:
-    from hiros_viewer.show import need_rerun
-
-    need_rerun()
     from hiros_viewer.live import live_view
 
     def closed() -> None:

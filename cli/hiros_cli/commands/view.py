@@ -61,7 +61,6 @@ def view(
     window = None if time_range is None else seconds_range("--time-range", time_range)
     from hiros_viewer import show
 
-    show.need_rerun()
     check_outputs((save, "Rerun recording"), inputs=(*logs, extrinsics), force=force)
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
