@@ -101,6 +101,11 @@ class DetectionRows:
             self.counts.append(0)
             self.shown = False
 
+    def sent(self) -> None:
+        """Forget the rows."""
+        self.stamps, self.counts = [], []
+        self.poses.clear()
+
 
 @dataclass(slots=True)
 class BodyRows:
@@ -127,6 +132,10 @@ class BodyRows:
             self.stamps.append(stamp)
             self.places.append(HIDDEN)
             self.shown = False
+
+    def sent(self) -> None:
+        """Forget the rows."""
+        self.stamps, self.places = [], []
 
 
 @dataclass(slots=True)
@@ -168,6 +177,10 @@ class ScalarRows:
         self.stamps += stamps.tolist()
         self.values += values.ravel().tolist()
 
+    def sent(self) -> None:
+        """Forget the rows."""
+        self.stamps, self.values = [], []
+
 
 @dataclass(slots=True)
 class TextRows:
@@ -183,6 +196,10 @@ class TextRows:
         self.stamps.append(stamp)
         self.texts.append(text)
         self.levels.append(level)
+
+    def sent(self) -> None:
+        """Forget the rows."""
+        self.stamps, self.texts, self.levels = [], [], []
 
 
 def times(stamps: list[int]) -> Any:

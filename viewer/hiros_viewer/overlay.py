@@ -12,7 +12,6 @@ from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.tracking import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
-from hiros_viewer.replay import ViewOptions
 from hiros_viewer.scene import Scene
 
 SIMULTANEOUS_NS = 17_000_000
@@ -21,8 +20,10 @@ SAME_BODY = 1.0
 """m, mean over joints."""
 
 
-def draw_distances(first: Path, second: Path, scenes: list[Scene], options: ViewOptions) -> None:
+def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -> None:
     """Draw the mean and the largest joint distance over time into the first scene.
+
+    ``stage`` is the one to compare; "" = the last one that both logs have.
 
     Raises
     ------
@@ -30,7 +31,7 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], options: View
         The logs have no stage in common, or other skeletons.
     """
     common = [stage for stage in scenes[0].stages if stage in scenes[1].stages]
-    stage = options.stage or next((s for s in reversed(common) if s != "truth"), "")
+    stage = stage or next((s for s in reversed(common) if s != "truth"), "")
     if stage not in common:
         raise ConfigError(f"{first} and {second} have no stage in common to compare")
     if scenes[0].model.marker_names != scenes[1].model.marker_names:

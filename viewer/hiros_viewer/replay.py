@@ -21,6 +21,7 @@ from hiros_mcap.running.pipeline import EVENTS_ATTACHMENT
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.columns import Poses
+from hiros_viewer.overlay import draw_distances
 from hiros_viewer.scene import STAGES, Scene
 
 if TYPE_CHECKING:
@@ -77,9 +78,7 @@ def replay(
         prefix = f"/{'ab'[k]}" if len(logs) > 1 else ""
         scenes.append(_replay_one(path, recording, options, prefix, is_second=k > 0))
     if len(logs) > 1:
-        from hiros_viewer.overlay import draw_distances
-
-        draw_distances(logs[0], logs[1], scenes, options)
+        draw_distances(logs[0], logs[1], scenes, options.stage)
     content = content_of(scenes, [f"/{'ab'[k]}" for k in range(len(logs))] if logs[1:] else [""])
     recording.send_blueprint(blueprint(content, options.layout))
     return content

@@ -16,9 +16,9 @@ Rows are collected and sent in columns, a batch at a time, so that memory stays 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,10 +29,8 @@ from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.events import Event
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.distance import nearest
-from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import (
-    HIDDEN,
     BodyRows,
     DetectionRows,
     PoseBatch,
@@ -40,11 +38,9 @@ from hiros_viewer.columns import (
     ScalarRows,
     StageRows,
     TextRows,
-    columns,
-    strips,
-    times,
 )
-from hiros_viewer.palette import CAMERAS, CLASSES, camera_colour, curve_colour, pale
+from hiros_viewer.entities import Entities, path_part
+from hiros_viewer.palette import curve_colour
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -54,12 +50,6 @@ BATCH = 4000
 """Frames collected before they are sent."""
 GONE_NS = 250_000_000
 """Somebody or something that was not seen for this long is hidden."""
-_JOINT_M = 0.022
-_BONE_M = 0.011
-_DETECTION_M = 0.008
-_FIRST_CAMERA_CLASS = 2 * CLASSES
-_CLASSES_PER_CAMERA = 30
-_LABEL_ABOVE_M = 0.18
 _SAME_BODY_M = 1.0
 _MOST_BOUNDS = 2000
 _MOST_WAITING = 10_000
@@ -104,15 +94,12 @@ class Scene:
         team: tuple[int, str] | None = None,
         batch: int = BATCH,
     ) -> None:
-        self.recording = recording
         self.model = model
         self.final = final
         self.people: set[int] = set()
         self.bounds: list[Floats] = []
         self.camera_centre: Floats | None = None
         self._prefix = prefix
-        self._first_class = CLASSES if is_second else 0
-        self._team = team
         self._batch = batch
         self._collected = 0
         self._n_detections = 0
@@ -126,7 +113,7 @@ class Scene:
         """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
         self._alive: set[int] = set()
         self._root = _root_slot(model)
-        self._bone_ends = model.links[(model.links >= 0).all(axis=1)]
+        self._entities = Entities(recording, model, self._root, is_second=is_second, team=team)
         self._limbs = limb_links(model)
 
     @property
@@ -141,82 +128,15 @@ class Scene:
 
     # -- what does not change ------------------------------------------------------------------
 
-    def begin(self, cameras: Mapping[str, Rigid], fov: tuple[float, float] = (75.0, 65.0)) -> None:
-        """Draw what stands still: axes, colours, and the cameras at their poses in the room.
-
-        ``fov`` is the frusta's field of view in degrees; the log does not tell it.
-        """
-        import rerun as rr
-
-        self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self.recording.log("/", self._annotations(), static=True)
+    def begin(self, cameras: Mapping[str, Rigid]) -> None:
+        """Draw what stands still: axes, colours, and the cameras at their poses in the room."""
+        # Dim behind a result; without one, detections are all there is to see.
+        self._entities.room(dim_detections=bool(self.final))
         if cameras:
             self.camera_centre = np.mean([pose.translation for pose in cameras.values()], axis=0)
         for number, (name, pose) in enumerate(cameras.items()):
             self._detections[name] = DetectionRows(PoseBatch(self.model.n_markers))
-            path = f"/world/cameras/{_part(name)}"
-            self.recording.log(
-                path,
-                rr.Transform3D(
-                    translation=pose.translation, quaternion=rr.Quaternion(xyzw=pose.xyzw)
-                ),
-                static=True,
-            )
-            half = np.tan(np.radians(np.array(fov) / 2))
-            focal = 320 / half[0]
-            self.recording.log(
-                f"{path}/view",
-                rr.Pinhole(
-                    focal_length=float(focal),
-                    width=640,
-                    height=float(2 * focal * half[1]),
-                    image_plane_distance=0.35,
-                    camera_xyz=rr.ViewCoordinates.RDF,
-                    color=camera_colour(number),
-                    line_width=0.004,
-                ),
-                static=True,
-            )
-
-    def _annotations(self) -> Any:
-        """Colours and bones of every class."""
-        import rerun as rr
-
-        bones = [(int(parent), int(child)) for parent, child in self._bone_ends]
-
-        def joints(colour: RGB) -> list[Any]:
-            names = enumerate(self.model.marker_names)
-            return [rr.AnnotationInfo(k, name, _packed(colour)) for k, name in names]
-
-        def description(
-            number: int,
-            name: str,
-            colour: RGB,
-            keypoints: Sequence[Any],
-            links: Sequence[tuple[int, int]] = (),
-        ) -> Any:
-            return rr.ClassDescription(
-                info=(number, name, _packed(colour)),
-                keypoint_annotations=keypoints,
-                keypoint_connections=links,
-            )
-
-        classes = []
-        for number in range(CLASSES):
-            colour = person_colour(number)
-            classes.append(description(number, f"person {number}", colour, joints(colour)))
-        for number in range(CLASSES):
-            colour = pale(person_colour(number))
-            classes.append(description(CLASSES + number, "", colour, joints(colour)))
-        for camera in range(len(CAMERAS)):
-            # Dim behind a result; without one, nothing else is there to be seen.
-            colour = camera_colour(camera) if self.final else curve_colour(camera)
-            keypoints = joints(colour)
-            classes += [
-                description(_camera_class(camera, row), "", colour, keypoints, bones)
-                for row in range(_CLASSES_PER_CAMERA)
-            ]
-        return rr.AnnotationContext(classes)
+            self._entities.camera(name, number, pose)
 
     # -- frames --------------------------------------------------------------------------------
 
@@ -344,7 +264,7 @@ class Scene:
         rows = self._curves.get((kind, name))
         if rows is None:
             rows = self._curves[kind, name] = ScalarRows((name,))
-            self._scalars[f"{kind}/{_part(name)}"] = rows
+            self._scalars[f"{kind}/{path_part(name)}"] = rows
         return rows
 
     # -- sending -------------------------------------------------------------------------------
@@ -371,123 +291,51 @@ class Scene:
         self._collected = 0
         for number, (camera, rows) in enumerate(self._detections.items()):
             if rows.stamps:
-                self._send_detections(f"/detections/{_part(camera)}", number, rows)
+                highest = self._entities.detections(camera, number, rows)
+                if not self.final:
+                    self._extend_bounds(highest)
+                rows.sent()
         for name, stage in self._stages.items():
             self._send_stage(name, stage)
         for path, curve in self._scalars.items():
             if curve.stamps:
-                self._send_scalars(path, curve)
+                self._entities.curves(path, curve, self._line_colours(path, curve))
+                curve.sent()
         for path, lines in self._texts.items():
             if lines.stamps:
-                self._send_texts(path, lines)
-
-    def _send_detections(self, path: str, number: int, rows: DetectionRows) -> None:
-        """Send a camera's detections: several bodies in one batch, told apart by their classes."""
-        import rerun as rr
-
-        if not rows.started:
-            rows.started = True
-            look = rr.Points3D.from_fields(show_labels=False)
-            self.recording.log(path, look, static=True)
-        n_markers = self.model.n_markers
-        counts = np.array(rows.counts)
-        # Each pose's row in its own frame: its place in the batch less that of its frame's first.
-        places = np.arange(rows.poses.size)
-        order = places - np.repeat(np.cumsum(counts) - counts, counts)
-        joints, radii = self._joints(rows.poses, places, _DETECTION_M)
-        classes = _camera_class(number % len(CAMERAS), order).astype(np.uint16)
-        keypoints = np.tile(np.arange(n_markers, dtype=np.uint16), len(places))
-        parts = {
-            rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(joints),
-            rr.Points3D.descriptor_radii(): rr.components.RadiusBatch(radii),
-            rr.Points3D.descriptor_class_ids(): rr.components.ClassIdBatch(
-                np.repeat(classes, n_markers)
-            ),
-            rr.Points3D.descriptor_keypoint_ids(): rr.components.KeypointIdBatch(keypoints),
-        }
-        self.recording.send_columns(path, [times(rows.stamps)], columns(parts, n_markers * counts))
-        if not self.final and len(self.bounds) < _MOST_BOUNDS:
-            highest = np.empty((len(places), 3))
-            tops(rows.poses.positions, places, highest)
-            self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
-        rows.stamps, rows.counts = [], []
-        rows.poses.clear()
-
-    def _joints(self, poses: PoseBatch, places: Stamps, largest: float) -> tuple[Singles, Singles]:
-        """Return joints (R, M, 3) and radii (R, M), m, of the poses at these places."""
-        joints = np.empty((len(places), self.model.n_markers, 3), np.float32)
-        radii = np.empty(joints.shape[:2], np.float32)
-        draw_joints(poses.positions, poses.confidences, places, largest, joints, radii)
-        return joints, radii
+                send = self._entities.log_lines if path.endswith("/log") else self._entities.lane
+                send(path, lines)
+                lines.sent()
 
     def _send_stage(self, stage: str, rows: StageRows) -> None:
         """Send everybody of a stage."""
         for person, body in rows.bodies.items():
             if body.stamps:
-                self._send_body(stage, person, body, rows.poses)
+                path = f"{self._prefix}/{stage}/{person}"
+                shown, highest = self._entities.person(path, body, rows.poses)
+                self._extend_bounds(highest)
+                if stage == self.final and shown.any():
+                    poses = rows.poses.positions[np.array(body.places)[shown]]
+                    self._derive_curves(person, body, np.array(body.stamps)[shown], poses)
+                body.sent()
         rows.poses.clear()
 
-    def _send_body(self, stage: str, person: int, rows: BodyRows, poses: PoseBatch) -> None:
-        """Send joints, bones, label and trail of one person, all rows at once."""
-        path = f"{self._prefix}/{stage}/{person}"
-        if not rows.started:
-            rows.started = True
-            self._send_looks(path)
-        when, places = times(rows.stamps), np.array(rows.places)
-        shown = places != HIDDEN
-        mine = places[shown]
-        joints, radii = self._joints(poses, mine, _JOINT_M)
-        highest = np.empty((len(mine), 3))
-        tops(poses.positions, mine, highest)
-        for part, batches, per_pose in self._parts(joints, radii, highest):
-            counts = np.zeros(len(places), np.int32)
-            counts[shown] = per_pose
-            self.recording.send_columns(f"{path}{part}", [when], columns(batches, counts))
+    def _extend_bounds(self, highest: Floats) -> None:
+        """Note where people are, for the eye that is to look at them."""
         if len(self.bounds) < _MOST_BOUNDS:
             self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
-        if stage == self.final and len(mine):
-            self._derive_curves(person, rows, np.array(rows.stamps)[shown], poses.positions[mine])
-        rows.stamps, rows.places = [], []
 
-    def _parts(
-        self, joints: Singles, radii: Singles, highest: Floats
-    ) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
-        """Yield a person's entities: path below theirs, batches, how many of it in each pose."""
-        import rerun as rr
-
-        where, size = rr.Points3D.descriptor_positions(), rr.Points3D.descriptor_radii()
-        points = rr.components.Position3DBatch
-        yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
-        bones = np.empty((len(joints) * len(self._bone_ends), 2, 3), np.float32)
-        per_pose = np.empty(len(joints), np.int32)
-        n_bones = draw_bones(joints, self._bone_ends, bones, per_pose)
-        yield "/bones", {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
-        there = ~np.isnan(highest[:, 0])
-        labels = highest[there] + np.array([0, 0, _LABEL_ABOVE_M])
-        yield "/name", {where: points(labels)}, there
-        yield "/trail", {where: points(joints[there, self._root])}, there
-
-    def _send_looks(self, path: str) -> None:
-        """Say once how a person's entities look."""
-        import rerun as rr
-
-        stage, person = path.rsplit("/", 2)[-2:]
-        which = int(person) if self._team is None else self._team[0]
-        number = self._first_class + which % CLASSES
-        keypoints = list(range(self.model.n_markers))
-        label = f"truth {person}" if stage == "truth" else person
-        label = label if self._team is None else f"{self._team[1]} {person}"
-        for part, look in (
-            ("", rr.Points3D.from_fields(
-                class_ids=[number], keypoint_ids=keypoints, show_labels=False)),
-            ("/bones", rr.LineStrips3D.from_fields(
-                class_ids=[number], radii=_BONE_M, show_labels=False)),
-            ("/name", rr.Points3D.from_fields(
-                class_ids=[number], radii=0.001, labels=[label], show_labels=True)),
-            ("/trail", rr.Points3D.from_fields(
-                class_ids=[number], radii=0.005, show_labels=False)),
-        ):  # fmt: skip
-            self.recording.log(f"{path}{part}", look, static=True)
+    def _line_colours(self, path: str, rows: ScalarRows) -> list[RGB]:
+        """One colour per line; a person's single line has that person's."""
+        if len(rows.names) > 1:
+            return [person_colour(k) for k in range(len(rows.names))]
+        last = path.split("/")[-1]
+        if path.startswith((f"{self._prefix}/speed", "/speed")) and last.isdigit():
+            return [person_colour(int(last))]
+        known = [path_part(name) for name in self.cameras]
+        if path.startswith("/distance/"):
+            known = ["mean", "largest"]
+        return [curve_colour(known.index(last) if last in known else 0)]
 
     def _derive_curves(self, person: int, rows: BodyRows, stamps: Stamps, poses: Floats) -> None:
         """Angles, limb lengths and speed of the last stage."""
@@ -510,54 +358,6 @@ class Scene:
     def _extend(self, path: str, names: Sequence[str], stamps: Stamps, values: Floats) -> None:
         self._scalars.setdefault(path, ScalarRows(tuple(names))).extend(stamps, values)
 
-    def _send_scalars(self, path: str, rows: ScalarRows) -> None:
-        import rerun as rr
-
-        if not rows.started:
-            rows.started = True
-            lines = rr.SeriesLines(names=list(rows.names), colors=self._line_colours(path, rows))
-            self.recording.log(path, lines, static=True)
-        parts = rr.Scalars.columns(scalars=np.array(rows.values))
-        counts = np.full(len(rows.stamps), len(rows.names))
-        self.recording.send_columns(path, [times(rows.stamps)], parts.partition(counts))
-        rows.stamps, rows.values = [], []
-
-    def _line_colours(self, path: str, rows: ScalarRows) -> list[tuple[int, int, int]]:
-        """One colour per line; a person's single line has that person's."""
-        if len(rows.names) > 1:
-            return [person_colour(k) for k in range(len(rows.names))]
-        last = path.split("/")[-1]
-        if path.startswith((f"{self._prefix}/speed", "/speed")) and last.isdigit():
-            return [person_colour(int(last))]
-        known = [_part(name) for name in self.cameras]
-        if path.startswith("/distance/"):
-            known = ["mean", "largest"]
-        return [curve_colour(known.index(last) if last in known else 0)]
-
-    def _send_texts(self, path: str, rows: TextRows) -> None:
-        import rerun as rr
-
-        if path.endswith("/log"):
-            parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
-        else:
-            if not rows.started:
-                rows.started = True
-                self.recording.log(path, self._lane(path), static=True)
-            parts = rr.StateChange.columns(state=rows.texts)
-        self.recording.send_columns(path, [times(rows.stamps)], parts)
-        rows.stamps, rows.texts, rows.levels = [], [], []
-
-    def _lane(self, path: str) -> Any:
-        """Somebody's lane has their colour, and a gap where they are gone."""
-        import rerun as rr
-
-        colour = person_colour(int(path.split("/")[-1]))
-        return rr.StateConfiguration(
-            values=["tracked", "gone"],
-            colors=[_packed(colour), _packed(colour)],
-            visible=[True, False],
-        )
-
 
 def limb_links(model: SkeletonModel) -> dict[str, int]:
     """Name -> link slot of upper arms, forearms, thighs and shins, as far as the model has them."""
@@ -575,19 +375,3 @@ def limb_links(model: SkeletonModel) -> dict[str, int]:
 def _root_slot(model: SkeletonModel) -> int:
     names = [split_side(name)[0] for name in model.marker_names]
     return next((names.index(root) for root in _ROOTS if root in names), 0)
-
-
-def _camera_class(camera: int, row: Any) -> Any:
-    """Class of a camera's detection; bones join joints of one class, so each body has its own."""
-    return _FIRST_CAMERA_CLASS + camera * _CLASSES_PER_CAMERA + row % _CLASSES_PER_CAMERA
-
-
-def _packed(colour: RGB) -> int:
-    """Return a colour as the 32 bits that rerun makes of it."""
-    red, green, blue = colour
-    return red << 24 | green << 16 | blue << 8 | 0xFF
-
-
-def _part(name: str) -> str:
-    """Return a name as one part of an entity path."""
-    return name.strip("/").replace("/", "_") or "_"
