@@ -1,0 +1,99 @@
+"""The shape of the code: layers, names, circles and the number of parameters."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {
+    "hiros_mcap": ROOT,
+    "hiros_schemas": ROOT / "schemas",
+    "hiros_cli": ROOT / "cli",
+    "hiros_viewer": ROOT / "viewer",
+}
+MODULES = {
+    ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): path
+    for name, folder in FOLDERS.items()
+    for path in sorted((folder / name).rglob("*.py"))
+}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+LIBRARY = [name for name in MODULES if name.startswith("hiros_mcap")]
+FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Number of parameters, without self and cls."""
+    given = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    return len([one for one in given if one.arg not in ("self", "cls")])
+
+
+def imported(tree: ast.AST) -> Iterator[str]:
+    """Names of modules that are imported when the code runs, wherever the statement stands."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                yield full if full in MODULES else node.module
+        else:
+            yield from imported(node)
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_few_parameters(name: str) -> None:
+    most = 10 if name.startswith("hiros_mcap.kernels") else 8
+    functions = [node for node in ast.walk(TREES[name]) if isinstance(node, FUNCTIONS)]
+    assert {f.name: parameters(f) for f in functions if parameters(f) > most} == {}
+
+
+def test_no_parameter_is_read_by_its_number() -> None:
+    for name in LIBRARY:
+        assert re.findall(r"numbers\[\d+\]", MODULES[name].read_text()) == [], name
+
+
+def test_no_two_modules_share_a_name() -> None:
+    names = Counter(name.rpartition(".")[2] for name, p in MODULES.items() if p.stem[:2] != "__")
+    assert [name for name, n in names.items() if n > 1] == []
+
+
+def test_no_two_classes_share_a_name() -> None:
+    names = Counter(
+        node.name for t in TREES.values() for node in ast.walk(t) if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, n in names.items() if n > 1] == []
+
+
+def test_the_top_of_the_library_is_short() -> None:
+    public = [path.stem for path in (ROOT / "hiros_mcap").glob("*.py") if path.stem[0] != "_"]
+    assert len(public) <= 15, public
+
+
+def test_no_import_circles() -> None:
+    edges = {name: {i for i in imported(TREES[name]) if i in MODULES} for name in MODULES}
+    done: set[str] = set()
+
+    def visit(name: str, path: list[str]) -> None:
+        assert name not in path, " -> ".join([*path[path.index(name) :], name])
+        if name not in done:
+            for other in sorted(edges[name]):
+                visit(other, [*path, name])
+            done.add(name)
+
+    for name in MODULES:
+        visit(name, [])
+
+
+def test_references_can_be_looked_up() -> None:
+    """A requirement's number means nothing to a reader of the repository."""
+    text = [*MODULES.values(), *ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+    found = {p.name: re.findall(r"\b[HMLX]\d{2}\b", p.read_text(encoding="utf-8")) for p in text}
+    assert {name: ids for name, ids in found.items() if ids} == {}
