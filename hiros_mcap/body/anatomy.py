@@ -11,7 +11,8 @@ because then the plane of the two bones shows where the hinge points. So:
 - flexion and abduction of hip and shoulder need the long axis only, and are always known;
 - their axial rotation is NaN while knee or elbow are bent by less than :data:`HINGE_DEG`;
 - the plane in which an arm is lifted is NaN while it hangs, within :data:`HANGING_DEG`;
-- knee and elbow are hinges: the angle between the bones. A knee may be overextended, an elbow not.
+- knee and elbow are hinges: the angle between the bones. A knee may be
+  overextended by up to 10 degrees, an elbow not.
 """
 
 from __future__ import annotations
@@ -186,7 +187,9 @@ def _leg_angles(at: Finder, pelvis: Floats, side: str, sign: float) -> Columns:
     hinge = _frame(y=thigh, z=_frame_z(pelvis, thigh), keep="y")
     ahead, along, _ = _inside(hinge, shank)
     bend = _between(thigh, shank)
-    overextended = (ahead < 0) & (along > 0) & (bend < np.radians(HINGE_DEG))
+    # A nearly straight knee shows no hinge: what bends sideways then is noise, not flexion.
+    certain = np.clip(2.0 * bend / np.radians(HINGE_DEG) - 1.0, 0.0, 1.0)
+    knee_flexion = certain * bend + (1.0 - certain) * np.arctan2(ahead, along)
     # The shank bends backwards: the axis of the hinge is shank x thigh, to the right.
     axis = np.cross(shank, thigh)
     toes = _unit(at(*_TOE, side=side) - ankle)
@@ -196,7 +199,7 @@ def _leg_angles(at: Finder, pelvis: Floats, side: str, sign: float) -> Columns:
         f"{side} hip flexion": flexion,
         f"{side} hip abduction": abduction,
         f"{side} hip rotation": _twist(pelvis, thigh, axis, bend, sign),
-        f"{side} knee flexion": np.where(overextended, -bend, bend),
+        f"{side} knee flexion": knee_flexion,
         f"{side} ankle dorsiflexion": dorsiflexion,
     }
 
