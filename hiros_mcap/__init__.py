@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from hiros_mcap.body.transforms import transform_to_fixed
     from hiros_mcap.config import Config, load_config
     from hiros_mcap.io.log import open_log
+    from hiros_mcap.io.result import open_result
     from hiros_mcap.running.pipeline import ProcessOptions, process
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
@@ -19,6 +20,7 @@ __all__ = [
     "__version__",
     "load_config",
     "open_log",
+    "open_result",
     "process",
     "transform_to_fixed",
 ]
@@ -28,6 +30,7 @@ _HOMES = {
     "ProcessOptions": "running.pipeline",
     "load_config": "config",
     "open_log": "io.log",
+    "open_result": "io.result",
     "process": "running.pipeline",
     "transform_to_fixed": "body.transforms",
 }

@@ -19,6 +19,7 @@ Kind = Literal[
     "Markdown summary",
     "limb table",
     "PNG picture",
+    "export",
 ]
 
 HTML_MARK = '<meta name="generator" content="hiros">'
@@ -119,6 +120,8 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "Markdown summary": lambda head: head.startswith(MARKDOWN_MARK.encode()),
     "limb table": lambda head: head.startswith(LIMBS_MARK.encode()),
     "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
+    # Most formats have no place for a mark, so nobody knows who wrote the file.
+    "export": lambda head: False,
 }
 
 

@@ -12,6 +12,7 @@ from hiros_cli.commands import (
     check,
     compare,
     evaluate,
+    export,
     info,
     plot,
     process,
@@ -64,6 +65,7 @@ def hiros(
 app.command(no_args_is_help=False)(process.process)
 app.command()(view.view)
 app.command()(plot.plot)
+app.command()(export.export)
 app.command("eval")(evaluate.evaluate)
 app.command()(check.check)
 app.command()(compare.compare)

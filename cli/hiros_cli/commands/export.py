@@ -1,0 +1,57 @@
+"""``hiros export``: a result as a file of another program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hiros_cli.options import Force, Quiet
+
+
+def export(
+    log: Annotated[Path, typer.Argument(help="What `hiros process` wrote.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help=".csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh.",
+        ),
+    ],
+    what: Annotated[
+        str,
+        typer.Option(metavar="PART", help="joints, angles or both. Default: all the format holds."),
+    ] = "",
+    person: Annotated[
+        int | None, typer.Option(metavar="ID", help="One person. Default: everybody.")
+    ] = None,
+    channel: Annotated[str, typer.Option(metavar="TOPIC", help="Default: the last stage's.")] = "",
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Resample to this rate. Default: as it is, if possible."),
+    ] = None,
+    start: Annotated[float, typer.Option(metavar="S", help="From this second on.")] = float("-inf"),
+    end: Annotated[float, typer.Option(metavar="S", help="Up to this second.")] = float("inf"),
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write joints and angles as tables, or for OpenSim, C3D programs and Blender."""
+    from hiros_cli.compiling import prepare
+    from hiros_cli.output import check_outputs
+    from hiros_mcap.io.export.files import export as write
+    from hiros_mcap.io.export.files import files_of, format_of
+
+    log.stat()
+    format_of(output)
+    prepare(quiet=quiet)
+    from hiros_mcap.io.result import open_result
+
+    result = open_result(log, channel).select(person, start, end, rate)
+    targets = files_of(output, result.people)
+    check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
+    for path in write(result, output, what):
+        if not quiet:
+            print(f"wrote {path}")

@@ -1,0 +1,130 @@
+"""A result as a file of another program: tables, biomechanics and animation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.export import animation, biomechanics, tables
+from hiros_mcap.outputs import replacing
+
+if TYPE_CHECKING:
+    from hiros_mcap.io.result import Result
+
+WHAT = ("joints", "angles", "both")
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A kind of file."""
+
+    text: str
+    """What it is, for a list."""
+    write: Callable[[Result, Path, tuple[str, ...]], None]
+    """Writes the parts "joints" and "angles" of a result."""
+    parts: tuple[str, ...] = ("joints", "angles")
+    """What it can hold; the first is the default."""
+    one_person: bool = False
+    """Whether it holds one person only."""
+    steady: bool = False
+    """Whether its instants must have a fixed rate."""
+
+
+FORMATS: dict[str, Format] = {
+    ".csv": Format("table, a row per person and time", tables.write_csv),
+    ".parquet": Format("the same table for pandas, polars, R and DuckDB", tables.write_parquet),
+    ".jsonl": Format("one JSON object per person and time", tables.write_jsonl),
+    ".npz": Format("numpy arrays", tables.write_npz),
+    ".trc": Format("markers for OpenSim (mm, y up)", biomechanics.write_trc, ("joints",), True),
+    ".mot": Format("joint angles for OpenSim (degrees)", biomechanics.write_mot, ("angles",), True),
+    ".c3d": Format(
+        "markers and angles for motion capture programs (mm, z up)",
+        biomechanics.write_c3d,
+        steady=True,
+    ),
+    ".bvh": Format(
+        "a moving skeleton for Blender and games (cm, y up)",
+        animation.write_bvh,
+        ("joints",),
+        True,
+        True,
+    ),
+}
+"""Suffix -> kind of file."""
+
+
+def format_of(target: Path) -> Format:
+    """Return the kind of file that a name asks for.
+
+    Raises
+    ------
+    ConfigError
+        There is none with this suffix.
+    """
+    found = FORMATS.get(target.suffix.lower())
+    if found is None:
+        raise ConfigError(f"{target}: ends in none of {', '.join(FORMATS)}")
+    return found
+
+
+def export(result: Result, target: Path, what: str = "") -> list[Path]:
+    """Write a result in the format of the target's suffix.
+
+    A format for one person gets a file per person, ``NAME.0.trc``, unless there is just one.
+    Formats with a fixed rate get the result's own median rate, unless it was resampled before.
+
+    Parameters
+    ----------
+    result : what to write. target : the file. what : "joints", "angles" or "both"; "" is
+        whatever the format holds.
+
+    Returns
+    -------
+    The files, in the order of the ids.
+
+    Raises
+    ------
+    ConfigError
+        The format does not exist or cannot hold this, or nobody is in the result.
+    LogError
+        A file cannot be written.
+    """
+    kind = format_of(target)
+    if what not in ("", *WHAT):
+        raise ConfigError(f"{what!r} is none of {', '.join(WHAT)}")
+    parts = {"": kind.parts, "both": ("joints", "angles")}.get(what, (what,))
+    lacking = [part for part in parts if part not in kind.parts]
+    if lacking:
+        raise ConfigError(f"{target}: {target.suffix} holds no {lacking[0]}")
+    if not result.motions:
+        raise ConfigError(f"{result.path}: {result.channel} shows nobody")
+    if kind.steady:
+        result = steady(result)
+    targets = files_of(target, result.people)
+    each = [result] if len(targets) == 1 else [result.select(p) for p in result.people]
+    for one, path in zip(each, targets, strict=True):
+        with replacing(path) as temporary:
+            kind.write(one, temporary, parts)
+    return targets
+
+
+def files_of(target: Path, people: tuple[int, ...]) -> list[Path]:
+    """Return the names of the files that a target stands for, one per person if needed."""
+    if not format_of(target).one_person or len(people) == 1:
+        return [target]
+    return [target.with_suffix(f".{person}{target.suffix}") for person in people]
+
+
+def steady(result: Result) -> Result:
+    """Return a result at a fixed rate: its own, rounded to whole Hz, if it is not fixed yet."""
+    steps = np.concatenate([np.diff(m.times) for m in result.motions.values()])
+    if not len(steps):
+        raise ConfigError(f"{result.path}: one instant has no rate; choose another format")
+    if np.ptp(steps) < 1e-6:
+        return result
+    return result.select(rate=max(1.0, float(np.round(1.0 / np.median(steps)))))

@@ -1,0 +1,243 @@
+"""What hiros wrote, as tables: one motion per person.
+
+::
+
+    result = hiros_mcap.open_result("lab.hiros.mcap")
+    result.joints().loc[0, "KNEE_LEFT"].plot()      # person 0
+    result.angles()["left knee flexion"].groupby("person").max()
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.io.channels import OUTPUT_PREFIX, channels_of
+from hiros_mcap.io.log import open_log, open_reader, span_of
+from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+EVENTS_ATTACHMENT = "hiros/events.json"
+STAGES = ("filtered", "optimized", "merged", "tracked")
+GAP_S = 0.25
+"""Pauses longer than this stay pauses when a motion is resampled."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """One person over T instants; M markers. NaN means absent."""
+
+    person: int
+    times: Floats
+    """(T,) s from the log time of the first skeleton; the data may be a little older."""
+    positions: Floats
+    """(T, M, 3) m, in the fixed frame."""
+    confidences: Floats
+    """(T, M) 0..1."""
+
+    @property
+    def rate(self) -> float:
+        """Median number of instants per second; NaN for fewer than two."""
+        return 1.0 / float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.nan
+
+    def between(self, start: float, end: float) -> Motion:
+        """Return the instants from ``start`` to ``end``, s from the log's first skeleton."""
+        inside = (self.times >= start) & (self.times <= end)
+        return Motion(self.person, self.times[inside], self.positions[inside],
+                      self.confidences[inside])  # fmt: skip
+
+    def at(self, times: Floats) -> Motion:
+        """Interpolate by cubic splines to ``times``, s; NaN in pauses longer than GAP_S."""
+        flat = self.positions.reshape(len(self.times), -1)
+        columns = [_interpolated(times, self.times, column) for column in flat.T]
+        shares = [_interpolated(times, self.times, column) for column in self.confidences.T]
+        positions = np.stack(columns, axis=-1).reshape(len(times), *self.positions.shape[1:])
+        return Motion(self.person, times, positions, np.stack(shares, axis=-1))
+
+
+def _interpolated(times: Floats, known_times: Floats, values: Floats) -> Floats:
+    from scipy.interpolate import CubicSpline
+
+    known = ~np.isnan(values)
+    t, v = known_times[known], values[known]
+    if len(t) < 2:
+        return np.full(len(times), np.nan)
+    after = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
+    outside = (times < t[0]) | (times > t[-1])
+    pause = (t[after] - t[after - 1] > GAP_S) & ~np.isin(times, t)
+    return np.where(outside | pause, np.nan, CubicSpline(t, v)(times))
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A channel that hiros wrote; made by :func:`open_result`."""
+
+    path: Path
+    channel: str
+    model: SkeletonModel
+    fixed_frame: str
+    start: int
+    """ns since the epoch: log time of the log's first skeleton, from which times count."""
+    motions: Mapping[int, Motion]
+    """By the person's id, ids increasing."""
+    happened: tuple[Event, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"<Result {self.path.name} {self.channel}: {len(self.motions)} people, "
+            f"{self.seconds:.1f} s, {self.model.n_markers} markers>"
+        )
+
+    @property
+    def people(self) -> tuple[int, ...]:
+        """Ids, increasing."""
+        return tuple(self.motions)
+
+    @cached_property
+    def seconds(self) -> float:
+        """Time of the last instant, s from the start."""
+        return max((float(m.times[-1]) for m in self.motions.values()), default=0.0)
+
+    def select(
+        self,
+        person: int | None = None,
+        start: float = -np.inf,
+        end: float = np.inf,
+        rate: float | None = None,
+    ) -> Result:
+        """Return a part: one person, some seconds, or instants at a fixed rate, Hz.
+
+        Raises
+        ------
+        ConfigError
+            There is no such person, nobody in these seconds, or the rate is not positive.
+        """
+        if person is not None and person not in self.motions:
+            raise ConfigError(f"no person {person} (there are: {_listed(self.people)})")
+        chosen = self.motions if person is None else {person: self.motions[person]}
+        cut = {p: m.between(start, end) for p, m in chosen.items()}
+        cut = {p: m for p, m in cut.items() if len(m.times)}
+        if not cut:
+            raise ConfigError(f"nobody is there from {start:g} to {end:g} s")
+        if rate is not None:
+            if not 0 < rate <= 1000:
+                raise ConfigError(f"a rate of {rate:g} Hz is not above 0 and at most 1000")
+            cut = {p: m.at(grid(m.times, rate)) for p, m in cut.items()}
+        return replace(self, motions=cut)
+
+    def joints(self) -> pd.DataFrame:
+        """Marker positions, m: a row per person and time (s), columns (marker, x y z)."""
+        import pandas as pd
+
+        columns = pd.MultiIndex.from_product(
+            [self.model.marker_names, ["x", "y", "z"]], names=["marker", "axis"]
+        )
+        rows = [m.positions.reshape(len(m.times), -1) for m in self.motions.values()]
+        return pd.DataFrame(_stacked(rows, len(columns)), self._index(), columns)
+
+    def angles(self) -> pd.DataFrame:
+        """Signed joint angles, degrees: a row per person and time (s), columns by angle.
+
+        :mod:`hiros_mcap.body.anatomy` says what they mean.
+        """
+        import pandas as pd
+
+        rows = [
+            np.degrees(anatomical_angles(self.model, m.positions)) for m in self.motions.values()
+        ]
+        return pd.DataFrame(_stacked(rows, len(ANGLE_NAMES)), self._index(), list(ANGLE_NAMES))
+
+    def events(self) -> pd.DataFrame:
+        """Return what happened: time (s), kind, person (-1 = nobody), source and detail."""
+        import pandas as pd
+
+        rows = [
+            ((e.stamp - self.start) * 1e-9, e.kind, e.person, e.source, e.detail)
+            for e in self.happened
+        ]
+        return pd.DataFrame(rows, columns=["time", "kind", "person", "source", "detail"])
+
+    def _index(self) -> pd.MultiIndex:
+        import pandas as pd
+
+        whose = [np.full(len(m.times), p) for p, m in self.motions.items()]
+        when = [m.times for m in self.motions.values()]
+        empty = [np.zeros(0)]
+        return pd.MultiIndex.from_arrays(
+            [np.concatenate(whose or empty), np.concatenate(when or empty)],
+            names=["person", "time"],
+        )
+
+
+def grid(times: Floats, rate: float) -> Floats:
+    """Return times at a fixed rate from the first to the last of ``times``, s."""
+    return np.asarray(times[0] + np.arange(int((times[-1] - times[0]) * rate + 1e-6) + 1) / rate)
+
+
+def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
+    """Read what hiros wrote.
+
+    Parameters
+    ----------
+    path : a log that ``hiros process`` wrote.
+    channel : topic of the skeletons; "" is the last stage, /hiros/filtered if it is there.
+
+    Raises
+    ------
+    LogError
+        The file is damaged, or holds nothing that hiros wrote.
+    ConfigError
+        It has no such channel.
+    """
+    with open_reader(path) as reader:
+        topics = [info.topic for info in channels_of(reader) if info.count]
+        ours = [f"{OUTPUT_PREFIX}/{stage}" for stage in STAGES]
+        found = [topic for topic in ours if topic in topics]
+        if not (channel or found):
+            raise LogError("holds nothing that hiros wrote; run `hiros process` first", path=path)
+        if channel and channel not in topics:
+            raise ConfigError(f"{path}: no channel {channel!r} (there are: {_listed(topics)})")
+        chosen = channel or found[0]
+        start = span_of(reader)[0]
+        happened: tuple[Event, ...] = ()
+        for attachment in reader.contents.attachments:
+            if attachment.name == EVENTS_ATTACHMENT:
+                happened = tuple(events_from_json(reader.attachment(attachment).decode()))
+    with open_log(path, topics=[chosen], output_prefix="/none") as log:
+        frames = list(log.frames())
+        model = log.model
+    rows: dict[int, list[tuple[int, Floats, Floats]]] = {}
+    for frame in frames:
+        for k, person in enumerate(frame.ids.tolist()):
+            if person != UNTRACKED:
+                row = frame.stamp, frame.positions[k], frame.marker_confidences[k]
+                rows.setdefault(person, []).append(row)
+    motions = {person: _motion(person, rows[person], start) for person in sorted(rows)}
+    fixed = frames[0].frame_id if frames else ""
+    return Result(Path(path), chosen, model, fixed, start, motions, happened)
+
+
+def _motion(person: int, rows: Sequence[tuple[int, Floats, Floats]], start: int) -> Motion:
+    stamps, positions, confidences = zip(*rows, strict=True)
+    times: Stamps = np.array(stamps, np.int64) - start
+    seconds: Floats = times / 1e9
+    return Motion(person, seconds, np.stack(positions), np.stack(confidences))
+
+
+def _stacked(rows: Sequence[Floats], columns: int) -> Floats:
+    return np.concatenate(rows) if rows else np.zeros((0, columns))
+
+
+def _listed(names: Sequence[object]) -> str:
+    return ", ".join(map(str, names)) or "none"

@@ -1,0 +1,199 @@
+"""Exported files, read back by programs that know nothing of hiros."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.files import read_trc
+from hiros_mcap.io.export.files import FORMATS, export, files_of
+from hiros_mcap.io.result import Motion, Result, open_result
+from hiros_mcap.running.pipeline import process
+
+
+@pytest.fixture(scope="module")
+def log(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("export") / "crossing.hiros.mcap"
+    process(crossing, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def result(log: Path) -> Result:
+    return open_result(log)
+
+
+def test_the_result_is_the_last_stage_of_everybody(result: Result) -> None:
+    assert (result.channel, result.people) == ("/hiros/filtered", (0, 1))
+    assert repr(result) == (
+        "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 5.0 s, 32 markers>"
+    )
+    joints = result.joints()
+    assert joints.index.names == ["person", "time"]
+    knee = joints.loc[0, "KNEE_LEFT"].to_numpy()
+    slot = result.model.marker_names.index("KNEE_LEFT")
+    np.testing.assert_array_equal(knee, result.motions[0].positions[:, slot])
+    assert "track born" in set(result.events()["kind"])
+
+
+def test_what_is_no_result_is_refused(crossing: Path, log: Path) -> None:
+    with pytest.raises(LogError, match="holds nothing that hiros wrote"):
+        open_result(crossing)
+    with pytest.raises(ConfigError, match="no channel '/hiros/x'"):
+        open_result(log, "/hiros/x")
+
+
+def test_walking_bends_each_knee_once_a_step_and_swings_the_hips(result: Result) -> None:
+    angles = result.angles().loc[0]
+    for side in ("left", "right"):
+        knee, hip = angles[f"{side} knee flexion"], angles[f"{side} hip flexion"]
+        assert 45 < knee.max() < 80
+        assert -10 < knee.min() < 20
+        assert -35 < hip.min() < 0 < hip.max() < 50
+    assert np.corrcoef(angles["left hip flexion"], angles["right hip flexion"])[0, 1] < -0.5
+
+
+def test_resampling_keeps_pauses() -> None:
+    times = np.concatenate([np.arange(0, 1, 0.1), np.arange(2, 3, 0.1)])
+    motion = Motion(0, times, np.repeat(times, 3).reshape(-1, 1, 3), np.ones((20, 1)))
+    fine = motion.at(np.arange(0, 2.9, 0.05))
+    known = ~np.isnan(fine.positions[:, 0, 0])
+    assert not known[(fine.times > 0.91) & (fine.times < 1.99)].any()
+    np.testing.assert_allclose(fine.positions[known, 0, 0], fine.times[known], atol=1e-9)
+
+
+def test_parts_can_be_selected(result: Result) -> None:
+    part = result.select(person=1, start=1.0, end=2.0, rate=100.0)
+    (motion,) = part.motions.values()
+    assert motion.person == 1
+    assert 1.0 <= motion.times[0] < motion.times[-1] <= 2.0
+    np.testing.assert_allclose(np.diff(motion.times), 0.01, atol=1e-9)
+    for bad in ({"person": 7}, {"start": 100.0}, {"rate": 0.0}):
+        with pytest.raises(ConfigError):
+            result.select(**bad)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_tables_come_back(suffix: str, result: Result, tmp_path: Path) -> None:
+    (path,) = export(result, tmp_path / f"out{suffix}", "both")
+    table = pd.read_csv(path) if suffix == ".csv" else pd.read_parquet(path)
+    mine = table[table["person"] == 1]
+    x = mine["HEAD x (m)"].to_numpy()
+    np.testing.assert_allclose(x, result.joints().loc[1, ("HEAD", "x")], atol=1e-6)
+    assert "left knee flexion (deg)" in table
+
+
+def test_json_lines_have_names_and_gaps(result: Result, tmp_path: Path) -> None:
+    result.motions[0].positions[3, 5] = np.nan
+    (path,) = export(result, tmp_path / "out.jsonl")
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    name = result.model.marker_names[5]
+    assert rows[3]["person"] == 0
+    assert rows[3]["joints"][name] == [None] * 3
+    assert rows[2]["joints"][name] == pytest.approx(result.motions[0].positions[2, 5], abs=1e-6)
+
+
+def test_arrays_come_back(result: Result, tmp_path: Path) -> None:
+    (path,) = export(result, tmp_path / "out.npz")
+    with np.load(path) as arrays:
+        np.testing.assert_array_equal(arrays["person_1_positions"], result.motions[1].positions)
+        assert arrays["markers"].tolist() == list(result.model.marker_names)
+
+
+def test_a_trc_file_is_a_truth_that_the_result_equals(
+    log: Path, result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (path,) = export(result.select(person=0), tmp_path / "out.trc")
+    motion = result.motions[0]
+    read = read_trc(path)
+    np.testing.assert_allclose(read.positions[:, 0, 0, 1], motion.positions[:, 0, 2], atol=1e-6)
+    arguments = ["--truth", str(path), "--up", "y", "--channel", "/hiros/filtered", "--json"]
+    assert run(["eval", str(log), *arguments]) == 0
+    assert json.loads(capsys.readouterr().out)["channels"]["/hiros/filtered"]["mean"] < 0.1
+
+
+def test_opensim_reads_angles_in_degrees(result: Result, tmp_path: Path) -> None:
+    paths = export(result, tmp_path / "out.mot")
+    assert [path.name for path in paths] == ["out.0.mot", "out.1.mot"]
+    table = pd.read_csv(paths[1], sep="\t", skiprows=6)
+    knee = result.angles().loc[1, "right knee flexion"]
+    np.testing.assert_allclose(table["knee_angle_r"], knee, atol=1e-5)
+    assert 0.7 < table["pelvis_ty"].mean() < 1.3
+
+
+def test_c3d_is_read_by_another_library(result: Result, tmp_path: Path) -> None:
+    import c3d
+
+    (path,) = export(result, tmp_path / "out.c3d", "joints")
+    with path.open("rb") as file, warnings.catch_warnings(action="ignore"):
+        reader = c3d.Reader(file)
+        labels = [label.strip() for label in reader.point_labels]
+        frames = [points for _, points, _ in reader.read_frames()]
+    where = labels.index("1:HEAD")
+    head = result.motions[1].at(np.array([frames_time(result, 30, 30.0)])).positions
+    slot = result.model.marker_names.index("HEAD")
+    np.testing.assert_allclose(frames[30][where, :3], 1000 * head[0, slot], atol=0.5)
+    assert reader.point_rate == 30.0
+
+
+def frames_time(result: Result, frame: int, rate: float) -> float:
+    return float(min(m.times[0] for m in result.motions.values()) + frame / rate)
+
+
+def test_bvh_is_read_by_another_library_and_stands_where_the_person_stood(
+    result: Result, tmp_path: Path
+) -> None:
+    from bvh import Bvh
+
+    (path,) = export(result.select(person=0), tmp_path / "out.bvh")
+    read = Bvh(path.read_text())
+    assert read.frame_time == pytest.approx(1 / 30, abs=1e-6)
+    motion = result.motions[0].at(np.array([result.motions[0].times[0]]))
+    x, _, z = motion.positions[0, 0]
+    assert read.frame_joint_channel(0, "PELVIS", "Xposition") == pytest.approx(100 * x, abs=0.1)
+    assert read.frame_joint_channel(0, "PELVIS", "Yposition") == pytest.approx(100 * z, abs=0.1)
+    thigh = np.linalg.norm(read.joint_offset("KNEE_LEFT"))
+    assert 35 < thigh < 50
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_from_the_command_line(
+    suffix: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / f"out{suffix}"
+    assert run(["export", str(log), "-o", str(target), "--start", "1", "--end", "2"]) == 0
+    paths = files_of(target, (0, 1))
+    assert all(path.stat().st_size > 100 for path in paths)
+    assert capsys.readouterr().out == "".join(f"wrote {path}\n" for path in paths)
+    assert run(["export", str(log), "-o", str(target)]) == 2
+    assert "--force replaces it" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["-o", "out.xls"], "ends in none of .csv"),
+        (["-o", "out.trc", "--what", "angles"], "holds no angles"),
+        (["-o", "out.csv", "--what", "bones"], "none of joints, angles, both"),
+        (["-o", "out.csv", "--person", "9"], "no person 9"),
+        (["-o", "out.csv", "--start", "99"], "nobody is there"),
+    ],
+)
+def test_faults_in_one_line(
+    arguments: list[str], fault: str, log: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert run(["export", str(log), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert fault in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
