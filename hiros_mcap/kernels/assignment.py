@@ -30,8 +30,9 @@ class AssignmentWork(NamedTuple):
     @classmethod
     def room(cls, size: int) -> AssignmentWork:
         """Arrays for at most ``size`` rows and columns."""
-        floats = [np.empty(size + 1) for _ in range(3)]
-        return cls(*floats, *np.empty((2, size + 1), np.int64), np.empty(size + 1, np.bool_))
+        n = size + 1
+        floats, indices = np.empty((3, n)), np.empty((2, n), np.int64)
+        return cls._make([*floats, *indices, np.empty(n, np.bool_)])
 
 
 ASSIGNMENT_WORK = named_tuple(AssignmentWork, F1, F1, F1, I1, I1, B1)

@@ -1,5 +1,7 @@
 """The distance between two skeletons: the mean over the markers that both have."""
 
+# mypy: disable-error-code="no-any-return"
+
 from __future__ import annotations
 
 import math

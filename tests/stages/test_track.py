@@ -20,7 +20,8 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels import tracking
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.track import TrackParams, in_time_order, track
+from hiros_mcap.stages.time_order import in_time_order
+from hiros_mcap.stages.track import TrackParams, track
 
 AT_ONCE = TrackParams(confirm_detections=1, confirm_seconds=0.0, reorder=0.0, lookahead=0.0)
 CAMERAS = {name: np.array([x, y, 2.0]) for name, x, y in (("a", 4, 0), ("b", -4, 0), ("c", 0, 4))}
