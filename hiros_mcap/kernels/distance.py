@@ -8,23 +8,23 @@ import math
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import kernel
+from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 
-@kernel
+@inlined
 def norm3(x: float, y: float, z: float) -> float:
     """Length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
 
 
-@kernel
+@inlined
 def point_distance(a: Floats, b: Floats) -> float:
     """Distance between two points, m, the first three numbers of each; NaN if one is absent."""
     return norm3(a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@kernel
+@inlined
 def mean_distance(pose: Floats, other: Floats) -> float:
     """Mean distance, m, of the markers that both poses (M, >= 3) have; inf if there are none."""
     total, common = 0.0, 0
@@ -36,7 +36,7 @@ def mean_distance(pose: Floats, other: Floats) -> float:
     return total / common if common else np.inf
 
 
-@kernel
+@inlined
 def weighted_mean_distance(
     pose: Floats, other: Floats, slots: Ints, weights: Floats, other_weights: Floats, limit: float
 ) -> float:
@@ -54,9 +54,12 @@ def weighted_mean_distance(
         heaviest = max(heaviest, other_weights[m])
     total = norm = 0.0
     for m in range(len(pose)):
-        distance = point_distance(pose[m], other[slots[m]])
+        slot = slots[m]
+        distance = norm3(
+            pose[m, 0] - other[slot, 0], pose[m, 1] - other[slot, 1], pose[m, 2] - other[slot, 2]
+        )
         if not math.isnan(distance):
-            weight = weights[m] * other_weights[slots[m]]
+            weight = weights[m] * other_weights[slot]
             norm += weight
             total += weight * distance
         if (m & 7) == 7 and total > limit * (norm + (len(pose) - 1 - m) * heaviest):

@@ -13,13 +13,13 @@ caller moves the state itself, since positions add and orientations multiply.
 
 from __future__ import annotations
 
-from hiros_mcap.kernels.compile import kernel
+from hiros_mcap.kernels.compile import inlined
 
 Covariance = tuple[float, float, float, float, float, float]
 Gain = tuple[float, float, float]
 
 
-@kernel
+@inlined
 def white_jerk(dt: float, density: float) -> Covariance:
     """Process noise of ``dt`` s of constant acceleration that white jerk disturbs.
 
@@ -31,19 +31,19 @@ def white_jerk(dt: float, density: float) -> Covariance:
     return q * dt3 * dt2 / 20, q * dt2 * dt2 / 8, q * dt3 / 6, q * dt3 / 3, q * dt2 / 2, q * dt
 
 
-@kernel
+@inlined
 def white_acceleration(dt: float, density: float) -> Covariance:
     """Process noise of ``dt`` s of constant velocity; ``density`` as above, m2/s3."""
     return density * dt**3 / 3, density * dt**2 / 2, 0.0, density * dt, 0.0, 0.0
 
 
-@kernel
+@inlined
 def prior(position: float, velocity: float, acceleration: float) -> Covariance:
     """Covariance of a new state, of these variances."""
     return position, 0.0, 0.0, velocity, 0.0, acceleration
 
 
-@kernel
+@inlined
 def predict(p: Covariance, dt: float, process: Covariance) -> Covariance:
     """Covariance ``dt`` s later: F P F' + Q."""
     p00, p01, p02, p11, p12, p22 = p
@@ -59,7 +59,7 @@ def predict(p: Covariance, dt: float, process: Covariance) -> Covariance:
     )
 
 
-@kernel
+@inlined
 def innovation_variance(p: Covariance, measurement: float, square: float, gate: float) -> float:
     """Variance of an innovation, H P H' + R, of which ``square`` is the squared length.
 
@@ -70,14 +70,14 @@ def innovation_variance(p: Covariance, measurement: float, square: float, gate: 
     return max(p[0] + measurement, square / (gate * gate))
 
 
-@kernel
+@inlined
 def gain(p: Covariance, variance: float) -> Gain:
     """Kalman gain P H' / S of position, velocity and acceleration; S is ``variance``."""
     part = 1.0 / variance  # quicker than three quotients
     return p[0] * part, p[1] * part, p[2] * part
 
 
-@kernel
+@inlined
 def correct(p: Covariance, k: Gain) -> Covariance:
     """Covariance after the measurement: (I - K H) P."""
     p00, p01, p02, p11, p12, p22 = p

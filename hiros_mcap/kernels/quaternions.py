@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 
-from hiros_mcap.kernels.compile import kernel
+from hiros_mcap.kernels.compile import inlined
 
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 
 
-@kernel
+@inlined
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     """Return the product: the rotation ``b`` followed by ``a``."""
     return (
@@ -26,26 +26,26 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-@kernel
+@inlined
 def conjugate(q: Quaternion) -> Quaternion:
     """Return the inverse rotation."""
     return -q[0], -q[1], -q[2], q[3]
 
 
-@kernel
+@inlined
 def dot(a: Quaternion, b: Quaternion) -> float:
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 
 
-@kernel
+@inlined
 def normalize(q: Quaternion) -> Quaternion:
     """Return ``q`` with length 1."""
     scale = 1.0 / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
 
 
-@kernel
+@inlined
 def exponential(x: float, y: float, z: float) -> Quaternion:
     """Quaternion of a rotation vector, rad."""
     square = x * x + y * y + z * z
@@ -58,7 +58,7 @@ def exponential(x: float, y: float, z: float) -> Quaternion:
     return s * x, s * y, s * z, math.cos(0.5 * angle)
 
 
-@kernel
+@inlined
 def rotation_vector(q: Quaternion) -> Vector:
     """Rotation vector, rad, along the shortest path; the inverse of :func:`exponential`."""
     sign = 1.0 if q[3] >= 0.0 else -1.0
@@ -72,19 +72,19 @@ def rotation_vector(q: Quaternion) -> Vector:
     return scale * q[0], scale * q[1], scale * q[2]
 
 
-@kernel
+@inlined
 def difference(a: Quaternion, b: Quaternion) -> Vector:
     """Rotation vector, rad, that takes ``b`` to ``a`` along the shortest path."""
     return rotation_vector(multiply(a, conjugate(b)))
 
 
-@kernel
+@inlined
 def angle_of(product: float) -> float:
     """Angle, rad in [0, pi], between quaternions of this scalar product (Hi-ROS 2023, eq 10)."""
     return 2.0 * math.acos(min(1.0, abs(product)))  # eq 10
 
 
-@kernel
+@inlined
 def shortest_arc(u: Vector, v: Vector, cosine: float) -> Quaternion:
     """Least rotation from the unit vector ``u`` to ``v``, which is not its opposite.
 

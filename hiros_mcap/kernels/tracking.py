@@ -16,12 +16,27 @@ from numba import types
 
 from hiros_mcap.kernels import kalman_filter
 from hiros_mcap.kernels.assignment import ASSIGNMENT_WORK, AssignmentWork, solve
-from hiros_mcap.kernels.compile import B1, B2, F2, F3, I1, I2, J1, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import (
+    B1,
+    B2,
+    F2,
+    F3,
+    I1,
+    I2,
+    J1,
+    PEOPLE,
+    inlined,
+    kernel,
+    named_tuple,
+)
 from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
+from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
+    Vector,
     angle_of,
     difference,
+    dot,
     exponential,
     multiply,
     normalize,
@@ -115,21 +130,33 @@ class TrackSettings(NamedTuple):
     flip_aware: bool
 
 
-class TrackWork(NamedTuple):
-    """What is worked out about T tracks and P detections; the arrays may have room for more."""
+class PredictedTracks(NamedTuple):
+    """Poses of T tracks at the time of a message (eq 7); NaN = never seen."""
 
     positions: Floats
-    """(T, M, 3) predicted, m."""
+    """(T, M, 3) m."""
     orientations: Floats
-    """(T, L, 4) predicted."""
-    marker_weights: Floats
-    """(T, M) part of eq 11 that a track's velocity gives."""
-    link_weights: Floats
+    """(T, L, 4) x y z w."""
+
+
+class TrackWeights(NamedTuple):
+    """The two factors of eq 11, of T tracks and P detections."""
+
+    marker_velocities: Floats
+    """(T, M) w_v."""
+    link_velocities: Floats
     """(T, L)."""
     marker_confidences: Floats
-    """(P, M) part of eq 11 that a detection's confidence gives."""
+    """(P, M) kappa."""
     link_confidences: Floats
     """(P, L)."""
+
+
+class TrackPairs(NamedTuple):
+    """T tracks compared with P detections."""
+
+    wanted: Flags
+    """(P,) whether a detection needs a track."""
     distances: Floats
     """(T, P) weighted mean distance of the markers, m; right up to both distance parameters."""
     mirrored: Flags
@@ -138,31 +165,44 @@ class TrackWork(NamedTuple):
     """(T, P) eq 6; infinite where a pair is not allowed."""
     match: Stamps
     """(P,) index of the track of each detection, -1 = none."""
-    wanted: Flags
-    """(P,) whether a detection still needs a track."""
+
+
+class TrackWork(NamedTuple):
+    """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
+
+    predicted: PredictedTracks
+    weights: TrackWeights
+    pairs: TrackPairs
+    assignment: AssignmentWork
     faults: Stamps
     """(P,) USABLE, NO_MARKERS or LOW_CONFIDENCE."""
-    slots: Ints
-    """(M,) 0, 1, 2, ..."""
-    assignment: AssignmentWork
 
     @classmethod
     def room(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
         """Arrays for at most that many tracks and detections."""
         t, p, m, n = n_tracks, n_people, n_markers, n_links
-        shapes = (t, m, 3), (t, n, 4), (t, m), (t, n), (p, m), (p, n), (t, p)
-        return cls._make(
-            [
-                *[np.empty(shape) for shape in shapes],
+        return cls(
+            PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4))),
+            TrackWeights._make(np.empty(shape) for shape in ((t, m), (t, n), (p, m), (p, n))),
+            TrackPairs(
+                np.empty(p, np.bool_),
+                np.empty((t, p)),
                 np.empty((t, p), np.bool_),
                 np.empty((t, p)),
                 np.empty(p, np.int64),
-                np.empty(p, np.bool_),
-                np.empty(p, np.int64),
-                np.arange(m, dtype=np.int32),
-                AssignmentWork.room(max(t, p)),
-            ]
+            ),
+            AssignmentWork.room(max(t, p)),
+            np.empty(p, np.int64),
         )
+
+
+class Slots(NamedTuple):
+    """Which marker of a detection belongs to which of a track."""
+
+    same: Ints
+    """(M,) 0, 1, 2, ..."""
+    mirror: Ints
+    """(M,) where the detector swapped left and right."""
 
 
 class ConfirmedTracks(NamedTuple):
@@ -188,9 +228,11 @@ class Followed(NamedTuple):
 _F, _I = types.float64, types.int64
 _TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2)
 _SETTINGS = named_tuple(TrackSettings, *16 * [_F], *3 * [types.boolean])
-_WORK = named_tuple(
-    TrackWork, F3, F3, F2, F2, F2, F2, F2, B2, F2, I1, B1, I1, J1, ASSIGNMENT_WORK
-)  # fmt: skip
+_PREDICTED = named_tuple(PredictedTracks, F3, F3)
+_WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
+_PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1)
+_WORK = named_tuple(TrackWork, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
+_SLOTS = named_tuple(Slots, J1, J1)
 _CONFIRMED = named_tuple(ConfirmedTracks, I1, J1, I1)
 _FOLLOWED = named_tuple(Followed, I1, F2)
 
@@ -198,7 +240,7 @@ _FOLLOWED = named_tuple(Followed, I1, F2)
 # Detections
 
 
-@kernel
+@inlined
 def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -> bool:
     """Make a person's states of too little confidence absent; return whether any is left."""
     some = False
@@ -210,24 +252,21 @@ def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -
     return some
 
 
-@kernel(types.void(PEOPLE, _SETTINGS, _WORK))
-def screen(people: People, settings: TrackSettings, work: TrackWork) -> None:
-    """Make markers and links of too little confidence absent; fill ``faults`` and ``wanted``."""
-    least = settings.min_marker_confidence
+@kernel(types.void(PEOPLE, _F, _F, I1))
+def screen(people: People, min_marker: float, min_skeleton: float, faults: Stamps) -> None:
+    """Make markers and links of too little confidence absent; fill ``faults`` (P,)."""
     for j in range(len(people.ids)):
-        some = _leave_out(people.markers, people.marker_confidences, least, j)
-        _leave_out(people.links, people.link_confidences, least, j)
-        work.faults[j] = NO_MARKERS
+        some = _leave_out(people.markers, people.marker_confidences, min_marker, j)
+        _leave_out(people.links, people.link_confidences, min_marker, j)
+        faults[j] = NO_MARKERS
         if some:
-            doubtful = people.confidences[j] < settings.min_skeleton_confidence
-            work.faults[j] = LOW_CONFIDENCE if doubtful else USABLE
-        work.wanted[j] = work.faults[j] == USABLE
+            faults[j] = LOW_CONFIDENCE if people.confidences[j] < min_skeleton else USABLE
 
 
 # Prediction, eq 7
 
 
-@kernel
+@inlined
 def _predict_positions(
     stamp: int, rows: Stamps, tracks: Tracks, horizon: float, out: Floats
 ) -> None:
@@ -239,17 +278,12 @@ def _predict_positions(
                 out[i, m, c] = tracks.positions[row, m, c] + dt * tracks.velocities[row, m, c]
 
 
-@kernel
-def _orientation(states: Floats, row: int, k: int, first: int) -> Quaternion:
-    return (
-        states[row, k, first],
-        states[row, k, first + 1],
-        states[row, k, first + 2],
-        states[row, k, first + 3],
-    )
+@inlined
+def _quaternion(values: Floats) -> Quaternion:
+    return values[0], values[1], values[2], values[3]
 
 
-@kernel
+@inlined
 def _predict_orientations(
     stamp: int, rows: Stamps, tracks: Tracks, horizon: float, out: Floats
 ) -> None:
@@ -259,27 +293,26 @@ def _predict_orientations(
             dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), horizon)
             omega = tracks.angular_velocities[row, k]
             step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
-            turned = multiply(step, _orientation(tracks.orientations, row, k, 0))
-            for c in range(4):
-                out[i, k, c] = turned[c]
+            q = multiply(step, _quaternion(tracks.orientations[row, k]))
+            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
 
 
-@kernel(types.void(_I, I1, _TRACKS, _SETTINGS, _WORK))
+@kernel(types.void(_I, I1, _TRACKS, _F, _PREDICTED))
 def predict(
-    stamp: int, rows: Stamps, tracks: Tracks, settings: TrackSettings, work: TrackWork
+    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, predicted: PredictedTracks
 ) -> None:
     """Predict the pose of each track in ``rows`` at ``stamp`` by constant velocity (eq 7).
 
     Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
     """
-    _predict_positions(stamp, rows, tracks, settings.horizon, work.positions)
-    _predict_orientations(stamp, rows, tracks, settings.horizon, work.orientations)
+    _predict_positions(stamp, rows, tracks, horizon, predicted.positions)
+    _predict_orientations(stamp, rows, tracks, horizon, predicted.orientations)
 
 
 # Cost, eq 6 and 8 to 11
 
 
-@kernel
+@inlined
 def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats) -> None:
     for m in range(len(velocities)):
         if not settings.weight_by_velocity:
@@ -292,7 +325,7 @@ def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats)
             out[m] = speed**-settings.velocity_decay  # eq 11: w_v
 
 
-@kernel
+@inlined
 def _weigh_by_confidence(confidences: Floats, settings: TrackSettings, out: Floats) -> None:
     for j in range(len(confidences)):
         for m in range(confidences.shape[1]):
@@ -300,63 +333,67 @@ def _weigh_by_confidence(confidences: Floats, settings: TrackSettings, out: Floa
             out[j, m] = confidences[j, m] if given else 1.0  # eq 11: kappa
 
 
-@kernel
+@inlined
 def _compare(
     rows: Stamps,
     people: People,
     tracks: Tracks,
-    mirror: Ints,
+    slots: Slots,
     settings: TrackSettings,
     work: TrackWork,
 ) -> None:
     """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance."""
-    _weigh_by_confidence(people.marker_confidences, settings, work.marker_confidences)
+    _, weights, pairs, _, _ = work
+    _weigh_by_confidence(people.marker_confidences, settings, weights.marker_confidences)
     reach = max(settings.max_distance, settings.min_distance)
     for i in range(len(rows)):
-        weights = work.marker_weights[i]
-        _weigh_by_velocity(tracks.velocities[rows[i]], settings, weights)
+        pose, weight = work.predicted.positions[i], weights.marker_velocities[i]
+        _weigh_by_velocity(tracks.velocities[rows[i]], settings, weight)
         for j in range(len(people.ids)):
-            pose, confidences = people.markers[j], work.marker_confidences[j]
+            seen, confidence = people.markers[j], weights.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
             distance = weighted_mean_distance(
-                work.positions[i], pose, work.slots, weights, confidences, 2.0 * reach
+                pose, seen, slots.same, weight, confidence, 2.0 * reach
             )
             swapped = np.inf
             if settings.flip_aware and distance > _NOT_MIRRORED:
                 swapped = weighted_mean_distance(
-                    work.positions[i], pose, mirror, weights, confidences, reach
+                    pose, seen, slots.mirror, weight, confidence, reach
                 )
-            work.mirrored[i, j] = swapped < 0.5 * distance
-            work.distances[i, j] = swapped if work.mirrored[i, j] else distance
+            pairs.mirrored[i, j] = swapped < 0.5 * distance
+            pairs.distances[i, j] = swapped if pairs.mirrored[i, j] else distance
 
 
-@kernel
+@inlined
 def _linear_distance(
     i: int, j: int, people: People, velocities: Floats, settings: TrackSettings, work: TrackWork
 ) -> float:
     """Eq 8; ``velocities`` (M, 3) of the track."""
     total, common, markers = 0.0, 0, people.markers[j]
+    weights, confidences = work.weights.marker_velocities[i], work.weights.marker_confidences[j]
     for m in range(len(markers)):
-        d = point_distance(work.positions[i, m], markers[m])
+        d = point_distance(work.predicted.positions[i, m], markers[m])
         if math.isnan(d):
             continue
         common += 1
         if settings.velocity_weight > 0.0 and not math.isnan(markers[m, _TO_VELOCITY]):
             d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
-        total += work.marker_weights[i, m] * work.marker_confidences[j, m] * d
+        total += weights[m] * confidences[m] * d
     return total / common**settings.exponent  # eq 8
 
 
-@kernel
+@inlined
 def _angular_distance(
     i: int, j: int, people: People, velocities: Floats, settings: TrackSettings, work: TrackWork
 ) -> float:
     """Eq 9, 0 where no link is in common; ``velocities`` (L, 3) of the track."""
     total, common, links = 0.0, 0, people.links[j]
+    weights, confidences = work.weights.link_velocities[i], work.weights.link_confidences[j]
     for k in range(len(links)):
-        product = 0.0
-        for c in range(4):
-            product += work.orientations[i, k, c] * links[k, _TO_ORIENTATION + c]
+        product = dot(
+            _quaternion(work.predicted.orientations[i, k]),
+            _quaternion(links[k, _TO_ORIENTATION:]),
+        )
         if math.isnan(product):
             continue
         common += 1
@@ -367,72 +404,75 @@ def _angular_distance(
             d += settings.angular_velocity_weight * point_distance(
                 velocities[k], links[k, _TO_ANGULAR_VELOCITY:]
             )
-        total += work.link_weights[i, k] * work.link_confidences[j, k] * d
+        total += weights[k] * confidences[k] * d
     return total / common**settings.exponent if common else 0.0  # eq 9
 
 
-@kernel
+@inlined
 def _fill_cost(
     rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork
 ) -> None:
     """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
-    _weigh_by_confidence(people.link_confidences, settings, work.link_confidences)
+    _, weights, pairs, _, _ = work
+    _weigh_by_confidence(people.link_confidences, settings, weights.link_confidences)
     for i in range(len(rows)):
         velocities = tracks.velocities[rows[i]]
         angular_velocities = tracks.angular_velocities[rows[i]]
-        _weigh_by_velocity(angular_velocities, settings, work.link_weights[i])
+        _weigh_by_velocity(angular_velocities, settings, weights.link_velocities[i])
         for j in range(len(people.ids)):
-            if not work.wanted[j] or work.distances[i, j] > settings.max_distance:
-                work.cost[i, j] = np.inf
-            elif work.mirrored[i, j]:
-                work.cost[i, j] = work.distances[i, j]
+            if not pairs.wanted[j] or pairs.distances[i, j] > settings.max_distance:
+                pairs.cost[i, j] = np.inf
+            elif pairs.mirrored[i, j]:
+                pairs.cost[i, j] = pairs.distances[i, j]
             else:
                 linear = _linear_distance(i, j, people, velocities, settings, work)
                 angular = _angular_distance(i, j, people, angular_velocities, settings, work)
-                work.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
+                pairs.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
 
 
-@kernel(types.void(I1, PEOPLE, _TRACKS, J1, _SETTINGS, _WORK))
+@kernel(types.void(I1, PEOPLE, _TRACKS, _SLOTS, _SETTINGS, _WORK))
 def association_cost(
     rows: Stamps,
     people: People,
     tracks: Tracks,
-    mirror: Ints,
+    slots: Slots,
     settings: TrackSettings,
     work: TrackWork,
 ) -> None:
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
-    Fills ``distances``, which the gate is for, since unlike eq 8 they depend neither on the
-    exponent nor on velocities; ``mirrored``; and ``cost``. The orientations of a mirrored detection
-    are wrong, so its cost is its distance.
+    Fills the ``distances`` of ``work.pairs``, which the gate is for, since unlike eq 8 they depend
+    neither on the exponent nor on velocities; ``mirrored``; and ``cost``, for the ``wanted``
+    detections. The orientations of a mirrored detection are wrong, so its cost is its distance.
     """
-    _compare(rows, people, tracks, mirror, settings, work)
+    _compare(rows, people, tracks, slots, settings, work)
     _fill_cost(rows, people, tracks, settings, work)
-
-
-@kernel(types.void(_I, PEOPLE, _WORK))
-def assign(n_tracks: int, people: People, work: TrackWork) -> None:
-    """Fill ``match``: as many allowed pairs as possible, then the least cost (Munkres)."""
-    solve(work.cost, n_tracks, len(people.ids), work.assignment, work.match)
 
 
 # Correction
 
 
-@kernel
-def _load(covariances: Floats, row: int, m: int) -> kalman_filter.Covariance:
+@inlined
+def _load(covariances: Floats, row: int, m: int) -> Covariance:
     p = covariances[row, m]
     return p[0], p[1], p[2], p[3], p[4], p[5]
 
 
-@kernel
-def _store(covariances: Floats, row: int, m: int, p: kalman_filter.Covariance) -> None:
-    for c in range(6):
-        covariances[row, m, c] = p[c]
+@inlined
+def _store(covariances: Floats, row: int, m: int, p: Covariance) -> None:
+    # One by one: a tuple is slow to read at a place that varies.
+    covariances[row, m, 0], covariances[row, m, 1], covariances[row, m, 2] = p[0], p[1], p[2]
+    covariances[row, m, 3], covariances[row, m, 4], covariances[row, m, 5] = p[3], p[4], p[5]
 
 
-@kernel
+@inlined
+def _add(values: Floats, row: int, m: int, gain: float, innovation: Vector) -> None:
+    values[row, m, 0] += gain * innovation[0]
+    values[row, m, 1] += gain * innovation[1]
+    values[row, m, 2] += gain * innovation[2]
+
+
+@inlined
 def _limit_speed(tracks: Tracks, row: int, m: int, max_speed: float) -> None:
     velocity = tracks.velocities[row, m]
     square = velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2
@@ -443,7 +483,7 @@ def _limit_speed(tracks: Tracks, row: int, m: int, max_speed: float) -> None:
             tracks.accelerations[row, m, c] = 0.0
 
 
-@kernel
+@inlined
 def _start_marker(tracks: Tracks, row: int, m: int, seen_at: Floats, noise: float) -> None:
     for c in range(3):
         tracks.positions[row, m, c] = seen_at[c]
@@ -451,7 +491,7 @@ def _start_marker(tracks: Tracks, row: int, m: int, seen_at: Floats, noise: floa
     _store(tracks.covariances, row, m, kalman_filter.prior(noise, _SPEED, _ACCELERATION))
 
 
-@kernel
+@inlined
 def _move_marker(tracks: Tracks, row: int, m: int, dt: float, horizon: float) -> None:
     """Predict a marker's state with constant acceleration, for ``horizon`` s at most."""
     reach = min(dt, horizon)
@@ -463,25 +503,23 @@ def _move_marker(tracks: Tracks, row: int, m: int, dt: float, horizon: float) ->
         tracks.velocities[row, m, c] += reach * a
 
 
-@kernel
+@inlined
 def _correct_marker(
-    tracks: Tracks, row: int, m: int, seen_at: Floats, noise: float, gate: float
+    tracks: Tracks, row: int, m: int, p: Covariance, seen_at: Floats, noise: float, gate: float
 ) -> None:
-    """Kalman update by a position that is seen with variance ``noise``, m2."""
-    position, p = tracks.positions[row, m], _load(tracks.covariances, row, m)
+    """Kalman update by a position that is seen with variance ``noise``, m2; ``p`` is predicted."""
+    position = tracks.positions[row, m]
     ex, ey, ez = seen_at[0] - position[0], seen_at[1] - position[1], seen_at[2] - position[2]
     square = ex * ex + ey * ey + ez * ez
     variance = kalman_filter.innovation_variance(p, noise, square, gate)
     gain = kalman_filter.gain(p, variance)
-    innovation = (ex, ey, ez)
-    for c in range(3):
-        tracks.positions[row, m, c] += gain[0] * innovation[c]
-        tracks.velocities[row, m, c] += gain[1] * innovation[c]
-        tracks.accelerations[row, m, c] += gain[2] * innovation[c]
+    _add(tracks.positions, row, m, gain[0], (ex, ey, ez))
+    _add(tracks.velocities, row, m, gain[1], (ex, ey, ez))
+    _add(tracks.accelerations, row, m, gain[2], (ex, ey, ez))
     _store(tracks.covariances, row, m, kalman_filter.correct(p, gain))
 
 
-@kernel
+@inlined
 def _write(values: Floats, state: Floats, first: int) -> None:
     """Copy three numbers to where the detector left them open."""
     if math.isnan(state[first]):
@@ -489,14 +527,14 @@ def _write(values: Floats, state: Floats, first: int) -> None:
             state[first + c] = values[c]
 
 
-@kernel
+@inlined
 def _correct_markers(
     stamp: int,
     row: int,
+    tracks: Tracks,
     markers: Floats,
     confidences: Floats,
     slots: Ints,
-    tracks: Tracks,
     settings: TrackSettings,
 ) -> None:
     """Bring a track's markers to ``stamp`` by a detection (M, 19), whose slots are ``slots``."""
@@ -514,26 +552,26 @@ def _correct_markers(
             _start_marker(tracks, row, m, state, noise)
             tracks.seen[row, m] = stamp
         else:
+            p = _load(tracks.covariances, row, m)
             if dt > 0.0:
                 _move_marker(tracks, row, m, dt, settings.horizon)
                 if dt != interval:  # markers are mostly seen together
                     interval, process = dt, kalman_filter.white_jerk(dt, density)
-                p = kalman_filter.predict(_load(tracks.covariances, row, m), dt, process)
-                _store(tracks.covariances, row, m, p)
+                p = kalman_filter.predict(p, dt, process)
                 tracks.seen[row, m] = stamp
-            _correct_marker(tracks, row, m, state, noise, settings.innovation_gate)
+            _correct_marker(tracks, row, m, p, state, noise, settings.innovation_gate)
             _limit_speed(tracks, row, m, settings.max_speed)
         _write(tracks.velocities[row, m], state, _TO_VELOCITY)
         _write(tracks.accelerations[row, m], state, _TO_ACCELERATION)
 
 
-@kernel
+@inlined
 def _set_orientation(tracks: Tracks, row: int, k: int, q: Quaternion) -> None:
-    for c in range(4):
-        tracks.orientations[row, k, c] = q[c]
+    tracks.orientations[row, k, 0], tracks.orientations[row, k, 1] = q[0], q[1]
+    tracks.orientations[row, k, 2], tracks.orientations[row, k, 3] = q[2], q[3]
 
 
-@kernel
+@inlined
 def _start_link(tracks: Tracks, row: int, k: int, seen_at: Quaternion, noise: float) -> None:
     _set_orientation(tracks, row, k, seen_at)
     for c in range(3):
@@ -542,7 +580,7 @@ def _start_link(tracks: Tracks, row: int, k: int, seen_at: Quaternion, noise: fl
     _store(tracks.link_covariances, row, k, prior)
 
 
-@kernel
+@inlined
 def _move_link(tracks: Tracks, row: int, k: int, dt: float, horizon: float) -> None:
     """Predict a link's state with constant angular acceleration, for ``horizon`` s at most."""
     reach = min(dt, horizon)
@@ -552,31 +590,30 @@ def _move_link(tracks: Tracks, row: int, k: int, dt: float, horizon: float) -> N
         reach * (omega[1] + 0.5 * reach * alpha[1]),
         reach * (omega[2] + 0.5 * reach * alpha[2]),
     )
-    _set_orientation(tracks, row, k, multiply(step, _orientation(tracks.orientations, row, k, 0)))
+    _set_orientation(tracks, row, k, multiply(step, _quaternion(tracks.orientations[row, k])))
     for c in range(3):
         omega[c] += reach * alpha[c]
 
 
-@kernel
+@inlined
 def _correct_link(
-    tracks: Tracks, row: int, k: int, seen_at: Quaternion, noise: float, gate: float
+    tracks: Tracks, row: int, k: int, p: Covariance, seen_at: Quaternion, noise: float, gate: float
 ) -> None:
     """Kalman update by an orientation; the innovation is a rotation vector."""
-    q, p = _orientation(tracks.orientations, row, k, 0), _load(tracks.link_covariances, row, k)
+    q = _quaternion(tracks.orientations[row, k])
     e = difference(seen_at, q)
     square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
     gain = kalman_filter.gain(p, kalman_filter.innovation_variance(p, noise, square, gate))
     step = exponential(gain[0] * e[0], gain[0] * e[1], gain[0] * e[2])
     _set_orientation(tracks, row, k, normalize(multiply(step, q)))
-    for c in range(3):
-        tracks.angular_velocities[row, k, c] += gain[1] * e[c]
-        tracks.angular_accelerations[row, k, c] += gain[2] * e[c]
+    _add(tracks.angular_velocities, row, k, gain[1], e)
+    _add(tracks.angular_accelerations, row, k, gain[2], e)
     _store(tracks.link_covariances, row, k, kalman_filter.correct(p, gain))
 
 
-@kernel
+@inlined
 def _correct_links(
-    stamp: int, row: int, links: Floats, tracks: Tracks, settings: TrackSettings
+    stamp: int, row: int, tracks: Tracks, links: Floats, settings: TrackSettings
 ) -> None:
     """Bring a track's links to ``stamp`` by a detection (L, 19)."""
     noise = settings.orientation_noise * settings.orientation_noise
@@ -585,38 +622,33 @@ def _correct_links(
     for k in range(len(links)):
         if math.isnan(links[k, _TO_ORIENTATION]):
             continue
-        seen_at = (
-            links[k, _TO_ORIENTATION],
-            links[k, _TO_ORIENTATION + 1],
-            links[k, _TO_ORIENTATION + 2],
-            links[k, _TO_ORIENTATION + 3],
-        )
+        seen_at = _quaternion(links[k, _TO_ORIENTATION:])
         dt = (stamp - tracks.links_seen[row, k]) * 1e-9
         if math.isnan(tracks.orientations[row, k, 0]) or dt > _RESTART * settings.horizon:
             _start_link(tracks, row, k, seen_at, noise)
             tracks.links_seen[row, k] = stamp
         else:
+            p = _load(tracks.link_covariances, row, k)
             if dt > 0.0:
                 _move_link(tracks, row, k, dt, settings.horizon)
                 if dt != interval:
                     interval, process = dt, kalman_filter.white_jerk(dt, density)
-                p = kalman_filter.predict(_load(tracks.link_covariances, row, k), dt, process)
-                _store(tracks.link_covariances, row, k, p)
+                p = kalman_filter.predict(p, dt, process)
                 tracks.links_seen[row, k] = stamp
-            _correct_link(tracks, row, k, seen_at, noise, settings.innovation_gate)
+            _correct_link(tracks, row, k, p, seen_at, noise, settings.innovation_gate)
         _write(tracks.angular_velocities[row, k], links[k], _TO_ANGULAR_VELOCITY)
         _write(tracks.angular_accelerations[row, k], links[k], _TO_ANGULAR_ACCELERATION)
 
 
-@kernel(types.void(_I, I1, PEOPLE, _TRACKS, J1, _SETTINGS, _WORK))
+@kernel(types.void(_I, I1, _PAIRS, PEOPLE, _TRACKS, _SLOTS, _SETTINGS))
 def correct(
     stamp: int,
     rows: Stamps,
+    pairs: TrackPairs,
     people: People,
     tracks: Tracks,
-    mirror: Ints,
+    slots: Slots,
     settings: TrackSettings,
-    work: TrackWork,
 ) -> None:
     """Bring the tracks in ``rows`` to ``stamp`` with the detections that ``match`` gives them.
 
@@ -626,16 +658,15 @@ def correct(
     with its sides swapped; its orientations are wrong and are left alone.
     """
     for j in range(len(people.ids)):
-        i = work.match[j]
+        i = pairs.match[j]
         if i < 0:
             continue
-        swapped = work.mirrored[i, j]
-        slots = mirror if swapped else work.slots
-        _correct_markers(
-            stamp, rows[i], people.markers[j], people.marker_confidences[j], slots, tracks, settings
-        )
+        row, swapped = rows[i], pairs.mirrored[i, j]
+        markers, confidences = people.markers[j], people.marker_confidences[j]
+        which = slots.mirror if swapped else slots.same
+        _correct_markers(stamp, row, tracks, markers, confidences, which, settings)
         if not swapped:
-            _correct_links(stamp, rows[i], people.links[j], tracks, settings)
+            _correct_links(stamp, row, tracks, people.links[j], settings)
 
 
 @kernel("void(float64[:,:,::1], int64, float64[::1])")
@@ -654,28 +685,50 @@ def centre(positions: Floats, row: int, out: Floats) -> None:
 # Many messages at once
 
 
-@kernel
+@inlined
 def _match_without_choice(
-    n_tracks: int, n_people: int, settings: TrackSettings, work: TrackWork
+    n_tracks: int, n_people: int, max_distance: float, pairs: TrackPairs
 ) -> bool:
     """Fill ``match`` if nobody has a choice; return whether that is so.
 
     Then no track is near two detections, nor a detection near two tracks, and what a pair costs
     does not matter.
     """
+    for j in range(n_people):
+        pairs.match[j] = -1
     for i in range(n_tracks):
         found = False
         for j in range(n_people):
-            if not work.wanted[j] or work.distances[i, j] > settings.max_distance:
+            if not pairs.wanted[j] or pairs.distances[i, j] > max_distance:
                 continue
-            if found or work.match[j] >= 0:
+            if found or pairs.match[j] >= 0:
                 return False
             found = True
-            work.match[j] = i
+            pairs.match[j] = i
     return True
 
 
-@kernel
+@inlined
+def _associate(
+    stamp: int,
+    rows: Stamps,
+    people: People,
+    tracks: Tracks,
+    slots: Slots,
+    settings: TrackSettings,
+    work: TrackWork,
+) -> None:
+    """Fill ``match`` as the steps of stages/track.py do, with less work where it is obvious."""
+    predicted, pairs, n_people = work.predicted, work.pairs, len(people.ids)
+    _predict_positions(stamp, rows, tracks, settings.horizon, predicted.positions)
+    _compare(rows, people, tracks, slots, settings, work)
+    if not _match_without_choice(len(rows), n_people, settings.max_distance, pairs):
+        _predict_orientations(stamp, rows, tracks, settings.horizon, predicted.orientations)
+        _fill_cost(rows, people, tracks, settings, work)
+        solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)
+
+
+@inlined
 def _rows(people: People, begin: int, end: int) -> People:
     """People from row ``begin`` on and before row ``end``, as views."""
     return People(
@@ -690,14 +743,14 @@ def _rows(people: People, begin: int, end: int) -> People:
     )
 
 
-@kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, J1, _SETTINGS, _WORK, _FOLLOWED))
+@kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, _SLOTS, _SETTINGS, _WORK, _FOLLOWED))
 def follow(
     stamps: Stamps,
     spans: Stamps,
     people: People,
     tracks: Tracks,
     confirmed: ConfirmedTracks,
-    mirror: Ints,
+    slots: Slots,
     settings: TrackSettings,
     work: TrackWork,
     followed: Followed,
@@ -713,25 +766,20 @@ def follow(
         last.
     people : of all messages, and others.
     """
-    n_tracks = len(confirmed.rows)
+    pairs = work.pairs
     for k in range(len(stamps)):
         begin, end = spans[k, 0], spans[k, 1]
         group = _rows(people, begin, end)
-        screen(group, settings, work)
-        _predict_positions(stamps[k], confirmed.rows, tracks, settings.horizon, work.positions)
-        _compare(confirmed.rows, group, tracks, mirror, settings, work)
+        screen(group, settings.min_marker_confidence, settings.min_skeleton_confidence, work.faults)
         for j in range(end - begin):
-            work.match[j] = -1
-        if not _match_without_choice(n_tracks, end - begin, settings, work):
-            predict(stamps[k], confirmed.rows, tracks, settings, work)
-            _fill_cost(confirmed.rows, group, tracks, settings, work)
-            assign(n_tracks, group, work)
+            pairs.wanted[j] = work.faults[j] == USABLE
+        _associate(stamps[k], confirmed.rows, group, tracks, slots, settings, work)
         for j in range(end - begin):
-            if work.match[j] < 0:
+            if pairs.match[j] < 0:
                 return k
-        correct(stamps[k], confirmed.rows, group, tracks, mirror, settings, work)
+        correct(stamps[k], confirmed.rows, pairs, group, tracks, slots, settings)
         for j in range(end - begin):
-            i = work.match[j]
+            i = pairs.match[j]
             group.ids[j] = confirmed.ids[i]
             confirmed.last_seen[i] = max(confirmed.last_seen[i], stamps[k])
             followed.match[begin + j] = i

@@ -64,8 +64,11 @@ class TimeOrder(Generic[T]):
         oldest = self._latest - self._patience
         if self._begin >= oldest:  # there may be cameras that have not sent anything yet
             return oldest, source
-        sent = [(stamp, name) for name, stamp in self._latest_of.items() if stamp > oldest]
-        return min([(self._latest, ""), *sent])
+        complete = self._latest, ""
+        for name, stamp in self._latest_of.items():
+            if stamp > oldest and (stamp, name) < complete:
+                complete = stamp, name
+        return complete
 
 
 def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:

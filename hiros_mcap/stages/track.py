@@ -18,6 +18,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from operator import itemgetter
 
 import numpy as np
@@ -27,9 +28,18 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.kernels import tracking as kernels
+from hiros_mcap.kernels.assignment import solve
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import (
+    POSITION,
+    UNTRACKED,
+    Floats,
+    Frame,
+    People,
+    SkeletonModel,
+    Stamps,
+)
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
 from hiros_mcap.stages.delay import Delay
@@ -337,11 +347,15 @@ class _Tracker:
         self.delay: Delay[_DetectionGroup] = Delay(params.lookahead)
         self.numbers, self.ids = itertools.count(), itertools.count()
         symmetry = symmetry_of(model)
-        self.mirror: Ints = symmetry.mirror
+        same = np.arange(model.n_markers, dtype=np.int32)
+        self.slots = kernels.Slots(same, symmetry.mirror)
         self.settings = kernels.TrackSettings._make(
             getattr(params, name) for name in kernels.TrackSettings._fields
         )._replace(flip_aware=params.flip_aware and symmetry.known)
-        self.work = kernels.TrackWork.room(0, 0, model.n_markers, model.n_links)
+        self._work = partial(
+            kernels.TrackWork.room, n_markers=model.n_markers, n_links=model.n_links
+        )
+        self.work = self._work(8, 8)
 
     def update(self, group: _DetectionGroup) -> Iterator[_DetectionGroup]:
         """Track the detections of one message (section 3.1.2); yield messages that are decided."""
@@ -409,58 +423,68 @@ class _Tracker:
     def _screen(self, group: _DetectionGroup) -> None:
         """Leave out markers and detections of too little confidence."""
         self._make_room(len(group.tracks))
-        kernels.screen(group.people, self.settings, self.work)
-        group.reasons[:] = [_REASONS[f] for f in self.work.faults[: len(group.tracks)].tolist()]
+        params, faults = self.params, self.work.faults
+        kernels.screen(
+            group.people, params.min_marker_confidence, params.min_skeleton_confidence, faults
+        )
+        group.reasons[:] = [_REASONS[fault] for fault in faults[: len(group.tracks)].tolist()]
 
     def _predict(self, tracks: list[_Track], group: _DetectionGroup) -> Stamps:
         """Predict the tracks' poses at the time of the message; return their rows (eq 7)."""
         rows = np.array([track.row for track in tracks], np.int64)
-        kernels.predict(group.stamp, rows, self.bank.past, self.settings, self.work)
+        kernels.predict(
+            group.stamp, rows, self.bank.past, self.settings.horizon, self.work.predicted
+        )
         return rows
 
     def _compare(self, rows: Stamps, group: _DetectionGroup) -> None:
         """Work out the cost of every pair of a track and an unmatched detection (eq 6)."""
-        self.work.wanted[: len(group.tracks)] = False
-        self.work.wanted[group.unmatched] = True
+        wanted = self.work.pairs.wanted
+        wanted.fill(False)
+        wanted[group.unmatched] = True
         kernels.association_cost(
-            rows, group.people, self.bank.past, self.mirror, self.settings, self.work
+            rows, group.people, self.bank.past, self.slots, self.settings, self.work
         )
 
     def _assign(self, tracks: list[_Track], group: _DetectionGroup) -> None:
         """Give detections to tracks at the least total cost."""
-        kernels.assign(len(tracks), group.people, self.work)
-        for j, i in enumerate(self.work.match[: len(group.tracks)].tolist()):
+        pairs, n_people = self.work.pairs, len(group.tracks)
+        solve(pairs.cost, len(tracks), n_people, self.work.assignment, pairs.match)
+        for j, i in enumerate(pairs.match[:n_people].tolist()):
             if i >= 0:
                 group.give(j, tracks[i])
 
     def _correct(self, rows: Stamps, group: _DetectionGroup) -> None:
         """Correct the tracks by their detections; write their velocities into the message."""
         kernels.correct(
-            group.stamp, rows, group.people, self.bank.past, self.mirror, self.settings, self.work
-        )
+            group.stamp, rows, self.work.pairs, group.people, self.bank.past, self.slots,
+            self.settings,
+        )  # fmt: skip
 
     def _drop_duplicates(self, tracks: list[_Track], group: _DetectionGroup) -> None:
         """Leave out detections on top of a person whom this message already shows."""
         for j in group.unmatched:
-            near = self.work.distances[: len(tracks), j] < self.params.min_distance
+            near = self.work.pairs.distances[: len(tracks), j] < self.params.min_distance
             if any(tracks[i].confirmed and tracks[i] in group.tracks for i in np.flatnonzero(near)):
                 group.reasons[j] = "duplicate"
 
     def _start(self, group: _DetectionGroup) -> None:
         """Start a tentative track for each detection that is of nobody known."""
         new: list[_Track] = []
-        self.work.match.fill(UNTRACKED)
+        pairs = self.work.pairs
+        pairs.match.fill(UNTRACKED)
         for j in group.unmatched:
-            here = group.people.markers[j, :, :3]
+            here = group.people.markers[j, :, POSITION]
             if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
                 group.reasons[j] = "too few markers"
                 continue
             support = _Support(group.stamp, np.nanmean(here, axis=0))
+            pairs.match[j] = len(new)
             new.append(self._new_track(group.stamp, support))
-            self.work.match[j] = len(new) - 1
             group.give(j, new[-1])
-        self.work.mirrored.fill(False)
-        self._correct(np.array([track.row for track in new], np.int64), group)
+        if new:
+            pairs.mirrored.fill(False)
+            self._correct(np.array([track.row for track in new], np.int64), group)
 
     def _new_track(self, stamp: int, support: _Support) -> _Track:
         number = next(self.numbers)
@@ -524,10 +548,9 @@ class _Tracker:
 
     def _make_room(self, n_people: int) -> None:
         """Enlarge the scratch arrays: so many detections may start as many tracks."""
-        size, n_tracks = self.work.cost.shape, len(self.tracks) + n_people
+        size, n_tracks = self.work.pairs.cost.shape, len(self.tracks) + n_people
         if n_tracks > size[0] or n_people > size[1]:
-            m, n = self.work.marker_weights.shape[1], self.work.link_weights.shape[1]
-            self.work = kernels.TrackWork.room(2 * n_tracks, 2 * n_people, m, n)
+            self.work = self._work(2 * n_tracks, 2 * n_people)
 
     # Many messages at once
 
@@ -547,7 +570,7 @@ class _Tracker:
         followed = kernels.Followed(np.empty(n, np.int64), np.empty((n, 3)))
         self._make_room(int((spans[:, 1] - spans[:, 0]).max()))
         done: int = kernels.follow(
-            stamps, spans, block.people, self.bank.past, confirmed, self.mirror, self.settings,
+            stamps, spans, block.people, self.bank.past, confirmed, self.slots, self.settings,
             self.work, followed,
         )  # fmt: skip
         for track, seen in zip(tracks, confirmed.last_seen.tolist(), strict=True):
