@@ -17,7 +17,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.merge import MergeParams, merge
-from hiros_mcap.stages.track import track
+from hiros_mcap.stages.track import track, track_blocks
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, hiros
 
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
@@ -99,6 +99,22 @@ def test_it_does_not_matter_how_frames_are_cut_into_blocks(seed: int) -> None:
     found = list(frames_of(blocks))
     assert all_same(found, expected)
     assert [frame.log_time for frame in found] == [frame.log_time for frame in expected]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tracker_gives_the_same_message_by_message(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With and without the compiled loop over many messages: ids, states, order and log times."""
+    rng = np.random.default_rng(seed)
+    frames = [f.select([]) if rng.random() < 0.05 else f for f in crossing().frames]
+    block = join([(Block.of(frame), 0) for frame in frames])
+    at_once = list(frames_of(track_blocks([block], crossing().model, cameras=crossing().cameras)))
+    monkeypatch.setattr("hiros_mcap.stages.track._Tracker._follow", lambda *_: 0)
+    one_by_one = list(track_blocks([block], crossing().model, cameras=crossing().cameras))
+    assert all_same(at_once, list(frames_of(one_by_one)))
+    times = [t for some in one_by_one for t in some.log_times.tolist()]
+    assert [frame.log_time for frame in at_once] == times
 
 
 def test_tracks_move_with_the_room() -> None:

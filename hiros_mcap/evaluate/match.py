@@ -10,7 +10,7 @@ import numpy as np
 
 from hiros_mcap.evaluate.mot import Instant
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.kernels.tracking import assign
+from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
 
 MATCH_DISTANCE = 1.0

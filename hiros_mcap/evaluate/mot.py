@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.kernels.tracking import assign
+from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import Floats
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)

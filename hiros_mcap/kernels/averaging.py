@@ -13,7 +13,7 @@ import numpy as np
 
 from hiros_mcap.kernels.bytes import copy
 from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.kernels.tracking import exponential, multiply
+from hiros_mcap.kernels.quaternions import exponential, multiply
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 

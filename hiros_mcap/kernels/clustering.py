@@ -14,7 +14,7 @@ from numba import njit
 
 from hiros_mcap.kernels.averaging import mean_people
 from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.kernels.tracking import norm3
+from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _EQUAL = 1e-9  # m: distances that differ by less are equal

@@ -27,8 +27,21 @@ def kernel(signature: Any, **options: Any) -> Any:
     return _njit(signature, **options)
 
 
+def inlined(function: FunctionType) -> Any:
+    """Compile a helper into the kernels that call it.
+
+    A call that is left to the compiler's choice may cost more than the helper does: a NamedTuple of
+    arrays is passed as some 100 numbers.
+    """
+    private = function.__name__.startswith("_")
+    wrappers = {"no_cpython_wrapper": private, "no_cfunc_wrapper": private}
+    return _njit(forceinline=True, **wrappers)(function)
+
+
 def named_tuple(kind: type[Any], *fields: Any) -> Any:
     """Return numba's type of a NamedTuple, for signatures, from those of its fields."""
+    if len(set(fields)) == 1:  # numba has a type of its own for equal fields
+        return types.NamedUniTuple(fields[0], len(fields), kind)  # type: ignore[no-untyped-call]
     return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
 
 

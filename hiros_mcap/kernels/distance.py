@@ -1,33 +1,87 @@
-"""Distances between people as a whole."""
+"""The distance between two skeletons: the mean over the markers that both have."""
+
+# mypy: disable-error-code="no-any-return"
 
 from __future__ import annotations
 
-from math import isnan, sqrt
+import math
 
 import numpy as np
-from numba import njit
 
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.kernels.compile import inlined, kernel
+from hiros_mcap.skeletons import Floats, Ints
 
 
-@njit("void(float64[:,:,::1], float64[:,:,::1], float64[::1])", cache=True, nogil=True)
-def nearest(poses: Floats, others: Floats, out: Floats) -> None:
-    """Write each person's mean marker distance, m, to the nearest of the others.
+@inlined
+def norm3(x: float, y: float, z: float) -> float:
+    """Length of a vector."""
+    return math.sqrt(x * x + y * y + z * z)
 
-    ``poses`` (P, M, 3) and ``others`` (Q, M, 3), m; ``out`` (P,). Markers count that both have;
-    infinite where there are none.
+
+@inlined
+def point_distance(a: Floats, b: Floats) -> float:
+    """Distance between two points, m, the first three numbers of each; NaN if one is absent."""
+    return norm3(a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@inlined
+def mean_distance(pose: Floats, other: Floats) -> float:
+    """Mean distance, m, of the markers that both poses (M, >= 3) have; inf if there are none."""
+    total, common = 0.0, 0
+    for m in range(len(pose)):
+        distance = point_distance(pose[m], other[m])
+        if not math.isnan(distance):
+            total += distance
+            common += 1
+    return total / common if common else np.inf
+
+
+@inlined
+def weighted_mean_distance(
+    pose: Floats, other: Floats, slots: Ints, weights: Floats, other_weights: Floats, limit: float
+) -> float:
+    """As :func:`mean_distance`, where each marker counts with the product of its weights.
+
+    Parameters
+    ----------
+    pose, other : (M, >= 3), m. weights, other_weights : (M,), not negative;
+        ``weights`` at most 1.
+    slots : (M,) marker of ``other`` that each marker of ``pose`` is compared with.
+    limit : the result is infinite as soon as it is known to be greater, m.
     """
-    for p in range(poses.shape[0]):
+    heaviest = 1.0
+    for m in range(len(pose)):
+        heaviest = max(heaviest, other_weights[m])
+    total = norm = 0.0
+    for m in range(len(pose)):
+        slot = slots[m]
+        distance = norm3(
+            pose[m, 0] - other[slot, 0], pose[m, 1] - other[slot, 1], pose[m, 2] - other[slot, 2]
+        )
+        if not math.isnan(distance):
+            weight = weights[m] * other_weights[slot]
+            norm += weight
+            total += weight * distance
+        if (m & 7) == 7 and total > limit * (norm + (len(pose) - 1 - m) * heaviest):
+            return np.inf
+    return total / norm if norm > 0.0 else np.inf
+
+
+@kernel("void(float64[:,:,::1], float64[:,:,::1], float64[:,::1])")
+def mean_distances(poses: Floats, others: Floats, out: Floats) -> None:
+    """Write the :func:`mean_distance` of each pair of ``poses`` (P, M, 3) and ``others`` (Q, M, 3).
+
+    ``out`` is (P, Q), m.
+    """
+    for p in range(len(poses)):
+        for q in range(len(others)):
+            out[p, q] = mean_distance(poses[p], others[q])
+
+
+@kernel("void(float64[:,:,::1], float64[:,:,::1], float64[::1])")
+def nearest(poses: Floats, others: Floats, out: Floats) -> None:
+    """Write each pose's mean distance, m, to the nearest of the others (Q, M, 3); ``out`` (P,)."""
+    for p in range(len(poses)):
         out[p] = np.inf
-        for q in range(others.shape[0]):
-            total, known = 0.0, 0
-            for m in range(poses.shape[1]):
-                x = poses[p, m, 0] - others[q, m, 0]
-                y = poses[p, m, 1] - others[q, m, 1]
-                z = poses[p, m, 2] - others[q, m, 2]
-                distance = sqrt(x * x + y * y + z * z)
-                if not isnan(distance):
-                    total += distance
-                    known += 1
-            if known:
-                out[p] = min(out[p], total / known)
+        for q in range(len(others)):
+            out[p] = min(out[p], mean_distance(poses[p], others[q]))

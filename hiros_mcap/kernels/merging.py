@@ -24,7 +24,8 @@ from hiros_mcap.kernels.averaging import (
     mean_turn,
 )
 from hiros_mcap.kernels.compile import kernel, named_tuple
-from hiros_mcap.kernels.tracking import angle_of, norm3
+from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _I1, _I2, _F1 = types.int64[::1], types.int64[:, ::1], types.float64[::1]

@@ -1,754 +1,248 @@
-"""Kernels of the tracker: predict, compare, assign, update (Hi-ROS 2023, section 3.1).
+"""Kernels of the tracker: predict, compare, correct (Hi-ROS 2023, section 3.1.2).
 
-A bank of tracks is a few arrays with one row per track:
-
-- ``motion`` (T, M, 3, 3): position, velocity, acceleration of each marker; m, m/s, m/s2
-- ``spread`` (T, M, 6): covariance of one coordinate (all three share it), upper triangle
-- ``seen`` (T, M): stamp of the last update, ns; 0 = this marker was never seen
-- ``turn`` (T, L, 4), ``spin`` (T, L, 2, 3), ``turn_spread`` (T, L, 6), ``turn_seen`` (T, L):
-  the same for link orientations, angular velocities and angular accelerations
+``stages/track.py`` calls them in the paper's order for one message. :func:`follow` does the same
+for many messages at once.
 """
+
+# mypy: disable-error-code="no-any-return"
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import types
 
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_mcap.kernels import kalman_filter
+from hiros_mcap.kernels.assignment import ASSIGNMENT_WORK, AssignmentWork, solve
+from hiros_mcap.kernels.compile import (
+    B1,
+    B2,
+    F2,
+    F3,
+    I1,
+    I2,
+    J1,
+    PEOPLE,
+    inlined,
+    kernel,
+    named_tuple,
+)
+from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
+from hiros_mcap.kernels.kalman_filter import Covariance
+from hiros_mcap.kernels.quaternions import (
+    Quaternion,
+    Vector,
+    angle_of,
+    difference,
+    dot,
+    exponential,
+    multiply,
+    normalize,
+)
+from hiros_mcap.skeletons import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    ANGULAR_VELOCITY,
+    ORIENTATION,
+    VELOCITY,
+    Flags,
+    Floats,
+    Ints,
+    People,
+    Stamps,
+)
 
 # What may be wrong with a detection.
-USABLE, EMPTY, DOUBTFUL = 0, 1, 2
+USABLE, NO_MARKERS, LOW_CONFIDENCE = 0, 1, 2
 
-_INFINITE = 1e18
-_NOT_MIRRORED = 0.1  # m: a body whose sides are swapped is farther than this from its track
+_NOT_MIRRORED = 0.1  # m: a detection with swapped sides is farther than this from its track
+_RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
+_LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence
+# Variances of a new state: (m/s)2, (m/s2)2, (rad/s)2, (rad/s2)2.
+_SPEED, _ACCELERATION, _ANGULAR_SPEED, _ANGULAR_ACCELERATION = 1.0, 25.0, 4.0, 100.0
 
-
-Quaternion = tuple[float, float, float, float]
-
-
-@kernel
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Quaternion product; x y z w. Tuples, since a view of an array costs more than the product."""
-    return (
-        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
-        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
-        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
-        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
-    )
+# First columns of a KinematicState's parts.
+_TO_ORIENTATION = ORIENTATION.start
+_TO_VELOCITY, _TO_ANGULAR_VELOCITY = VELOCITY.start, ANGULAR_VELOCITY.start
+_TO_ACCELERATION, _TO_ANGULAR_ACCELERATION = ACCELERATION.start, ANGULAR_ACCELERATION.start
 
 
-@kernel
-def exponential(x: float, y: float, z: float) -> Quaternion:
-    """Quaternion of a rotation vector, rad."""
-    square = x * x + y * y + z * z
-    if square < 0.25:  # nearly always; the series are exact to 1e-11 and need no sine
-        s = 0.5 + square * (-1 / 48 + square * (1 / 3840 - square / 645120))
-        c = 1.0 + square * (-1 / 8 + square * (1 / 384 + square * (-1 / 46080 + square / 10321920)))
-        return s * x, s * y, s * z, c
-    angle = math.sqrt(square)
-    s = math.sin(0.5 * angle) / angle
-    return s * x, s * y, s * z, math.cos(0.5 * angle)
+class Tracks(NamedTuple):
+    """State of T tracks with M markers and L links, in the fixed frame; NaN = never seen.
 
-
-@kernel
-def angle_of(dot: float) -> float:
-    """Rotation angle between unit quaternions of this scalar product, eq 10, in [0, pi]."""
-    return 2.0 * math.acos(min(1.0, abs(dot)))
-
-
-@kernel
-def norm3(x: float, y: float, z: float) -> float:
-    """Length of a vector."""
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@kernel
-def _predict_markers(
-    stamp: int, rows: Stamps, motion: Floats, seen: Stamps, horizon: float, out: Floats
-) -> None:
-    """Positions of :func:`predict`."""
-    for i in range(len(rows)):
-        row = rows[i]
-        for m in range(motion.shape[1]):
-            if seen[row, m] == 0:
-                for c in range(3):
-                    out[i, m, c] = np.nan
-                continue
-            dt = min(max((stamp - seen[row, m]) * 1e-9, 0.0), horizon)
-            for c in range(3):
-                out[i, m, c] = motion[row, m, 0, c] + dt * motion[row, m, 1, c]
-
-
-@kernel(
-    "void(int64, int64[::1], float64[:,:,:,::1], int64[:,::1], float64[:,:,::1],"
-    " float64[:,:,:,::1], int64[:,::1], float64, float64[:,:,::1], float64[:,:,::1])",
-)
-def predict(
-    stamp: int,
-    rows: Stamps,
-    motion: Floats,
-    seen: Stamps,
-    turn: Floats,
-    spin: Floats,
-    turn_seen: Stamps,
-    horizon: float,
-    out_positions: Floats,
-    out_turns: Floats,
-) -> None:
-    """Pose of each track in ``rows`` at ``stamp``, by constant velocity (eq 7).
-
-    Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
-    Unseen markers and links become NaN. Outputs are (len(rows), M, 3) and (len(rows), L, 4).
+    A covariance is the upper triangle of :mod:`~hiros_mcap.kernels.kalman_filter`.
     """
-    _predict_markers(stamp, rows, motion, seen, horizon, out_positions)
-    for i in range(len(rows)):
-        row = rows[i]
-        for k in range(turn.shape[1]):
-            if turn_seen[row, k] == 0:
-                for c in range(4):
-                    out_turns[i, k, c] = np.nan
-                continue
-            dt = min(max((stamp - turn_seen[row, k]) * 1e-9, 0.0), horizon)
-            step = exponential(
-                dt * spin[row, k, 0, 0], dt * spin[row, k, 0, 1], dt * spin[row, k, 0, 2]
-            )
-            q = (turn[row, k, 0], turn[row, k, 1], turn[row, k, 2], turn[row, k, 3])
-            turned = multiply(step, q)
-            for c in range(4):
-                out_turns[i, k, c] = turned[c]
+
+    positions: Floats
+    """(T, M, 3) m."""
+    velocities: Floats
+    """(T, M, 3) m/s."""
+    accelerations: Floats
+    """(T, M, 3) m/s2."""
+    covariances: Floats
+    """(T, M, 6)."""
+    seen: Stamps
+    """(T, M) time of each marker's state, ns."""
+    orientations: Floats
+    """(T, L, 4) x y z w."""
+    angular_velocities: Floats
+    """(T, L, 3) rad/s."""
+    angular_accelerations: Floats
+    """(T, L, 3) rad/s2."""
+    link_covariances: Floats
+    """(T, L, 6)."""
+    links_seen: Stamps
+    """(T, L) time of each link's state, ns."""
+
+    @classmethod
+    def room(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
+        """Arrays of zeros."""
+        t, m, n = n_tracks, n_markers, n_links
+        markers = [np.zeros((t, m, k)) for k in (3, 3, 3, 6)]
+        links = [np.zeros((t, n, k)) for k in (4, 3, 3, 6)]
+        stamps = np.zeros((t, m), np.int64), np.zeros((t, n), np.int64)
+        return cls._make([*markers, stamps[0], *links, stamps[1]])
 
 
-@kernel
-def _slow_down(velocities: Floats, decay: float, out: Floats) -> None:
-    """Velocity weight of eq 11 for each row."""
-    for m in range(velocities.shape[0]):
-        speed = 1.0 + norm3(velocities[m, 0], velocities[m, 1], velocities[m, 2])
-        if decay == 0.25:  # two roots are five times quicker than a power
-            out[m] = 1.0 / math.sqrt(math.sqrt(speed))
-        else:
-            out[m] = speed**-decay
+class TrackSettings(NamedTuple):
+    """Parameters of the tracker that its kernels use; see TrackParams."""
+
+    max_distance: float
+    min_distance: float
+    orientation_weight: float
+    velocity_weight: float
+    angular_velocity_weight: float
+    velocity_decay: float
+    exponent: float
+    horizon: float
+    position_noise: float
+    jerk: float
+    orientation_noise: float
+    angular_jerk: float
+    innovation_gate: float
+    max_speed: float
+    min_skeleton_confidence: float
+    min_marker_confidence: float
+    weight_by_confidence: bool
+    weight_by_velocity: bool
+    flip_aware: bool
 
 
-@kernel
-def _marker_distance(
-    positions: Floats, motion: Floats, markers: Floats, confidences: Floats, weights: Floats,
-    by_confidence: bool, velocity_weight: float, exponent: float, linear: Floats, gap: Floats,
-) -> None:  # fmt: skip
-    """Write eq 8 and the weighted mean distance; leave both where nothing is in common."""
-    cost = 0.0
-    total = 0.0
-    norm = 0.0
-    common = 0
-    for m in range(positions.shape[0]):
-        d = norm3(
-            positions[m, 0] - markers[m, 0],
-            positions[m, 1] - markers[m, 1],
-            positions[m, 2] - markers[m, 2],
+class PredictedTracks(NamedTuple):
+    """Poses of T tracks at the time of a message (eq 7); NaN = never seen."""
+
+    positions: Floats
+    """(T, M, 3) m."""
+    orientations: Floats
+    """(T, L, 4) x y z w."""
+
+
+class TrackWeights(NamedTuple):
+    """The two factors of eq 11, of T tracks and P detections."""
+
+    marker_velocities: Floats
+    """(T, M) w_v."""
+    link_velocities: Floats
+    """(T, L)."""
+    marker_confidences: Floats
+    """(P, M) kappa."""
+    link_confidences: Floats
+    """(P, L)."""
+
+
+class TrackPairs(NamedTuple):
+    """T tracks compared with P detections."""
+
+    wanted: Flags
+    """(P,) whether a detection needs a track."""
+    distances: Floats
+    """(T, P) weighted mean distance of the markers, m; right up to both distance parameters."""
+    mirrored: Flags
+    """(T, P) whether that is with the detection's left and right swapped."""
+    cost: Floats
+    """(T, P) eq 6; infinite where a pair is not allowed."""
+    match: Stamps
+    """(P,) index of the track of each detection, -1 = none."""
+
+
+class TrackWork(NamedTuple):
+    """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
+
+    predicted: PredictedTracks
+    weights: TrackWeights
+    pairs: TrackPairs
+    assignment: AssignmentWork
+    faults: Stamps
+    """(P,) USABLE, NO_MARKERS or LOW_CONFIDENCE."""
+
+    @classmethod
+    def room(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
+        """Arrays for at most that many tracks and detections."""
+        t, p, m, n = n_tracks, n_people, n_markers, n_links
+        return cls(
+            PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4))),
+            TrackWeights._make(np.empty(shape) for shape in ((t, m), (t, n), (p, m), (p, n))),
+            TrackPairs(
+                np.empty(p, np.bool_),
+                np.empty((t, p)),
+                np.empty((t, p), np.bool_),
+                np.empty((t, p)),
+                np.empty(p, np.int64),
+            ),
+            AssignmentWork.room(max(t, p)),
+            np.empty(p, np.int64),
         )
-        if math.isnan(d):
-            continue
-        weight = weights[m]
-        if by_confidence and not math.isnan(confidences[m]):
-            weight *= confidences[m]
-        common += 1
-        norm += weight
-        total += weight * d
-        if velocity_weight > 0.0 and not math.isnan(markers[m, 7]):
-            d += velocity_weight * norm3(
-                motion[m, 1, 0] - markers[m, 7],
-                motion[m, 1, 1] - markers[m, 8],
-                motion[m, 1, 2] - markers[m, 9],
-            )
-        cost += weight * d
-    if norm > 0.0:
-        linear[0] = cost / common**exponent
-        gap[0] = total / norm
 
 
-@kernel
-def _mean_distance(
-    positions: Floats, markers: Floats, confidences: Floats, weights: Floats, mirror: Ints,
-    by_confidence: bool, most: float, limit: float,
-) -> float:  # fmt: skip
-    """Weighted mean distance to the detection with its slots changed as ``mirror`` says.
+class Slots(NamedTuple):
+    """Which marker of a detection belongs to which of a track."""
 
-    Infinite if undefined, or as soon as it is known to be beyond ``limit``. ``most`` is at least 1
-    and every confidence, of which none is negative; no weight is above 1.
-    """
-    total = norm = 0.0
-    n = positions.shape[0]
-    for m in range(n):
-        other = mirror[m]
-        d = norm3(
-            positions[m, 0] - markers[other, 0],
-            positions[m, 1] - markers[other, 1],
-            positions[m, 2] - markers[other, 2],
-        )
-        if not math.isnan(d):
-            weight = weights[m]
-            if by_confidence and not math.isnan(confidences[other]):
-                weight *= confidences[other]
-            norm += weight
-            total += weight * d
-        if (m & 7) == 7 and total > limit * (norm + (n - 1 - m) * most):
-            return np.inf
-    return total / norm if norm > 0.0 else np.inf
+    same: Ints
+    """(M,) 0, 1, 2, ..."""
+    mirror: Ints
+    """(M,) where the detector swapped left and right."""
 
 
-@kernel
-def _link_distance(
-    turns: Floats, spin: Floats, links: Floats, confidences: Floats, weights: Floats,
-    by_confidence: bool, velocity_weight: float, exponent: float,
-) -> float:  # fmt: skip
-    """Eq 9; 0 where no link is in common."""
-    cost = 0.0
-    common = 0
-    for k in range(turns.shape[0]):
-        if math.isnan(turns[k, 0]) or math.isnan(links[k, 3]):
-            continue
-        weight = weights[k]
-        if by_confidence and not math.isnan(confidences[k]):
-            weight *= confidences[k]
-        d = angle_of(
-            turns[k, 0] * links[k, 3]
-            + turns[k, 1] * links[k, 4]
-            + turns[k, 2] * links[k, 5]
-            + turns[k, 3] * links[k, 6]
-        )
-        common += 1
-        if velocity_weight > 0.0 and not math.isnan(links[k, 10]):
-            d += velocity_weight * norm3(
-                spin[k, 0, 0] - links[k, 10],
-                spin[k, 0, 1] - links[k, 11],
-                spin[k, 0, 2] - links[k, 12],
-            )
-        cost += weight * d
-    return cost / common**exponent if common else 0.0
+class ConfirmedTracks(NamedTuple):
+    """The tracks that :func:`follow` goes on with."""
+
+    rows: Stamps
+    """(T,) their rows in Tracks."""
+    ids: Ints
+    """(T,) their ids."""
+    last_seen: Stamps
+    """(T,) ns; brought up to date."""
 
 
-@kernel
-def distances(
-    positions: Floats,
-    turns: Floats,
-    rows: Stamps,
-    motion: Floats,
-    spin: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    mirror: Ints,
-    by_confidence: bool,
-    by_velocity: bool,
-    velocity_decay: float,
-    velocity_weight: float,
-    angular_velocity_weight: float,
-    exponent: float,
-    gate: float,
-    marker_weights: Floats,
-    link_weights: Floats,
-    linear: Floats,
-    angular: Floats,
-    gap: Floats,
-    mirrored_gap: Floats,
-) -> None:
-    """Distances of every (predicted track, detection) pair; all outputs are (T, P).
+class Followed(NamedTuple):
+    """What :func:`follow` finds out about the P people of its messages."""
 
-    ``linear`` and ``angular`` are eq 8 and 9 with the weights of eq 11. ``gap`` is the weighted
-    mean distance of the common markers, m (what gates are compared with: unlike eq 8 it does not
-    depend on the exponent or on velocities); ``mirrored_gap`` the same with the detection's left
-    and right swapped. Without a common marker all four are infinite (eq 8 has no value there).
-    """
-    n_tracks, n_people = positions.shape[0], markers.shape[0]
-    for i in range(n_tracks):
-        row = rows[i]
-        if by_velocity:
-            _slow_down(motion[row, :, 1], velocity_decay, marker_weights)
-            _slow_down(spin[row, :, 0], velocity_decay, link_weights)
-        for j in range(n_people):
-            linear[i, j] = angular[i, j] = gap[i, j] = mirrored_gap[i, j] = np.inf
-            _marker_distance(
-                positions[i], motion[row], markers[j], marker_confidences[j], marker_weights,
-                by_confidence, velocity_weight, exponent, linear[i, j : j + 1], gap[i, j : j + 1],
-            )  # fmt: skip
-            if gap[i, j] > _NOT_MIRRORED:
-                mirrored_gap[i, j] = _mean_distance(
-                    positions[i], markers[j], marker_confidences[j], marker_weights, mirror,
-                    by_confidence, 1.0, np.inf,
-                )  # fmt: skip
-            if min(gap[i, j], mirrored_gap[i, j]) <= gate:
-                angular[i, j] = _link_distance(
-                    turns[i], spin[row], links[j], link_confidences[j], link_weights,
-                    by_confidence, angular_velocity_weight, exponent,
-                )  # fmt: skip
+    match: Stamps
+    """(P,) index into ConfirmedTracks."""
+    centres: Floats
+    """(P, 3) mean position of the track's markers after the message, m."""
 
 
-@kernel
-def _pair_up(
-    positions: Floats,
-    rows: Stamps,
-    motion: Floats,
-    markers: Floats,
-    confidences: Floats,
-    mirror: Ints,
-    numbers: Floats,
-    wanted: Flags,
-    weights: Floats,
-    order: Ints,
-    gap: Floats,
-    match: Stamps,
-    flipped: Flags,
-) -> bool:
-    """Do what :func:`associate` does where there is nothing to choose; False = there is.
-
-    Then no track is near two detections, nor a detection near two tracks, and what a pair costs
-    does not matter. ``weights`` and ``order`` (M,) are scratch.
-    """
-    gate, by_confidence = numbers[1], numbers[3] > 0.0
-    reach = max(gate, numbers[10])
-    for m in range(len(order)):
-        order[m] = m
-    for j in range(len(wanted)):
-        match[j] = -1
-        flipped[j] = False
-    for i in range(len(rows)):
-        if numbers[4] > 0.0:
-            _slow_down(motion[rows[i], :, 1], numbers[5], weights)
-        found = False
-        for j in range(len(wanted)):
-            most = 1.0
-            for m in range(len(order)):
-                if confidences[j, m] > most:
-                    most = confidences[j, m]
-            # Who is farther than twice the reach is certainly turned round if that brings him near.
-            near = _mean_distance(
-                positions[i], markers[j], confidences[j], weights, order, by_confidence, most,
-                2.0 * reach,
-            )  # fmt: skip
-            turned = np.inf
-            if near > _NOT_MIRRORED and numbers[9] > 0.0:
-                turned = _mean_distance(
-                    positions[i], markers[j], confidences[j], weights, mirror, by_confidence,
-                    most, reach,
-                )  # fmt: skip
-            is_turned = turned < 0.5 * near
-            gap[i, j] = turned if is_turned else near
-            if gap[i, j] > gate or not wanted[j]:
-                continue
-            if found or match[j] >= 0:
-                return False
-            found = True
-            match[j] = i
-            flipped[j] = is_turned
-    return True
+_F, _I = types.float64, types.int64
+_TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2)
+_SETTINGS = named_tuple(TrackSettings, *16 * [_F], *3 * [types.boolean])
+_PREDICTED = named_tuple(PredictedTracks, F3, F3)
+_WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
+_PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1)
+_WORK = named_tuple(TrackWork, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
+_SLOTS = named_tuple(Slots, J1, J1)
+_CONFIRMED = named_tuple(ConfirmedTracks, I1, J1, I1)
+_FOLLOWED = named_tuple(Followed, I1, F2)
 
 
-@njit("int64[::1](float64[:,::1])", cache=True, nogil=True)
-def assign(cost: Floats) -> Stamps:
-    """Row assigned to each column with the least total cost; -1 = none.
-
-    ``cost`` is (R, C); infinite entries are never assigned. Shortest augmenting paths with
-    potentials, the modern form of the Munkres algorithm that section 3.1.2 names: as many finite
-    pairs as possible, then the least sum.
-    """
-    n_rows, n_columns = cost.shape
-    result = np.full(n_columns, -1, np.int64)
-    if n_rows == 0 or n_columns == 0:
-        return result
-    size = max(n_rows, n_columns)
-    # Forbidden pairs and padding cost more than any set of allowed ones together.
-    largest = 0.0
-    for i in range(n_rows):
-        for j in range(n_columns):
-            if cost[i, j] < _INFINITE:
-                largest = max(largest, abs(cost[i, j]))
-    forbidden = (2.0 * largest + 1.0) * (size + 1)
-    u = np.zeros(size + 1)
-    v = np.zeros(size + 1)
-    row_of = np.zeros(size + 1, np.int64)
-    way = np.zeros(size + 1, np.int64)
-    for i in range(1, size + 1):
-        row_of[0] = i
-        j0 = 0
-        least = np.full(size + 1, np.inf)
-        used = np.zeros(size + 1, np.bool_)
-        while True:
-            used[j0] = True
-            i0 = row_of[j0]
-            delta = np.inf
-            j1 = 0
-            for j in range(1, size + 1):
-                if used[j]:
-                    continue
-                entry = forbidden
-                if i0 <= n_rows and j <= n_columns and cost[i0 - 1, j - 1] < _INFINITE:
-                    entry = cost[i0 - 1, j - 1]
-                reduced = entry - u[i0] - v[j]
-                if reduced < least[j]:
-                    least[j] = reduced
-                    way[j] = j0
-                if least[j] < delta:
-                    delta = least[j]
-                    j1 = j
-            for j in range(size + 1):
-                if used[j]:
-                    u[row_of[j]] += delta
-                    v[j] -= delta
-                else:
-                    least[j] -= delta
-            j0 = j1
-            if row_of[j0] == 0:
-                break
-        while j0 != 0:
-            row_of[j0] = row_of[way[j0]]
-            j0 = way[j0]
-    for j in range(1, n_columns + 1):
-        i = row_of[j]
-        if i <= n_rows and cost[i - 1, j - 1] < _INFINITE:
-            result[j - 1] = i - 1
-    return result
+# Detections
 
 
-@njit(
-    "void(int64, int64[::1], float64[:,:,:,::1], int64[:,::1], float64[:,:,::1],"
-    " float64[:,:,:,::1], int64[:,::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1],"
-    " float64[:,::1], int32[::1], float64[::1], boolean[::1], float64[:,::1], int64[::1],"
-    " boolean[::1])",
-    cache=True,
-    nogil=True,
-)
-def associate(
-    stamp: int,
-    rows: Stamps,
-    motion: Floats,
-    seen: Stamps,
-    turn: Floats,
-    spin: Floats,
-    turn_seen: Stamps,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    mirror: Ints,
-    numbers: Floats,
-    wanted: Flags,
-    gap: Floats,
-    match: Stamps,
-    flipped: Flags,
-) -> None:
-    """Associate the ``wanted`` (P,) detections with the tracks in ``rows`` (eq 6 to 11).
-
-    ``numbers``: horizon, gate, weight of the angular cost, by confidence, by velocity, velocity
-    decay, velocity weight, angular velocity weight, exponent, flip aware, reach (as stages/track.py
-    packs them). Outputs: ``gap`` (T, P) mean distance of each pair, the mirrored one where that is
-    less than half, right within the gate and the reach, anything beyond them where it is beyond;
-    ``match`` (P,) index into ``rows``, -1 = none within the gate; ``flipped`` (P,).
-    """
-    n_tracks, n_people = len(rows), len(wanted)
-    positions = np.empty((n_tracks, motion.shape[1], 3))
-    _predict_markers(stamp, rows, motion, seen, numbers[0], positions)
-    if _pair_up(
-        positions, rows, motion, markers, marker_confidences, mirror, numbers, wanted,
-        np.ones(motion.shape[1]), np.empty(motion.shape[1], np.int32), gap, match, flipped,
-    ):  # fmt: skip
-        return
-    turns = np.empty((n_tracks, turn.shape[1], 4))
-    predict(stamp, rows, motion, seen, turn, spin, turn_seen, numbers[0], positions, turns)
-    linear = np.empty((n_tracks, n_people))
-    angular = np.empty((n_tracks, n_people))
-    mirrored = np.empty((n_tracks, n_people))
-    distances(
-        positions, turns, rows, motion, spin, markers, marker_confidences, links,
-        link_confidences, mirror, numbers[3] > 0.0, numbers[4] > 0.0, numbers[5], numbers[6],
-        numbers[7], numbers[8], numbers[1], np.ones(motion.shape[1]), np.ones(turn.shape[1]),
-        linear, angular, gap, mirrored,
-    )  # fmt: skip
-    turned = np.zeros((n_tracks, n_people), np.bool_)
-    for i in range(n_tracks):
-        for j in range(n_people):
-            linear[i, j] += numbers[2] * angular[i, j]
-            if numbers[9] > 0.0 and mirrored[i, j] < 0.5 * gap[i, j]:
-                turned[i, j] = True
-                linear[i, j] = mirrored[i, j]
-                gap[i, j] = mirrored[i, j]
-            if gap[i, j] > numbers[1] or not wanted[j]:
-                linear[i, j] = np.inf
-    found = assign(linear)
-    for j in range(n_people):
-        match[j] = found[j]
-        flipped[j] = found[j] >= 0 and turned[found[j], j]
-
-
-@kernel("void(float64[:,:,:,::1], int64[:,::1], int64, float64[::1])", nogil=False)
-def centre(motion: Floats, seen: Stamps, row: int, out: Floats) -> None:
-    """Write the mean position (3,) of a track's markers, m; NaN before any was seen."""
-    count = x = y = z = 0.0
-    for m in range(motion.shape[1]):
-        if seen[row, m] > 0:
-            count += 1.0
-            x += motion[row, m, 0, 0]
-            y += motion[row, m, 0, 1]
-            z += motion[row, m, 0, 2]
-    out[0], out[1], out[2] = x / count, y / count, z / count
-
-
-Noise = tuple[float, float, float, float, float, float]
-
-
-@kernel
-def _noise(dt: float, jerk: float) -> Noise:
-    """Covariance that white jerk adds to a constant-acceleration state in ``dt`` s."""
-    q = jerk * jerk
-    dt2 = dt * dt
-    dt3 = dt2 * dt
-    return q * dt3 * dt2 / 20, q * dt2 * dt2 / 8, q * dt3 / 6, q * dt3 / 3, q * dt2 / 2, q * dt
-
-
-@kernel
-def _grow(spread: Floats, row: int, m: int, dt: float, noise: Noise) -> None:
-    """Covariance prediction of a constant-acceleration state; ``noise`` of that interval."""
-    p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
-    p11, p12, p22 = spread[row, m, 3], spread[row, m, 4], spread[row, m, 5]
-    h = 0.5 * dt * dt
-    dt2 = dt * dt
-    spread[row, m, 0] = (
-        p00 + 2 * dt * p01 + 2 * h * p02 + dt2 * p11 + 2 * dt * h * p12 + h * h * p22 + noise[0]
-    )
-    spread[row, m, 1] = p01 + dt * p02 + dt * p11 + (dt2 + h) * p12 + dt * h * p22 + noise[1]
-    spread[row, m, 2] = p02 + dt * p12 + h * p22 + noise[2]
-    spread[row, m, 3] = p11 + 2 * dt * p12 + dt2 * p22 + noise[3]
-    spread[row, m, 4] = p12 + dt * p22 + noise[4]
-    spread[row, m, 5] = p22 + noise[5]
-
-
-@kernel
-def _start(spread: Floats, row: int, m: int, noise: float, speed: float, boost: float) -> None:
-    """Covariance of a state of which only the position is known."""
-    for c in range(6):
-        spread[row, m, c] = 0.0
-    spread[row, m, 0], spread[row, m, 3], spread[row, m, 5] = noise, speed, boost
-
-
-@kernel
-def _absorb(
-    spread: Floats, row: int, m: int, noise: float, square: float, gate: float
-) -> tuple[float, float, float]:
-    """Kalman gain for an innovation of that squared length; the covariance becomes the posterior.
-
-    An innovation beyond ``gate`` standard deviations gets its noise inflated until it lies on the
-    gate (as eq 10 of Malaguti 2019 does): a guessed joint moves the track a little, not at all a
-    real fast motion, whose innovations agree with each other.
-    """
-    p00, p01, p02 = spread[row, m, 0], spread[row, m, 1], spread[row, m, 2]
-    total = max(p00 + noise, square / (gate * gate))
-    part = 1.0 / total  # quicker than three quotients
-    k0, k1, k2 = p00 * part, p01 * part, p02 * part
-    spread[row, m, 0] -= k0 * p00
-    spread[row, m, 1] -= k0 * p01
-    spread[row, m, 2] -= k0 * p02
-    spread[row, m, 3] -= k1 * p01
-    spread[row, m, 4] -= k1 * p02
-    spread[row, m, 5] -= k2 * p02
-    return k0, k1, k2
-
-
-@kernel
-def _update_markers(
-    stamp: int,
-    row: int,
-    person: int,
-    motion: Floats,
-    spread: Floats,
-    seen: Stamps,
-    markers: Floats,
-    confidences: Floats,
-    flipped: bool,
-    mirror: Ints,
-    numbers: Floats,
-) -> None:
-    horizon, position_noise, jerk = numbers[0], numbers[1], numbers[2]
-    gate, fastest = numbers[5], numbers[6]
-    interval, growth = 0.0, _noise(0.0, jerk)
-    for m in range(motion.shape[1]):
-        slot = mirror[m] if flipped else m
-        if math.isnan(markers[person, slot, 0]):
-            continue
-        dt = (stamp - seen[row, m]) * 1e-9
-        noise = position_noise * position_noise
-        if not math.isnan(confidences[person, slot]):
-            noise /= max(confidences[person, slot], 0.05)
-        if seen[row, m] == 0 or dt > 4.0 * horizon:
-            for c in range(3):
-                motion[row, m, 0, c] = markers[person, slot, c]
-                motion[row, m, 1, c] = motion[row, m, 2, c] = 0.0
-            _start(spread, row, m, noise, 1.0, 25.0)
-            seen[row, m] = stamp
-        else:
-            if dt > 0.0:
-                reach = min(dt, horizon)
-                for c in range(3):
-                    if dt > horizon:
-                        motion[row, m, 2, c] = 0.0
-                    boost = motion[row, m, 2, c]
-                    motion[row, m, 0, c] += reach * (motion[row, m, 1, c] + 0.5 * reach * boost)
-                    motion[row, m, 1, c] += reach * boost
-                if dt != interval:  # markers are mostly seen together
-                    interval, growth = dt, _noise(dt, jerk)
-                _grow(spread, row, m, dt, growth)
-                seen[row, m] = stamp
-            ex = markers[person, slot, 0] - motion[row, m, 0, 0]
-            ey = markers[person, slot, 1] - motion[row, m, 0, 1]
-            ez = markers[person, slot, 2] - motion[row, m, 0, 2]
-            k = _absorb(spread, row, m, noise, ex * ex + ey * ey + ez * ez, gate)
-            for order in range(3):
-                motion[row, m, order, 0] += k[order] * ex
-                motion[row, m, order, 1] += k[order] * ey
-                motion[row, m, order, 2] += k[order] * ez
-            square = motion[row, m, 1, 0] ** 2 + motion[row, m, 1, 1] ** 2
-            square += motion[row, m, 1, 2] ** 2
-            if square > fastest * fastest:
-                speed = math.sqrt(square)
-                for c in range(3):
-                    motion[row, m, 1, c] *= fastest / speed
-                    motion[row, m, 2, c] = 0.0
-        if math.isnan(markers[person, slot, 7]):
-            for c in range(3):
-                markers[person, slot, 7 + c] = motion[row, m, 1, c]
-        if math.isnan(markers[person, slot, 13]):
-            for c in range(3):
-                markers[person, slot, 13 + c] = motion[row, m, 2, c]
-
-
-@kernel
-def _rotation_vector(q: Quaternion) -> tuple[float, float, float]:
-    """Rotation vector, rad, along the shortest path, of a unit quaternion."""
-    sign = 1.0 if q[3] >= 0.0 else -1.0
-    square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-    if square < 0.01:  # the series of the arc sine, exact to 1e-11
-        scale = 2.0 * sign * (1.0 + square * (1 / 6 + square * (3 / 40 + square * (
-            5 / 112 + square * 35 / 1152))))  # fmt: skip
-    else:
-        sine = math.sqrt(square)
-        scale = 2.0 * sign * math.atan2(sine, abs(q[3])) / sine
-    return scale * q[0], scale * q[1], scale * q[2]
-
-
-@kernel
-def _update_links(
-    stamp: int,
-    row: int,
-    person: int,
-    turn: Floats,
-    spin: Floats,
-    spread: Floats,
-    seen: Stamps,
-    links: Floats,
-    numbers: Floats,
-) -> None:
-    horizon, orientation_noise, angular_jerk, gate = numbers[0], numbers[3], numbers[4], numbers[5]
-    noise = orientation_noise * orientation_noise
-    interval, growth = 0.0, _noise(0.0, angular_jerk)
-    for k in range(turn.shape[1]):
-        if math.isnan(links[person, k, 3]):
-            continue
-        z = (links[person, k, 3], links[person, k, 4], links[person, k, 5], links[person, k, 6])
-        dt = (stamp - seen[row, k]) * 1e-9
-        if seen[row, k] == 0 or dt > 4.0 * horizon:
-            for c in range(4):
-                turn[row, k, c] = z[c]
-            for c in range(3):
-                spin[row, k, 0, c] = spin[row, k, 1, c] = 0.0
-            _start(spread, row, k, noise, 4.0, 100.0)
-            seen[row, k] = stamp
-        else:
-            q = (turn[row, k, 0], turn[row, k, 1], turn[row, k, 2], turn[row, k, 3])
-            if dt > 0.0:
-                reach = min(dt, horizon)
-                q = multiply(
-                    exponential(
-                        reach * (spin[row, k, 0, 0] + 0.5 * reach * spin[row, k, 1, 0]),
-                        reach * (spin[row, k, 0, 1] + 0.5 * reach * spin[row, k, 1, 1]),
-                        reach * (spin[row, k, 0, 2] + 0.5 * reach * spin[row, k, 1, 2]),
-                    ),
-                    q,
-                )
-                for c in range(3):
-                    spin[row, k, 0, c] += reach * spin[row, k, 1, c]
-                if dt != interval:
-                    interval, growth = dt, _noise(dt, angular_jerk)
-                _grow(spread, row, k, dt, growth)
-                seen[row, k] = stamp
-            e = _rotation_vector(multiply(z, (-q[0], -q[1], -q[2], q[3])))
-            square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
-            gain = _absorb(spread, row, k, noise, square, gate)
-            q = multiply(exponential(gain[0] * e[0], gain[0] * e[1], gain[0] * e[2]), q)
-            scale = 1.0 / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-            for c in range(4):
-                turn[row, k, c] = q[c] * scale
-            for c in range(3):
-                spin[row, k, 0, c] += gain[1] * e[c]
-                spin[row, k, 1, c] += gain[2] * e[c]
-        if math.isnan(links[person, k, 10]):
-            for c in range(3):
-                links[person, k, 10 + c] = spin[row, k, 0, c]
-        if math.isnan(links[person, k, 16]):
-            for c in range(3):
-                links[person, k, 16 + c] = spin[row, k, 1, c]
-
-
-@kernel(
-    "void(int64, int64[::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
-    " float64[:,:,::1], float64[:,:,:,::1], float64[:,:,::1], int64[:,::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], boolean[::1],"
-    " int32[::1], float64[::1])",
-)
-def update(
-    stamp: int,
-    row_of: Stamps,
-    motion: Floats,
-    spread: Floats,
-    seen: Stamps,
-    turn: Floats,
-    spin: Floats,
-    turn_spread: Floats,
-    turn_seen: Stamps,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    flipped: Flags,
-    mirror: Ints,
-    numbers: Floats,
-) -> None:
-    """Bring the tracks to ``stamp`` with their detections; fill the detections' velocities.
-
-    ``row_of`` (P,) is the track of each detection, -1 = none; ``numbers``: horizon, position
-    noise, jerk, orientation noise, angular jerk, innovation gate, greatest speed.
-
-    Constant-acceleration Kalman filter per marker, driven by white jerk; a filter, not finite
-    differences, because two cameras may see the same person 0.2 ms apart (a quotient by that
-    explodes). ``markers`` and ``links`` are the frame's own copy: where the detector left
-    velocities and accelerations open, the track's are written. A flipped detection moves the track
-    with its sides swapped and leaves orientations alone.
-    """
-    for person in range(len(row_of)):
-        if row_of[person] >= 0:
-            _update_markers(
-                stamp, row_of[person], person, motion, spread, seen, markers,
-                marker_confidences, flipped[person], mirror, numbers,
-            )  # fmt: skip
-            if not flipped[person]:
-                _update_links(
-                    stamp, row_of[person], person, turn, spin, turn_spread, turn_seen, links,
-                    numbers,
-                )  # fmt: skip
-
-
-@kernel
+@inlined
 def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -> bool:
-    """Make a person's states of too little confidence absent; whether any is there."""
+    """Make a person's states of too little confidence absent; return whether any is left."""
     some = False
     for m in range(states.shape[1]):
         if confidences[person, m] < least:
@@ -758,140 +252,536 @@ def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -
     return some
 
 
-@njit(inline="always")
-def _follow(
+@kernel(types.void(PEOPLE, _F, _F, I1))
+def screen(people: People, min_marker: float, min_skeleton: float, faults: Stamps) -> None:
+    """Make markers and links of too little confidence absent; fill ``faults`` (P,)."""
+    for j in range(len(people.ids)):
+        some = _leave_out(people.markers, people.marker_confidences, min_marker, j)
+        _leave_out(people.links, people.link_confidences, min_marker, j)
+        faults[j] = NO_MARKERS
+        if some:
+            faults[j] = LOW_CONFIDENCE if people.confidences[j] < min_skeleton else USABLE
+
+
+# Prediction, eq 7
+
+
+@inlined
+def _predict_positions(
+    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, out: Floats
+) -> None:
+    for i in range(len(rows)):
+        row = rows[i]
+        for m in range(out.shape[1]):
+            dt = min(max((stamp - tracks.seen[row, m]) * 1e-9, 0.0), horizon)
+            for c in range(3):
+                out[i, m, c] = tracks.positions[row, m, c] + dt * tracks.velocities[row, m, c]
+
+
+@inlined
+def _quaternion(values: Floats) -> Quaternion:
+    return values[0], values[1], values[2], values[3]
+
+
+@inlined
+def _predict_orientations(
+    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, out: Floats
+) -> None:
+    for i in range(len(rows)):
+        row = rows[i]
+        for k in range(out.shape[1]):
+            dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), horizon)
+            omega = tracks.angular_velocities[row, k]
+            step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
+            q = multiply(step, _quaternion(tracks.orientations[row, k]))
+            out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
+
+
+@kernel(types.void(_I, I1, _TRACKS, _F, _PREDICTED))
+def predict(
+    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, predicted: PredictedTracks
+) -> None:
+    """Predict the pose of each track in ``rows`` at ``stamp`` by constant velocity (eq 7).
+
+    Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
+    """
+    _predict_positions(stamp, rows, tracks, horizon, predicted.positions)
+    _predict_orientations(stamp, rows, tracks, horizon, predicted.orientations)
+
+
+# Cost, eq 6 and 8 to 11
+
+
+@inlined
+def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats) -> None:
+    for m in range(len(velocities)):
+        if not settings.weight_by_velocity:
+            out[m] = 1.0
+            continue
+        speed = 1.0 + norm3(velocities[m, 0], velocities[m, 1], velocities[m, 2])
+        if settings.velocity_decay == 0.25:  # two roots are five times quicker than a power
+            out[m] = 1.0 / math.sqrt(math.sqrt(speed))  # eq 11: w_v
+        else:
+            out[m] = speed**-settings.velocity_decay  # eq 11: w_v
+
+
+@inlined
+def _weigh_by_confidence(confidences: Floats, settings: TrackSettings, out: Floats) -> None:
+    for j in range(len(confidences)):
+        for m in range(confidences.shape[1]):
+            given = settings.weight_by_confidence and not math.isnan(confidences[j, m])
+            out[j, m] = confidences[j, m] if given else 1.0  # eq 11: kappa
+
+
+@inlined
+def _compare(
+    rows: Stamps,
+    people: People,
+    tracks: Tracks,
+    slots: Slots,
+    settings: TrackSettings,
+    work: TrackWork,
+) -> None:
+    """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance."""
+    _, weights, pairs, _, _ = work
+    _weigh_by_confidence(people.marker_confidences, settings, weights.marker_confidences)
+    reach = max(settings.max_distance, settings.min_distance)
+    for i in range(len(rows)):
+        pose, weight = work.predicted.positions[i], weights.marker_velocities[i]
+        _weigh_by_velocity(tracks.velocities[rows[i]], settings, weight)
+        for j in range(len(people.ids)):
+            seen, confidence = people.markers[j], weights.marker_confidences[j]
+            # Beyond twice the reach a detection is mirrored if that brings it within the reach.
+            distance = weighted_mean_distance(
+                pose, seen, slots.same, weight, confidence, 2.0 * reach
+            )
+            swapped = np.inf
+            if settings.flip_aware and distance > _NOT_MIRRORED:
+                swapped = weighted_mean_distance(
+                    pose, seen, slots.mirror, weight, confidence, reach
+                )
+            pairs.mirrored[i, j] = swapped < 0.5 * distance
+            pairs.distances[i, j] = swapped if pairs.mirrored[i, j] else distance
+
+
+@inlined
+def _linear_distance(
+    i: int, j: int, people: People, velocities: Floats, settings: TrackSettings, work: TrackWork
+) -> float:
+    """Eq 8; ``velocities`` (M, 3) of the track."""
+    total, common, markers = 0.0, 0, people.markers[j]
+    weights, confidences = work.weights.marker_velocities[i], work.weights.marker_confidences[j]
+    for m in range(len(markers)):
+        d = point_distance(work.predicted.positions[i, m], markers[m])
+        if math.isnan(d):
+            continue
+        common += 1
+        if settings.velocity_weight > 0.0 and not math.isnan(markers[m, _TO_VELOCITY]):
+            d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
+        total += weights[m] * confidences[m] * d
+    return total / common**settings.exponent  # eq 8
+
+
+@inlined
+def _angular_distance(
+    i: int, j: int, people: People, velocities: Floats, settings: TrackSettings, work: TrackWork
+) -> float:
+    """Eq 9, 0 where no link is in common; ``velocities`` (L, 3) of the track."""
+    total, common, links = 0.0, 0, people.links[j]
+    weights, confidences = work.weights.link_velocities[i], work.weights.link_confidences[j]
+    for k in range(len(links)):
+        product = dot(
+            _quaternion(work.predicted.orientations[i, k]),
+            _quaternion(links[k, _TO_ORIENTATION:]),
+        )
+        if math.isnan(product):
+            continue
+        common += 1
+        d = angle_of(product)  # eq 10
+        if settings.angular_velocity_weight > 0.0 and not math.isnan(
+            links[k, _TO_ANGULAR_VELOCITY]
+        ):
+            d += settings.angular_velocity_weight * point_distance(
+                velocities[k], links[k, _TO_ANGULAR_VELOCITY:]
+            )
+        total += weights[k] * confidences[k] * d
+    return total / common**settings.exponent if common else 0.0  # eq 9
+
+
+@inlined
+def _fill_cost(
+    rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork
+) -> None:
+    """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
+    _, weights, pairs, _, _ = work
+    _weigh_by_confidence(people.link_confidences, settings, weights.link_confidences)
+    for i in range(len(rows)):
+        velocities = tracks.velocities[rows[i]]
+        angular_velocities = tracks.angular_velocities[rows[i]]
+        _weigh_by_velocity(angular_velocities, settings, weights.link_velocities[i])
+        for j in range(len(people.ids)):
+            if not pairs.wanted[j] or pairs.distances[i, j] > settings.max_distance:
+                pairs.cost[i, j] = np.inf
+            elif pairs.mirrored[i, j]:
+                pairs.cost[i, j] = pairs.distances[i, j]
+            else:
+                linear = _linear_distance(i, j, people, velocities, settings, work)
+                angular = _angular_distance(i, j, people, angular_velocities, settings, work)
+                pairs.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
+
+
+@kernel(types.void(I1, PEOPLE, _TRACKS, _SLOTS, _SETTINGS, _WORK))
+def association_cost(
+    rows: Stamps,
+    people: People,
+    tracks: Tracks,
+    slots: Slots,
+    settings: TrackSettings,
+    work: TrackWork,
+) -> None:
+    """Compare every predicted track with every detection (eq 6 and 8 to 11).
+
+    Fills the ``distances`` of ``work.pairs``, which the gate is for, since unlike eq 8 they depend
+    neither on the exponent nor on velocities; ``mirrored``; and ``cost``, for the ``wanted``
+    detections. The orientations of a mirrored detection are wrong, so its cost is its distance.
+    """
+    _compare(rows, people, tracks, slots, settings, work)
+    _fill_cost(rows, people, tracks, settings, work)
+
+
+# Correction
+
+
+@inlined
+def _load(covariances: Floats, row: int, m: int) -> Covariance:
+    p = covariances[row, m]
+    return p[0], p[1], p[2], p[3], p[4], p[5]
+
+
+@inlined
+def _store(covariances: Floats, row: int, m: int, p: Covariance) -> None:
+    # One by one: a tuple is slow to read at a place that varies.
+    covariances[row, m, 0], covariances[row, m, 1], covariances[row, m, 2] = p[0], p[1], p[2]
+    covariances[row, m, 3], covariances[row, m, 4], covariances[row, m, 5] = p[3], p[4], p[5]
+
+
+@inlined
+def _add(values: Floats, row: int, m: int, gain: float, innovation: Vector) -> None:
+    values[row, m, 0] += gain * innovation[0]
+    values[row, m, 1] += gain * innovation[1]
+    values[row, m, 2] += gain * innovation[2]
+
+
+@inlined
+def _limit_speed(tracks: Tracks, row: int, m: int, max_speed: float) -> None:
+    velocity = tracks.velocities[row, m]
+    square = velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2
+    if square > max_speed * max_speed:
+        speed = math.sqrt(square)
+        for c in range(3):
+            velocity[c] *= max_speed / speed
+            tracks.accelerations[row, m, c] = 0.0
+
+
+@inlined
+def _start_marker(tracks: Tracks, row: int, m: int, seen_at: Floats, noise: float) -> None:
+    for c in range(3):
+        tracks.positions[row, m, c] = seen_at[c]
+        tracks.velocities[row, m, c] = tracks.accelerations[row, m, c] = 0.0
+    _store(tracks.covariances, row, m, kalman_filter.prior(noise, _SPEED, _ACCELERATION))
+
+
+@inlined
+def _move_marker(tracks: Tracks, row: int, m: int, dt: float, horizon: float) -> None:
+    """Predict a marker's state with constant acceleration, for ``horizon`` s at most."""
+    reach = min(dt, horizon)
+    for c in range(3):
+        if dt > horizon:
+            tracks.accelerations[row, m, c] = 0.0
+        a, v = tracks.accelerations[row, m, c], tracks.velocities[row, m, c]
+        tracks.positions[row, m, c] += reach * (v + 0.5 * reach * a)
+        tracks.velocities[row, m, c] += reach * a
+
+
+@inlined
+def _correct_marker(
+    tracks: Tracks, row: int, m: int, p: Covariance, seen_at: Floats, noise: float, gate: float
+) -> None:
+    """Kalman update by a position that is seen with variance ``noise``, m2; ``p`` is predicted."""
+    position = tracks.positions[row, m]
+    ex, ey, ez = seen_at[0] - position[0], seen_at[1] - position[1], seen_at[2] - position[2]
+    square = ex * ex + ey * ey + ez * ez
+    variance = kalman_filter.innovation_variance(p, noise, square, gate)
+    gain = kalman_filter.gain(p, variance)
+    _add(tracks.positions, row, m, gain[0], (ex, ey, ez))
+    _add(tracks.velocities, row, m, gain[1], (ex, ey, ez))
+    _add(tracks.accelerations, row, m, gain[2], (ex, ey, ez))
+    _store(tracks.covariances, row, m, kalman_filter.correct(p, gain))
+
+
+@inlined
+def _write(values: Floats, state: Floats, first: int) -> None:
+    """Copy three numbers to where the detector left them open."""
+    if math.isnan(state[first]):
+        for c in range(3):
+            state[first + c] = values[c]
+
+
+@inlined
+def _correct_markers(
+    stamp: int,
+    row: int,
+    tracks: Tracks,
+    markers: Floats,
+    confidences: Floats,
+    slots: Ints,
+    settings: TrackSettings,
+) -> None:
+    """Bring a track's markers to ``stamp`` by a detection (M, 19), whose slots are ``slots``."""
+    density = settings.jerk * settings.jerk
+    interval, process = 0.0, kalman_filter.white_jerk(0.0, density)
+    for m in range(len(slots)):
+        state, confidence = markers[slots[m]], confidences[slots[m]]
+        if math.isnan(state[0]):
+            continue
+        dt = (stamp - tracks.seen[row, m]) * 1e-9
+        noise = settings.position_noise * settings.position_noise
+        if not math.isnan(confidence):
+            noise /= max(confidence, _LEAST_CONFIDENCE)
+        if math.isnan(tracks.positions[row, m, 0]) or dt > _RESTART * settings.horizon:
+            _start_marker(tracks, row, m, state, noise)
+            tracks.seen[row, m] = stamp
+        else:
+            p = _load(tracks.covariances, row, m)
+            if dt > 0.0:
+                _move_marker(tracks, row, m, dt, settings.horizon)
+                if dt != interval:  # markers are mostly seen together
+                    interval, process = dt, kalman_filter.white_jerk(dt, density)
+                p = kalman_filter.predict(p, dt, process)
+                tracks.seen[row, m] = stamp
+            _correct_marker(tracks, row, m, p, state, noise, settings.innovation_gate)
+            _limit_speed(tracks, row, m, settings.max_speed)
+        _write(tracks.velocities[row, m], state, _TO_VELOCITY)
+        _write(tracks.accelerations[row, m], state, _TO_ACCELERATION)
+
+
+@inlined
+def _set_orientation(tracks: Tracks, row: int, k: int, q: Quaternion) -> None:
+    tracks.orientations[row, k, 0], tracks.orientations[row, k, 1] = q[0], q[1]
+    tracks.orientations[row, k, 2], tracks.orientations[row, k, 3] = q[2], q[3]
+
+
+@inlined
+def _start_link(tracks: Tracks, row: int, k: int, seen_at: Quaternion, noise: float) -> None:
+    _set_orientation(tracks, row, k, seen_at)
+    for c in range(3):
+        tracks.angular_velocities[row, k, c] = tracks.angular_accelerations[row, k, c] = 0.0
+    prior = kalman_filter.prior(noise, _ANGULAR_SPEED, _ANGULAR_ACCELERATION)
+    _store(tracks.link_covariances, row, k, prior)
+
+
+@inlined
+def _move_link(tracks: Tracks, row: int, k: int, dt: float, horizon: float) -> None:
+    """Predict a link's state with constant angular acceleration, for ``horizon`` s at most."""
+    reach = min(dt, horizon)
+    omega, alpha = tracks.angular_velocities[row, k], tracks.angular_accelerations[row, k]
+    step = exponential(
+        reach * (omega[0] + 0.5 * reach * alpha[0]),
+        reach * (omega[1] + 0.5 * reach * alpha[1]),
+        reach * (omega[2] + 0.5 * reach * alpha[2]),
+    )
+    _set_orientation(tracks, row, k, multiply(step, _quaternion(tracks.orientations[row, k])))
+    for c in range(3):
+        omega[c] += reach * alpha[c]
+
+
+@inlined
+def _correct_link(
+    tracks: Tracks, row: int, k: int, p: Covariance, seen_at: Quaternion, noise: float, gate: float
+) -> None:
+    """Kalman update by an orientation; the innovation is a rotation vector."""
+    q = _quaternion(tracks.orientations[row, k])
+    e = difference(seen_at, q)
+    square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    gain = kalman_filter.gain(p, kalman_filter.innovation_variance(p, noise, square, gate))
+    step = exponential(gain[0] * e[0], gain[0] * e[1], gain[0] * e[2])
+    _set_orientation(tracks, row, k, normalize(multiply(step, q)))
+    _add(tracks.angular_velocities, row, k, gain[1], e)
+    _add(tracks.angular_accelerations, row, k, gain[2], e)
+    _store(tracks.link_covariances, row, k, kalman_filter.correct(p, gain))
+
+
+@inlined
+def _correct_links(
+    stamp: int, row: int, tracks: Tracks, links: Floats, settings: TrackSettings
+) -> None:
+    """Bring a track's links to ``stamp`` by a detection (L, 19)."""
+    noise = settings.orientation_noise * settings.orientation_noise
+    density = settings.angular_jerk * settings.angular_jerk
+    interval, process = 0.0, kalman_filter.white_jerk(0.0, density)
+    for k in range(len(links)):
+        if math.isnan(links[k, _TO_ORIENTATION]):
+            continue
+        seen_at = _quaternion(links[k, _TO_ORIENTATION:])
+        dt = (stamp - tracks.links_seen[row, k]) * 1e-9
+        if math.isnan(tracks.orientations[row, k, 0]) or dt > _RESTART * settings.horizon:
+            _start_link(tracks, row, k, seen_at, noise)
+            tracks.links_seen[row, k] = stamp
+        else:
+            p = _load(tracks.link_covariances, row, k)
+            if dt > 0.0:
+                _move_link(tracks, row, k, dt, settings.horizon)
+                if dt != interval:
+                    interval, process = dt, kalman_filter.white_jerk(dt, density)
+                p = kalman_filter.predict(p, dt, process)
+                tracks.links_seen[row, k] = stamp
+            _correct_link(tracks, row, k, p, seen_at, noise, settings.innovation_gate)
+        _write(tracks.angular_velocities[row, k], links[k], _TO_ANGULAR_VELOCITY)
+        _write(tracks.angular_accelerations[row, k], links[k], _TO_ANGULAR_ACCELERATION)
+
+
+@kernel(types.void(_I, I1, _PAIRS, PEOPLE, _TRACKS, _SLOTS, _SETTINGS))
+def correct(
     stamp: int,
     rows: Stamps,
-    motion: Floats,
-    spread: Floats,
-    seen: Stamps,
-    turn: Floats,
-    spin: Floats,
-    turn_spread: Floats,
-    turn_seen: Stamps,
-    confidences: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    mirror: Ints,
-    association: Floats,
-    dynamics: Floats,
-    least: Floats,
-    gap: Floats,
-    match: Stamps,
-    fault: Stamps,
+    pairs: TrackPairs,
+    people: People,
+    tracks: Tracks,
+    slots: Slots,
+    settings: TrackSettings,
 ) -> None:
-    """Take over a message: find the track of each person among ``rows``, and move it."""
-    n_people = len(confidences)
-    wanted, flipped = np.empty(n_people, np.bool_), np.empty(n_people, np.bool_)
-    for j in range(n_people):
-        some = _leave_out(markers, marker_confidences, least[1], j)
-        _leave_out(links, link_confidences, least[1], j)
-        fault[j] = EMPTY
-        if some:
-            fault[j] = DOUBTFUL if confidences[j] < least[0] else USABLE
-        wanted[j] = fault[j] == USABLE
-        match[j] = -1
-    if len(rows):
-        associate(
-            stamp, rows, motion, seen, turn, spin, turn_seen, markers, marker_confidences,
-            links, link_confidences, mirror, association, wanted, gap, match, flipped,
-        )  # fmt: skip
-    row_of = np.empty(n_people, np.int64)
-    for j in range(n_people):
-        row_of[j] = rows[match[j]] if match[j] >= 0 else -1
-    update(
-        stamp, row_of, motion, spread, seen, turn, spin, turn_spread, turn_seen, markers,
-        marker_confidences, links, flipped, mirror, dynamics,
-    )  # fmt: skip
+    """Bring the tracks in ``rows`` to ``stamp`` with the detections that ``match`` gives them.
+
+    A Kalman filter of constant acceleration for each marker and link. Finite differences would
+    not do: two cameras may see the same person 0.2 ms apart. The velocities and accelerations that
+    the detector left open are written into ``people``. A mirrored detection corrects the track
+    with its sides swapped; its orientations are wrong and are left alone.
+    """
+    for j in range(len(people.ids)):
+        i = pairs.match[j]
+        if i < 0:
+            continue
+        row, swapped = rows[i], pairs.mirrored[i, j]
+        markers, confidences = people.markers[j], people.marker_confidences[j]
+        which = slots.mirror if swapped else slots.same
+        _correct_markers(stamp, row, tracks, markers, confidences, which, settings)
+        if not swapped:
+            _correct_links(stamp, row, tracks, people.links[j], settings)
 
 
-@njit(
-    "UniTuple(int64, 2)(int64[::1], int64[:,::1], boolean[::1], int64, int64[::1], int32[::1],"
-    " float64[:,:,:,::1], float64[:,:,::1], int64[:,::1], float64[:,:,::1], float64[:,:,:,::1],"
-    " float64[:,:,::1], int64[:,::1], float64[::1], float64[:,:,::1], float64[:,::1],"
-    " float64[:,:,::1], float64[:,::1], int32[::1], float64[::1], float64[::1], float64[::1],"
-    " int32[::1], int64[::1], float64[:,::1], float64[::1], int64[::1], int64[::1])",
-    cache=True,
-    nogil=True,
-)
+@kernel("void(float64[:,:,::1], int64, float64[::1])")
+def centre(positions: Floats, row: int, out: Floats) -> None:
+    """Write the mean position (3,) of a track's markers, m; NaN before any was seen."""
+    count = x = y = z = 0.0
+    for m in range(positions.shape[1]):
+        if not math.isnan(positions[row, m, 0]):
+            count += 1.0
+            x += positions[row, m, 0]
+            y += positions[row, m, 1]
+            z += positions[row, m, 2]
+    out[0], out[1], out[2] = x / count, y / count, z / count
+
+
+# Many messages at once
+
+
+@inlined
+def _match_without_choice(
+    n_tracks: int, n_people: int, max_distance: float, pairs: TrackPairs
+) -> bool:
+    """Fill ``match`` if nobody has a choice; return whether that is so.
+
+    Then no track is near two detections, nor a detection near two tracks, and what a pair costs
+    does not matter.
+    """
+    for j in range(n_people):
+        pairs.match[j] = -1
+    for i in range(n_tracks):
+        found = False
+        for j in range(n_people):
+            if not pairs.wanted[j] or pairs.distances[i, j] > max_distance:
+                continue
+            if found or pairs.match[j] >= 0:
+                return False
+            found = True
+            pairs.match[j] = i
+    return True
+
+
+@inlined
+def _associate(
+    stamp: int,
+    rows: Stamps,
+    people: People,
+    tracks: Tracks,
+    slots: Slots,
+    settings: TrackSettings,
+    work: TrackWork,
+) -> None:
+    """Fill ``match`` as the steps of stages/track.py do, with less work where it is obvious."""
+    predicted, pairs, n_people = work.predicted, work.pairs, len(people.ids)
+    _predict_positions(stamp, rows, tracks, settings.horizon, predicted.positions)
+    _compare(rows, people, tracks, slots, settings, work)
+    if not _match_without_choice(len(rows), n_people, settings.max_distance, pairs):
+        _predict_orientations(stamp, rows, tracks, settings.horizon, predicted.orientations)
+        _fill_cost(rows, people, tracks, settings, work)
+        solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)
+
+
+@inlined
+def _rows(people: People, begin: int, end: int) -> People:
+    """People from row ``begin`` on and before row ``end``, as views."""
+    return People(
+        people.ids[begin:end],
+        people.stamps[begin:end],
+        people.confidences[begin:end],
+        people.markers[begin:end],
+        people.marker_confidences[begin:end],
+        people.links[begin:end],
+        people.link_confidences[begin:end],
+        people.boxes[begin:end],
+    )
+
+
+@kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, _SLOTS, _SETTINGS, _WORK, _FOLLOWED))
 def follow(
     stamps: Stamps,
-    places: Stamps,
-    teaches: Flags,
-    expiry: int,
-    rows: Stamps,
-    persons: Ints,
-    motion: Floats,
-    spread: Floats,
-    seen: Stamps,
-    turn: Floats,
-    spin: Floats,
-    turn_spread: Floats,
-    turn_seen: Stamps,
-    confidences: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    mirror: Ints,
-    association: Floats,
-    dynamics: Floats,
-    least: Floats,
-    ids: Ints,
-    latest: Stamps,
-    centres: Floats,
-    gap: Floats,
-    match: Stamps,
-    fault: Stamps,
-) -> tuple[int, int]:
-    """Take over messages: find the track of each person among ``rows``, and move it.
+    spans: Stamps,
+    people: People,
+    tracks: Tracks,
+    confirmed: ConfirmedTracks,
+    slots: Slots,
+    settings: TrackSettings,
+    work: TrackWork,
+    followed: Followed,
+) -> int:
+    """Take messages in which everybody is of a confirmed track; return how many.
 
-    Stops before a message, not the first, that is not older than ``expiry``, ns; and after one
-    that has somebody who is of no track.
+    Stops before the first message with anybody else. Ids and velocities are written into
+    ``people``. The results are those of the steps in stages/track.py.
 
     Parameters
     ----------
-    stamps, places, teaches : (K,), (K, 2), (K,) time of each message, ns, the first row of its
-        people and the one after the last, and whether ``centres`` are wanted.
-    rows, persons : (T,) bank row and id of each track.
-    confidences, markers, marker_confidences, links, link_confidences : (P, ...) of everybody;
-        ``markers`` and ``links`` get the tracks' velocities.
-    association, dynamics : the numbers of :func:`associate` and :func:`update`.
-    least : confidences below which a skeleton is left out, and a marker or link absent.
-    ids : (P,) written where somebody is of a track.
-    centres : (P, 3) mean position of the tracks' markers after the message, m.
-    latest : (T,) last time at which each track was seen, where that is later.
-    gap : room for T times the people of any message; those of the last one, as (T, P) numbers of
-        :func:`associate`.
-    match, fault : (P,) as in :func:`associate`; USABLE, EMPTY or DOUBTFUL.
-
-    Returns
-    -------
-    How many messages were taken over, and 1 if the last of them made it stop.
+    stamps, spans : (K,), (K, 2) time of each message, ns; first row of its people, row after the
+        last.
+    people : of all messages, and others.
     """
-    for i in range(len(stamps)):
-        stamp, a, b = stamps[i], places[i, 0], places[i, 1]
-        if i > 0 and stamp >= expiry:
-            return i, 0
-        _follow(
-            stamp, rows, motion, spread, seen, turn, spin, turn_spread, turn_seen,
-            confidences[a:b], markers[a:b], marker_confidences[a:b], links[a:b],
-            link_confidences[a:b], mirror, association, dynamics, least,
-            gap[: len(rows) * (b - a)].reshape((len(rows), b - a)), match[a:b],
-            fault[a:b],
-        )  # fmt: skip
-        stop = False
-        for j in range(a, b):
-            k = match[j]
-            if k < 0:
-                stop = True
-                continue
-            ids[j] = persons[k]
-            latest[k] = max(latest[k], stamp)
-            if teaches[i]:
-                centre(motion, seen, rows[k], centres[j])
-        if stop:
-            return i + 1, 1
-    return len(stamps), 0
+    pairs = work.pairs
+    for k in range(len(stamps)):
+        begin, end = spans[k, 0], spans[k, 1]
+        group = _rows(people, begin, end)
+        screen(group, settings.min_marker_confidence, settings.min_skeleton_confidence, work.faults)
+        for j in range(end - begin):
+            pairs.wanted[j] = work.faults[j] == USABLE
+        _associate(stamps[k], confirmed.rows, group, tracks, slots, settings, work)
+        for j in range(end - begin):
+            if pairs.match[j] < 0:
+                return k
+        correct(stamps[k], confirmed.rows, pairs, group, tracks, slots, settings)
+        for j in range(end - begin):
+            i = pairs.match[j]
+            group.ids[j] = confirmed.ids[i]
+            confirmed.last_seen[i] = max(confirmed.last_seen[i], stamps[k])
+            followed.match[begin + j] = i
+            centre(tracks.positions, confirmed.rows[i], followed.centres[begin + j])
+    return len(stamps)

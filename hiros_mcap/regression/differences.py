@@ -16,7 +16,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import output_channels, read_channel
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.kernels.tracking import assign
+from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.running.pipeline import LIMBS_ATTACHMENT
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel

@@ -147,7 +147,7 @@ class _Associator:
 
     def _match(self, places: list[list[float]], stamp: int) -> list[Centroid | None]:
         """Track of each place, None for those that have none."""
-        from hiros_mcap.kernels.tracking import assign
+        from hiros_mcap.kernels.assignment import assign
 
         noise, gate = self.params.position_noise, self.params.gate
         for track in self.tracks:
@@ -211,7 +211,7 @@ def associate(
     ------
     The frames, in the order of their times, with ids; UNTRACKED where a track is not confirmed.
     """
-    from hiros_mcap.stages.track import in_time_order
+    from hiros_mcap.stages.time_order import in_time_order
 
     params = params or AssociateParams()
     associator = _Associator(params, Events() if events is None else events)

@@ -2,79 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hiros_mcap.skeletons import Floats
 
-_BODY_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
-_MARGIN = 0.3  # m: by how much a place may lie beyond the farthest person reported
-_INTERVAL = 500_000_000  # ns between two lessons of a camera
-_AT_FIRST = 200_000_000  # ns between them until it has learned enough, before bodies are confirmed
-_ENOUGH = 5  # people to have learned before a camera's silence says anything
+_PERSON_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
+_MARGIN = 0.3  # m: how far a place may lie beyond the farthest person reported
+_ENOUGH = 5  # people that a camera must have reported before its silence says anything
+_INTERVAL = 500_000_000  # ns between two messages of a camera that are learned from
+_FIRST_INTERVAL = 200_000_000  # ns until it has reported enough
 
 
 @dataclass(slots=True)
-class _View:
+class _FieldOfView:
     """Directions and distances at which a camera has reported people: a cone and two spheres."""
 
     directions: list[Floats] = field(default_factory=list)
     axis: Floats = field(default_factory=lambda: np.zeros(3))
     nearest: float = np.inf
     farthest: float = 0.0
-    narrowest: float = 1.0  # least cosine between the axis and a reported person
-    stamp: int = -_INTERVAL
+    least_cosine: float = 1.0
+    """Of the angles between the axis and the people reported."""
+    stamp: int = 0
     people: int = 0
+
+    def contains(self, direction: Floats, distance: float, margin: float) -> bool:
+        """Whether a place is in the cone and, give or take ``margin``, between the spheres."""
+        near = self.nearest - margin <= distance <= self.farthest + margin
+        return near and float(direction @ self.axis) >= self.least_cosine
 
 
 class Coverage:
-    """Answers whether a camera ought to see a place.
+    """Says whether a camera ought to see a place.
 
     A camera covers the cone around its mean line of sight that holds everybody it has reported,
-    between the nearest and the farthest of them. That needs the camera's position; without it
-    the answer is always no.
+    between the nearest and the farthest of them. Without the camera's position it covers nothing.
+
+    Parameters
+    ----------
+    cameras : source -> (3,) position in the fixed frame, m.
     """
 
     def __init__(self, cameras: Mapping[str, Floats]) -> None:
         self._origins = cameras
-        self._views: dict[str, _View] = {}
+        self._views: dict[str, _FieldOfView] = {}
 
     def is_due(self, source: str, stamp: int) -> bool:
-        """Whether ``source`` is worth teaching again: neighbouring frames teach nothing new."""
-        return self.lessons([source], [stamp], [0])[0]
-
-    def lessons(
-        self, sources: Sequence[str], stamps: Sequence[int], people: Sequence[int]
-    ) -> list[bool]:
-        """Which of these messages are due, if everybody in those before is learned."""
-        due, taught = [], {source: self._taught(source) for source in self._origins}
-        for source, stamp, n in zip(sources, stamps, people, strict=True):
-            last = taught.get(source)
-            due.append(last is not None and stamp - last[0] >= _interval(last[1]))
-            if last is not None and due[-1] and n:
-                taught[source] = stamp, last[1] + n
-        return due
-
-    def _taught(self, source: str) -> tuple[int, int]:
-        """When a camera was taught last, and by how many people so far."""
-        view = self._views.get(source)
-        return (-_INTERVAL, 0) if view is None else (view.stamp, view.people)
+        """Whether to learn from a camera's message: neighbouring ones say nothing new."""
+        if source not in self._origins or source not in self._views:
+            return source in self._origins
+        view = self._views[source]
+        return stamp - view.stamp >= (_INTERVAL if view.people >= _ENOUGH else _FIRST_INTERVAL)
 
     def learn(self, source: str, place: Floats, stamp: int) -> None:
         """Note that ``source`` reported a person at ``place`` (3,), m, in the fixed frame."""
-        view = self._views.setdefault(source, _View())
+        view = self._views.setdefault(source, _FieldOfView())
         view.stamp = stamp
+        view.people += 1
         ray = place - self._origins[source]
         distance = float(np.linalg.norm(ray))
-        view.people += 1
-        if distance <= 0.0 or self._inside(view, ray / distance, distance, 0.0):
+        if distance <= 0.0 or view.contains(ray / distance, distance, 0.0):
             return
         view.directions.append(ray / distance)
         mean = np.mean(view.directions, axis=0)
         view.axis = mean / max(float(np.linalg.norm(mean)), 1e-9)
-        view.narrowest = float(np.min(np.array(view.directions) @ view.axis))
+        view.least_cosine = float(np.min(np.array(view.directions) @ view.axis))
         view.nearest = min(view.nearest, distance)
         view.farthest = max(view.farthest, distance)
 
@@ -87,23 +82,13 @@ class Coverage:
         ray = place - origin
         distance = float(np.linalg.norm(ray))
         direction = ray / max(distance, 1e-9)
-        if not self._inside(view, direction, distance, _MARGIN):
-            return False
-        return not any(_blocks(other - origin, direction, distance) for other in others)
-
-    @staticmethod
-    def _inside(view: _View, direction: Floats, distance: float, margin: float) -> bool:
-        near = view.nearest - margin <= distance <= view.farthest + margin
-        return near and float(direction @ view.axis) >= view.narrowest
+        return view.contains(direction, distance, _MARGIN) and not any(
+            _blocks(other - origin, direction, distance) for other in others
+        )
 
 
-def _interval(people: int) -> int:
-    """Ns between two lessons of a camera that so many people have taught."""
-    return _INTERVAL if people >= _ENOUGH else _AT_FIRST
-
-
-def _blocks(body: Floats, direction: Floats, distance: float) -> bool:
-    """Whether a body at ``body`` (relative to the camera) hides what lies behind it."""
-    along = float(body @ direction)
-    beside = float(np.linalg.norm(body - along * direction))
-    return 0.0 < along < distance - _BODY_RADIUS and beside < _BODY_RADIUS
+def _blocks(person: Floats, direction: Floats, distance: float) -> bool:
+    """Whether a person, relative to the camera, hides what lies at that distance behind."""
+    along = float(person @ direction)
+    beside = float(np.linalg.norm(person - along * direction))
+    return 0.0 < along < distance - _PERSON_RADIUS and beside < _PERSON_RADIUS

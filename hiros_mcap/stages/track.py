@@ -1,40 +1,55 @@
 """Skeleton tracker: one id per person over all cameras (Hi-ROS 2023, section 3.1).
 
-Each camera's message is compared with the tracks as they are predicted for its time, assigned,
-and moves them. Beyond the paper: frames pass a small buffer that puts cameras' clocks in order; a
-track must earn its id before it counts (see :class:`_Evidence`); frames are held for a moment so
-that it has its id from its first detection on; a body with swapped sides is compared, and moves
-its track, with the sides swapped back.
+:meth:`_Tracker.update` is the paper's algorithm for one camera's message: predict the tracks,
+compare them with the detections, assign, correct the tracks, start and delete tracks.
+
+Beyond the paper:
+
+- Messages are first put in order of their times (:class:`TimeOrder`).
+- A new track is tentative and has no id. Its support confirms it (:class:`_Support`). A message
+  that shows somebody tentative is held for a moment, so that a confirmed person has the id from
+  the first detection on (:class:`Delay`).
+- A detection with left and right swapped is compared, and corrects its track, swapped back.
+- Where every detection is of a confirmed track, one compiled call takes many messages.
 """
 
 from __future__ import annotations
 
-import heapq
 import itertools
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from operator import itemgetter
-from typing import Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.kernels import tracking as kernels
-from hiros_mcap.params import Params
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.bank import ArrayBank
+from hiros_mcap.kernels.assignment import solve
+from hiros_mcap.kernels.distance import mean_distances
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import (
+    POSITION,
+    UNTRACKED,
+    Floats,
+    Frame,
+    People,
+    SkeletonModel,
+    Stamps,
+)
+from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
+from hiros_mcap.stages.delay import Delay
+from hiros_mcap.stages.time_order import TimeOrder
 
-Indices = npt.NDArray[np.intp]
-
-_REASONS = {kernels.USABLE: "", kernels.EMPTY: "no markers", kernels.DOUBTFUL: "low confidence"}
-_AT_ONCE = 64  # messages that one call follows at most: after each stop the rest is looked at anew
-_MARGIN = 100_000_000  # ns by which frames are late that are not late
+_REASONS = {
+    kernels.USABLE: "",
+    kernels.NO_MARKERS: "no markers",
+    kernels.LOW_CONFIDENCE: "low confidence",
+}
 
 
 class TrackParams(Params):
@@ -45,248 +60,221 @@ class TrackParams(Params):
         gt=0,
         description="Gate, m: a detection whose markers are on average farther than this from a "
         "track is not of that person (section 3.1.2). Views of one person differ by 0.05 to "
-        "0.35 m; 0.8 m, a workable launch value of the published code, also swallows a "
-        "neighbour.",
-    )
-    min_distance: float = Field(
-        0.25,
-        ge=0,
-        description="m: a body this near to a tracked person is a second detection of that person "
-        "and starts no track (0.1: published code).",
+        "0.35 m; 0.8 m, a workable launch value of the published code, also takes in a neighbour.",
     )
     max_gap: float = Field(
         1.5,
         gt=0,
-        description="t_m, s: a person that nobody sees for longer is forgotten (section 3.1.2).",
-    )
-    orientation_weight: float = Field(
-        0.05,
-        ge=0,
-        description="m per rad: what eq 9 weighs against eq 8 in eq 6. The paper adds metres and "
-        "radians one to one, so that a turned-round detection outweighs 3 m of distance.",
-    )
-    velocity_weight: float = Field(
-        0.05, ge=0, description="w_v of eq 8, s, used where detections carry velocities."
-    )
-    angular_velocity_weight: float = Field(
-        0.0, ge=0, description="w_omega of eq 9, s, used where detections carry velocities."
-    )
-    velocity_decay: float = Field(
-        0.25, ge=0, le=1, description="gamma of eq 11; 0 = speed has no say (0.25: published code)."
-    )
-    exponent: float = Field(1.0, ge=1, description="alpha of eq 8 and 9 (1: published code).")
-    weight_by_confidence: bool = Field(True, description="kappa of eq 11.")
-    weight_by_velocity: bool = Field(True, description="w_v of eq 11.")
-    flip_aware: bool = Field(
-        True,
-        description="Compare detections with left and right swapped, too; needs marker names.",
-    )
-    min_skeleton_confidence: float = Field(
-        0.0, ge=0, le=1, description="Detections below are not tracked."
+        description="t_m, s: a person whom nobody sees for longer is forgotten (section 3.1.2).",
     )
     min_marker_confidence: float = Field(
-        0.0, ge=0, le=1, description="Markers and links below count as absent."
-    )
-    min_markers: int = Field(4, ge=1, description="A detection with fewer markers starts no track.")
-    tentative_gap: float = Field(
-        0.5, gt=0, description="s: as max_gap, for a body that is not a person yet."
+        0.0, ge=0, le=1, description="Markers and links of less confidence count as absent."
     )
     reorder: float = Field(
         1.0,
         ge=0,
-        description="s: frames wait at most this long for older ones of slower cameras; later "
-        "ones are still tracked, at their own time. Recorders stall for up to a second; a live "
-        "system takes 0.1.",
+        description="s: messages wait at most this long for older ones of slower cameras; later "
+        "ones are still tracked, at their own time. Recorders stall for up to a second; 0.1 suits "
+        "a live system.",
     )
     lookahead: float = Field(
         1.0,
         ge=0,
-        description="s: a frame with somebody who may or may not be a person is held this long, "
-        "so that who is confirmed meanwhile has the id from the first detection. 0 = a live system "
-        "without delay.",
+        description="s: a message that shows somebody tentative is held this long, so that a "
+        "person has the id from the first detection on. 0 = a live system without delay.",
     )
-    confirm_detections: int = Field(
-        5, ge=1, description="Detections, by two cameras or more, that make a body a person."
+    min_distance: float = advanced(
+        0.25,
+        ge=0,
+        description="m: a detection this near to a person whom the same message already shows is "
+        "a duplicate and starts no track (0.1: published code).",
     )
-    confirm_seconds: float = Field(
+    orientation_weight: float = advanced(
+        0.05,
+        ge=0,
+        description="m per rad: weight of eq 9 against eq 8 in eq 6. The paper adds metres and "
+        "radians one to one; a detection that faces the wrong way then costs as much as 3 m.",
+    )
+    velocity_weight: float = advanced(
+        0.05, ge=0, description="w_v of eq 8, s, used where detections carry velocities."
+    )
+    angular_velocity_weight: float = advanced(
+        0.0, ge=0, description="w_omega of eq 9, s, used where detections carry velocities."
+    )
+    velocity_decay: float = advanced(
+        0.25,
+        ge=0,
+        le=1,
+        description="gamma of eq 11; 0 = fast markers count like slow ones (0.25: published code).",
+    )
+    exponent: float = advanced(1.0, ge=1, description="alpha of eq 8 and 9 (1: published code).")
+    weight_by_confidence: bool = advanced(True, description="Use kappa of eq 11.")
+    weight_by_velocity: bool = advanced(True, description="Use w_v of eq 11.")
+    flip_aware: bool = advanced(
+        True,
+        description="Compare detections also with left and right swapped; needs marker names.",
+    )
+    min_skeleton_confidence: float = advanced(
+        0.0, ge=0, le=1, description="Detections of less confidence are not tracked."
+    )
+    min_markers: int = advanced(
+        4, ge=1, description="A detection with fewer markers starts no track."
+    )
+    tentative_gap: float = advanced(
+        0.5, gt=0, description="s: a tentative track that nobody sees for longer is deleted."
+    )
+    confirm_detections: int = advanced(
+        5, ge=1, description="Detections that confirm a track, if two cameras or more report it."
+    )
+    confirm_seconds: float = advanced(
         0.5,
         ge=0,
-        description="s during which a body that only one camera reports must last to count, "
-        "provided that no other camera ought to see it.",
+        description="s that a track of a single camera must last to be confirmed, provided that no "
+        "other camera contradicts it.",
     )
-    contradiction: float = Field(
+    contradiction: float = advanced(
         0.5,
         ge=0,
-        description="A body that one camera reports, while others look there and see nobody, is "
-        "doubted once they have missed it this many times per report.",
+        description="A track of a single camera is contradicted when other cameras that look "
+        "there have missed it more than this many times per report.",
     )
-    min_motion: float = Field(
+    min_motion: float = advanced(
         0.3,
         ge=0,
-        description="m: a doubted body counts after all when it has walked this far; a coat on a "
-        "stand never does.",
+        description="m: a contradicted track counts all the same once it has moved this far from "
+        "its start; a coat on a stand never does.",
     )
-    horizon: float = Field(
-        0.2, gt=0, description="s: constant velocity is trusted this long (eq 7), then standstill."
+    horizon: float = advanced(
+        0.2,
+        gt=0,
+        description="s: eq 7 predicts constant velocity for this long, then standstill.",
     )
-    position_noise: float = Field(
-        0.04, gt=0, description="m: SD of one camera's marker, for velocities (57 mm raw error)."
+    position_noise: float = advanced(
+        0.04, gt=0, description="m: SD of a marker that one camera reports (57 mm raw error)."
     )
-    jerk: float = Field(
-        150.0, gt=0, description="m/s3/sqrt(Hz): how fast markers' accelerations may change."
+    jerk: float = advanced(
+        150.0, gt=0, description="m/s3/sqrt(Hz): how fast accelerations of markers may change."
     )
-    orientation_noise: float = Field(0.15, gt=0, description="rad: SD of one camera's link.")
-    angular_jerk: float = Field(500.0, gt=0, description="rad/s3/sqrt(Hz), as jerk.")
-    innovation_gate: float = Field(
-        3.0, gt=0, description="SDs from which a marker counts less in its track's motion."
+    orientation_noise: float = advanced(
+        0.15, gt=0, description="rad: SD of a link that one camera reports."
     )
-    max_speed: float = Field(
-        12.0, gt=0, description="m/s: no marker of a person is faster (a thrown hand reaches 10)."
+    angular_jerk: float = advanced(500.0, gt=0, description="rad/s3/sqrt(Hz), as jerk.")
+    innovation_gate: float = advanced(
+        3.0,
+        gt=0,
+        description="SDs: a marker or link farther than this from its prediction corrects the "
+        "track less.",
+    )
+    max_speed: float = advanced(
+        12.0, gt=0, description="m/s: no marker of a person is faster (a throwing hand reaches 10)."
     )
 
 
 @dataclass(slots=True, eq=False)
-class _Evidence:
-    """What speaks for and against a body being a person.
+class _Support:
+    """What speaks for and against a track.
 
-    For: a report by a camera. Against: a message of another camera that looks at that place,
-    with nobody in between, and reports nobody. Two cameras that agree confirm at once (after
-    ``confirm_detections``); one camera confirms by lasting, unless contradicted; a contradicted
-    body has to walk.
+    Every report of a camera supports it. A message of another camera that looks at the place, with
+    nobody in between, and reports nobody there contradicts it.
     """
 
     first: int
-    birthplace: Floats
+    """Time of the first report, ns."""
+    origin: Floats
+    """(3,) mean marker position of the first report, m."""
     reports: dict[str, int] = field(default_factory=dict)
+    """Camera to number of reports."""
     misses: int = 0
     travelled: float = 0.0
+    """Greatest distance from the origin so far, m."""
 
     def confirms(self, stamp: int, params: TrackParams) -> bool:
-        """Whether the evidence is enough for a body that was last seen at ``stamp``."""
+        """Whether a track that was last seen at ``stamp``, ns, has enough support."""
         total = sum(self.reports.values())
         if total < params.confirm_detections:
             return False
-        strongest = max(self.reports.values())
-        if total - strongest >= min(2, params.confirm_detections - 1) > 0:
+        by_others = total - max(self.reports.values())  # than the camera that reports most
+        if by_others >= min(2, params.confirm_detections - 1) > 0:
             return True
         lasted = (stamp - self.first) * 1e-9 >= params.confirm_seconds
-        return lasted and (not self.doubted(params) or self.travelled > params.min_motion)
+        return lasted and not self.refuted(params)
 
-    def doubted(self, params: TrackParams) -> bool:
-        """Whether only one camera ever saw the body while others ought to."""
-        return len(self.reports) < 2 and self.misses > params.contradiction * sum(
-            self.reports.values()
-        )
+    def refuted(self, params: TrackParams) -> bool:
+        """Whether a single camera reports the track, others miss it, and it does not move."""
+        total = sum(self.reports.values())
+        contradicted = len(self.reports) < 2 and self.misses > params.contradiction * total
+        return contradicted and self.travelled <= params.min_motion
 
 
 @dataclass(slots=True, eq=False)
 class _Track:
     """A person, or what may become one."""
 
+    number: int
+    """Its name in the bank."""
     row: int
+    """Its row in the bank."""
     seen: int
-    evidence: _Evidence
-    person: int = UNTRACKED
-    former: int = UNTRACKED
-    """The id before it was doubted; it gets it back if it is a person after all."""
+    """Time of the last detection, ns."""
+    support: _Support
+    id: int = UNTRACKED
+    """UNTRACKED while the track is tentative."""
+    former_id: int = UNTRACKED
+    """The id before it was withdrawn, which the track gets back if it is confirmed again."""
 
     @property
-    def settled(self) -> bool:
-        """Whether it is a person for good: nobody doubts whom two cameras saw."""
-        return self.person != UNTRACKED and len(self.evidence.reports) > 1
+    def confirmed(self) -> bool:
+        """Whether it counts as a person."""
+        return self.id != UNTRACKED
 
-
-class _Bank(ArrayBank):
-    """Motion of all tracks."""
-
-    ARRAYS = ("motion", "spread", "turn", "spin", "turn_spread", "seen", "turn_seen")
-
-    def __init__(self, model: SkeletonModel) -> None:
-        super().__init__()
-        m, n = model.n_markers, model.n_links
-        self.motion: Floats = np.zeros((0, m, 3, 3))
-        self.spread: Floats = np.zeros((0, m, 6))
-        self.turn: Floats = np.zeros((0, n, 4))
-        self.spin: Floats = np.zeros((0, n, 2, 3))
-        self.turn_spread: Floats = np.zeros((0, n, 6))
-        self.seen: Stamps = np.zeros((0, m), np.int64)
-        self.turn_seen: Stamps = np.zeros((0, n), np.int64)
-
-    def take(self) -> int:
-        """Return a row for a person whom nobody has seen yet."""
-        row = super().take()
-        self.seen[row] = self.turn_seen[row] = 0
-        return row
-
-
-class _Passage:
-    """Messages on their way through the tracker, as its own copy, which gets ids and velocities."""
-
-    def __init__(self, ready: Sequence[tuple[Part, int]]) -> None:
-        block = join([part for part, _ in ready])
-        block.people.ids.fill(UNTRACKED)
-        self.block = replace(block, log_times=np.array([now for _, now in ready], np.int64))
-        self.stamps, self.log_times = block.stamps.tolist(), [now for _, now in ready]
-        self.match, self.fault = np.empty((2, len(block.people.ids)), np.int64)
-        self.sizes = (block.rows[:, 1] - block.rows[:, 0]).tolist()
-        self.most = max(self.sizes)
-        """People of the largest message."""
-        self.teaches = np.zeros(len(ready), np.bool_)
-        """Which messages tell what their camera looks at."""
-        self.centres = np.empty((len(block.people.ids), 3))
-
-
-_Ready = tuple[_Passage, int, int]
-"""A message that need not be held any more: where it is, its place there, its log time."""
+    @property
+    def certain(self) -> bool:
+        """Whether nothing can contradict it any more: two cameras have reported the person."""
+        return self.confirmed and len(self.support.reports) > 1
 
 
 @dataclass(slots=True, eq=False)
-class _Held:
-    """A message that waits for its people to be confirmed."""
+class _DetectionGroup:
+    """One message of a camera: the detection group of eq 3, with the tracks it was given."""
 
-    passage: _Passage
+    block: Block
     place: int
-    log_time: int
+    """Its place in the block."""
     stamp: int
     source: str
-    begin: int
-    end: int
-    """Rows of its people."""
+    people: People
+    """Views of its people in the block."""
     tracks: list[_Track | None]
     reasons: list[str]
-    """Why a detection is of nobody; "" where it is of a track."""
+    """Why a detection has no track and starts none; "" if there is no reason."""
+
+    @classmethod
+    def of(cls, block: Block, place: int) -> _DetectionGroup:
+        """Return the message at a place of a block; it shares the block's arrays."""
+        people = block.people.at(slice(*block.rows[place].tolist()))
+        n = len(people.ids)
+        stamp, source = int(block.stamps[place]), block.sources[place]
+        return cls(block, place, stamp, source, people, [None] * n, [""] * n)
 
     @property
-    def settled(self) -> bool:
-        """Whether no evidence that is still to come can change an id."""
-        return all(body is None or body.settled for body in self.tracks)
+    def unmatched(self) -> list[int]:
+        """Detections that still need a track."""
+        pairs = zip(self.tracks, self.reasons, strict=True)
+        return [j for j, (track, reason) in enumerate(pairs) if track is None and not reason]
 
     @property
-    def markers(self) -> Floats:
-        """States with the tracks' velocities."""
-        return self.passage.block.people.markers[self.begin : self.end]
+    def decided(self) -> bool:
+        """Whether nothing that is still to come can change an id."""
+        return all(track is None or track.certain for track in self.tracks)
 
-    @property
-    def links(self) -> Floats:
-        """As markers."""
-        return self.passage.block.people.links[self.begin : self.end]
+    def give(self, j: int, track: _Track) -> None:
+        """Note that detection ``j`` is of a track."""
+        self.tracks[j] = track
+        track.seen = max(track.seen, self.stamp)
 
-    @property
-    def marker_confidences(self) -> Floats:
-        """As the detector gave them."""
-        return self.passage.block.people.marker_confidences[self.begin : self.end]
 
-    @property
-    def link_confidences(self) -> Floats:
-        """As the detector gave them."""
-        return self.passage.block.people.link_confidences[self.begin : self.end]
-
-    def give(self, bodies: list[_Track | None]) -> None:
-        """Note of which track each person is, and that it was seen."""
-        for j, body in enumerate(bodies):
-            if body is not None:
-                self.tracks[j] = body
-                body.seen = max(body.seen, self.stamp)
+_Message = tuple[Block, int, int]
+"""A message that is done: its block, its place there, its log time, ns."""
 
 
 def track(
@@ -303,12 +291,12 @@ def track(
     frames : detections of all cameras in the fixed frame, roughly in time order.
     model : names and hierarchy of the skeleton.
     params, events : parameters; where counts and events go.
-    cameras : source -> (3,) position of the camera in the fixed frame, m. With it, a body that one
-        camera reports and others ought to see but do not is doubted.
+    cameras : source -> (3,) position of the camera in the fixed frame, m. With it, other cameras
+        can contradict a track that only one of them reports.
 
     Yields
     ------
-    The same frames in order of their stamps, with ids (-1 = of nobody that counts) and with the
+    The same frames in order of their stamps, with ids (-1 = of nobody who counts) and with the
     tracks' velocities and accelerations where the detector gave none.
     """
     return frames_of(track_blocks(map(Block.of, frames), model, params, events, cameras))
@@ -329,82 +317,20 @@ def track_blocks(
         ready: list[tuple[Part, int]] = []
         for message in block.messages():
             ready += order.push(*message)
-        if ready:
-            yield from _grouped(tracker.take(_Passage(ready)))
-    if ready := order.rest():
-        yield from _grouped(tracker.take(_Passage(ready)))
-    yield from _grouped(tracker.finish())
+        yield from _gather(tracker.take(ready))
+    yield from _gather(tracker.take(order.rest()))
+    yield from _gather(tracker.finish())
 
 
-def _grouped(done: Iterable[_Ready]) -> Iterator[Block]:
-    """Gather neighbours that lie in common arrays into blocks."""
-    for passage, group in itertools.groupby(done, key=itemgetter(0)):
+def _gather(messages: Iterable[_Message]) -> Iterator[Block]:
+    """Make a block of neighbours that lie in the same arrays."""
+    for block, group in itertools.groupby(messages, key=itemgetter(0)):
         _, places, log_times = zip(*group, strict=True)
-        yield passage.block.select(places, log_times)
-
-
-T = TypeVar("T")
-
-
-class TimeOrder(Generic[T]):
-    """Sorts messages by (stamp, source), holding each ``delay`` seconds at most for older ones.
-
-    A message goes on when every camera has sent a younger one (a camera that has been silent for
-    ``delay`` is not waited for), and no sooner than the latest message so far would have wanted.
-    One that is later still goes on at once: it is used, out of order, and not dropped. Log times
-    become those of the arrivals that let the messages go, so they never run backwards.
-    """
-
-    def __init__(self, delay: float) -> None:
-        self._waiting: list[tuple[int, str, int, T]] = []
-        self._newest_of: dict[str, int] = {}
-        self._newest = self._now = self._begin = 0
-        self._patience = round(delay * 1e9)
-        self._margin = min(self._patience, _MARGIN)
-        self._count = itertools.count()
-
-    def push(self, stamp: int, source: str, log_time: int, item: T) -> list[tuple[T, int]]:
-        """Take a message; return those that go on now, with their log times."""
-        waiting, newest_of, patience = self._waiting, self._newest_of, self._patience
-        heapq.heappush(waiting, (stamp, source, next(self._count), item))
-        newest = self._newest = max(self._newest, stamp)
-        now = self._now = max(self._now, log_time)
-        self._begin = self._begin or stamp
-        self._margin = max(self._margin, min(newest - stamp, patience))
-        newest_of[source] = max(newest_of.get(source, 0), stamp)
-        horizon, everybody = newest - patience, (newest, "")
-        if self._begin >= horizon:  # there may be cameras that have not sent yet
-            everybody = (horizon, source)
-        else:
-            for name, last in newest_of.items():
-                if last > horizon and (last, name) < everybody:
-                    everybody = (last, name)
-        recent = newest - self._margin
-        ready = []
-        while waiting:
-            first = waiting[0]
-            if first[0] > horizon and (first[0] > recent or first[:2] > everybody):
-                break
-            ready.append((heapq.heappop(waiting)[3], now))
-        return ready
-
-    def rest(self) -> list[tuple[T, int]]:
-        """Return what is left, now that nothing more comes."""
-        return [(heapq.heappop(self._waiting)[3], self._now) for _ in range(len(self._waiting))]
-
-
-def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
-    """Sort frames as :class:`TimeOrder` does."""
-    order: TimeOrder[Frame] = TimeOrder(delay)
-    for frame in frames:
-        for ready, now in order.push(frame.stamp, frame.source, frame.log_time, frame):
-            yield ready.replace(log_time=now)
-    for ready, now in order.rest():
-        yield ready.replace(log_time=now)
+        yield block.select(places, log_times)
 
 
 class _Tracker:
-    """The tracks of a run, the paper's loop, and the messages that wait for it to be sure."""
+    """The tracks, and the messages whose ids are not decided yet."""
 
     def __init__(
         self,
@@ -415,282 +341,259 @@ class _Tracker:
     ) -> None:
         self.params = params
         self.events = events
-        self.bank = _Bank(model)
-        self.coverage = Coverage(cameras)
         self.tracks: list[_Track] = []
-        self.known: list[_Track] | None = None
-        self.known_rows: Stamps = np.empty(0, np.int64)
-        """The tracks that are persons, their rows in the bank and ids; None = to be looked up."""
-        self.known_ids: Ints = np.empty(0, np.int32)
-        self.calm = False
-        """Whether every track is a person for good."""
-        self.expiry = 0
-        """No track is to be forgotten before this stamp."""
-        self.people = itertools.count()
-        self.held: deque[_Held] = deque()
-        self.patience = round(params.lookahead * 1e9)
+        self.bank = Bank(kernels.Tracks.room(0, model.n_markers, model.n_links))
+        self.coverage = Coverage(cameras)
+        self.delay: Delay[_DetectionGroup] = Delay(params.lookahead)
+        self.numbers, self.ids = itertools.count(), itertools.count()
         symmetry = symmetry_of(model)
-        self.flip_aware = params.flip_aware and symmetry.known
-        self.mirror: Ints = symmetry.mirror
-        self.association = np.array([
-            params.horizon, params.max_distance, params.orientation_weight,
-            params.weight_by_confidence, params.weight_by_velocity, params.velocity_decay,
-            params.velocity_weight, params.angular_velocity_weight, params.exponent,
-            self.flip_aware, params.min_distance,
-        ], np.float64)  # fmt: skip
-        self.least = np.array([params.min_skeleton_confidence, params.min_marker_confidence])
-        self.dynamics = np.array([
-            params.horizon, params.position_noise, params.jerk, params.orientation_noise,
-            params.angular_jerk, params.innovation_gate, params.max_speed,
-        ])  # fmt: skip
+        same = np.arange(model.n_markers, dtype=np.int32)
+        self.slots = kernels.Slots(same, symmetry.mirror)
+        self.settings = kernels.TrackSettings._make(
+            getattr(params, name) for name in kernels.TrackSettings._fields
+        )._replace(flip_aware=params.flip_aware and symmetry.known)
+        self._work = partial(
+            kernels.TrackWork.room, n_markers=model.n_markers, n_links=model.n_links
+        )
+        self.work = self._work(8, 8)
 
-    def take(self, passage: _Passage) -> Iterator[_Ready]:
-        """Associate, update, add and remove (the three parts of section 3.1.2).
+    def update(self, group: _DetectionGroup) -> Iterator[_DetectionGroup]:
+        """Track the detections of one message (section 3.1.2); yield messages that are decided."""
+        self._delete_unseen(group.stamp)  # after t_m
+        self._screen(group)  # by confidence
+        for tracks in self._confirmed(), self._tentative():  # persons come first
+            if tracks and group.unmatched:
+                rows = self._predict(tracks, group)  # eq 7
+                self._compare(rows, group)  # eq 6 and 8 to 11
+                self._assign(tracks, group)  # Munkres
+                self._correct(rows, group)  # Kalman filter
+                self._drop_duplicates(tracks, group)
+        self._start(group)  # tentative tracks
+        self._confirm(group)  # or withdraw the id
+        self.delay.push(group.stamp, group)
+        return self.delay.release(group.stamp, lambda held: held.decided)
 
-        Yields the messages, of this passage or an earlier one, that need not be held any more.
-        """
-        stamps, at = passage.stamps, 0
-        while at < len(stamps):
-            if stamps[at] >= self.expiry:
-                self._forget(stamps[at])
-            if self.known is None:
-                self._look_up()
-            plain = self.calm and not self.held
-            stop = min(len(stamps), at + (_AT_ONCE if plain else 1))
-            n, stopped, gap = self._follow(passage, at, stop)
-            special = stopped or not plain
-            if special:
-                n -= 1
-            self._learn(passage, range(at, at + n))
-            for place in range(at, at + n):
-                yield passage, place, passage.log_times[place]
-            at += n
-            if special:
-                yield from self._ponder(passage, at, gap)
-                at += 1
+    def take(self, ready: Sequence[tuple[Part, int]]) -> Iterator[_Message]:
+        """Track messages, with their log times; yield those that are decided."""
+        if not ready:
+            return
+        block, log_times = _own_block(ready), [now for _, now in ready]
+        place = 0
+        while place < len(block):
+            end = place + self._follow(block, place)
+            yield from ((block, i, log_times[i]) for i in range(place, end))
+            if end < len(block):
+                for group in self.update(_DetectionGroup.of(block, end)):
+                    yield self._finish(group, log_times[end])
+            place = end + 1
 
-    def finish(self) -> Iterator[_Ready]:
+    def finish(self) -> Iterator[_Message]:
         """Yield the messages that are still held, now that nothing more comes."""
-        last = self.held[-1].log_time if self.held else 0
-        while self.held:
-            yield self._release(self.held.popleft(), last)
+        held = list(self.delay.rest())
+        for group in held:
+            yield self._finish(group, int(held[-1].block.log_times[held[-1].place]))
 
-    def _look_up(self) -> None:
-        """Find out anew which tracks are persons."""
-        self.known = [t for t in self.tracks if t.person != UNTRACKED]
-        self.known_rows = np.array([t.row for t in self.known], np.int64)
-        self.known_ids = np.array([t.person for t in self.known], np.int32)
-        self.calm = all(t.settled for t in self.tracks)
-
-    def _follow(self, passage: _Passage, at: int, stop: int) -> tuple[int, bool, Floats]:
-        """Give people of messages to the tracks of persons.
-
-        Returns how many messages were taken over, whether the last of them needs more than that,
-        and the kernel's gaps of it.
-        """
-        bank, block, people = self.bank, passage.block, passage.block.people
-        known = self.known or []
-        passage.teaches[at:stop] = self.coverage.lessons(
-            block.sources[at:stop], passage.stamps[at:stop], passage.sizes[at:stop]
-        )
-        latest = np.zeros(len(known), np.int64)
-        gap = np.empty(len(known) * passage.most)
-        n, stopped = kernels.follow(
-            block.stamps[at:stop], block.rows[at:stop], passage.teaches[at:stop], self.expiry,
-            self.known_rows, self.known_ids, bank.motion, bank.spread, bank.seen, bank.turn,
-            bank.spin, bank.turn_spread, bank.turn_seen, people.confidences, people.markers,
-            people.marker_confidences, people.links, people.link_confidences, self.mirror,
-            self.association, self.dynamics, self.least, people.ids, latest, passage.centres,
-            gap, passage.match, passage.fault,
-        )  # fmt: skip
-        for body, stamp in zip(known, latest.tolist(), strict=True):
-            body.seen = max(body.seen, stamp)
-        return n, bool(stopped), gap
-
-    def _learn(self, passage: _Passage, places: range) -> None:
-        """Learn what cameras look at from messages of which everybody is a person."""
-        for i in places:
-            if passage.teaches[i]:
-                begin, end = passage.block.rows[i].tolist()
-                source, stamp = passage.block.sources[i], passage.stamps[i]
-                for row in sorted(range(begin, end), key=passage.match.__getitem__):
-                    self.coverage.learn(source, passage.centres[row], stamp)
-
-    def _ponder(self, passage: _Passage, place: int, gap: Floats) -> Iterator[_Ready]:
-        """Do what is to be done about people who may be somebody new; let go who is settled."""
-        known = self.known or []
-        begin, end = passage.block.rows[place].tolist()
-        found = passage.match[begin:end].tolist()
-        held = _Held(
-            passage,
-            place,
-            passage.log_times[place],
-            passage.stamps[place],
-            passage.block.sources[place],
-            begin,
-            end,
-            [known[i] if i >= 0 else None for i in found],
-            [_REASONS[code] for code in passage.fault[begin:end].tolist()],
-        )
-        rest = [j for j, body in enumerate(held.tracks) if body is None and not held.reasons[j]]
-        if rest:
-            gaps = gap[: len(known) * len(found)].reshape(len(known), len(found))
-            tentative = [t for t in self.tracks if t.person == UNTRACKED]
-            rest = self._drop_second_bodies(held, known, gaps, rest)
-            self._match(held, tentative, rest)
-            self._add(held, [j for j in rest if held.tracks[j] is None])
-        self._judge(held)
-        self.held.append(held)
-        while self.held and (
-            self.held[0].stamp + self.patience <= held.stamp or self.held[0].settled
-        ):
-            yield self._release(self.held.popleft(), held.log_time)
-
-    def _release(self, held: _Held, log_time: int) -> _Ready:
+    def _finish(self, group: _DetectionGroup, log_time: int) -> _Message:
         """Write the ids that the tracks have by now."""
-        ids = [UNTRACKED if body is None else body.person for body in held.tracks]
-        held.passage.block.people.ids[held.begin : held.end] = ids
-        for person, reason in zip(ids, held.reasons, strict=True):
+        for j, track in enumerate(group.tracks):
+            person = UNTRACKED if track is None else track.id
+            group.people.ids[j] = person
             if person == UNTRACKED:
-                self.events.count(reason or "not confirmed", held.source)
-        return held.passage, held.place, max(log_time, held.log_time)
+                self.events.count(group.reasons[j] or "not confirmed", group.source)
+        return group.block, group.place, max(log_time, int(group.block.log_times[group.place]))
 
-    def _match(self, held: _Held, tracks: list[_Track], people: list[int]) -> None:
-        """Associate ``people`` with ``tracks`` (eq 6-11, Munkres) and update."""
-        bank, n = self.bank, len(held.tracks)
-        if not tracks or not people:
-            return
-        gap = np.empty((len(tracks), n))
-        rows = np.array([t.row for t in tracks], np.int64)
-        wanted = np.zeros(n, np.bool_)
-        wanted[people] = True
-        match = np.empty(n, np.int64)
-        flipped = np.empty(n, np.bool_)
-        kernels.associate(
-            held.stamp, rows, bank.motion, bank.seen, bank.turn, bank.spin, bank.turn_seen,
-            held.markers, held.marker_confidences, held.links, held.link_confidences,
-            self.mirror, self.association, wanted, gap, match, flipped,
+    # The steps of update
+
+    def _confirmed(self) -> list[_Track]:
+        return [track for track in self.tracks if track.confirmed]
+
+    def _tentative(self) -> list[_Track]:
+        return [track for track in self.tracks if not track.confirmed]
+
+    def _delete_unseen(self, stamp: int) -> None:
+        """Delete tracks that nobody saw for t_m; tentative ones sooner."""
+        for track in list(self.tracks):
+            gap = self.params.max_gap if track.confirmed else self.params.tentative_gap
+            if (stamp - track.seen) * 1e-9 > gap:
+                self.tracks.remove(track)
+                self.bank.forget(track.number)
+                if track.confirmed:
+                    self.events.note(track.seen, "track lost", person=track.id)
+
+    def _screen(self, group: _DetectionGroup) -> None:
+        """Leave out markers and detections of too little confidence."""
+        self._make_room(len(group.tracks))
+        params, faults = self.params, self.work.faults
+        kernels.screen(
+            group.people, params.min_marker_confidence, params.min_skeleton_confidence, faults
+        )
+        group.reasons[:] = [_REASONS[fault] for fault in faults[: len(group.tracks)].tolist()]
+
+    def _predict(self, tracks: list[_Track], group: _DetectionGroup) -> Stamps:
+        """Predict the tracks' poses at the time of the message; return their rows (eq 7)."""
+        rows = np.array([track.row for track in tracks], np.int64)
+        kernels.predict(
+            group.stamp, rows, self.bank.past, self.settings.horizon, self.work.predicted
+        )
+        return rows
+
+    def _compare(self, rows: Stamps, group: _DetectionGroup) -> None:
+        """Work out the cost of every pair of a track and an unmatched detection (eq 6)."""
+        wanted = self.work.pairs.wanted
+        wanted.fill(False)
+        wanted[group.unmatched] = True
+        kernels.association_cost(
+            rows, group.people, self.bank.past, self.slots, self.settings, self.work
+        )
+
+    def _assign(self, tracks: list[_Track], group: _DetectionGroup) -> None:
+        """Give detections to tracks at the least total cost."""
+        pairs, n_people = self.work.pairs, len(group.tracks)
+        solve(pairs.cost, len(tracks), n_people, self.work.assignment, pairs.match)
+        for j, i in enumerate(pairs.match[:n_people].tolist()):
+            if i >= 0:
+                group.give(j, tracks[i])
+
+    def _correct(self, rows: Stamps, group: _DetectionGroup) -> None:
+        """Correct the tracks by their detections; write their velocities into the message."""
+        kernels.correct(
+            group.stamp, rows, self.work.pairs, group.people, self.bank.past, self.slots,
+            self.settings,
         )  # fmt: skip
-        self._update(held, [tracks[i] if i >= 0 else None for i in match.tolist()], flipped)
 
-    def _update(self, held: _Held, bodies: list[_Track | None], flipped: Flags) -> None:
-        """Give people to their tracks, move these, and fill the people's velocities."""
-        bank = self.bank
-        row_of = np.array([UNTRACKED if t is None else t.row for t in bodies], np.int64)
-        kernels.update(
-            held.stamp, row_of, bank.motion, bank.spread, bank.seen, bank.turn, bank.spin,
-            bank.turn_spread, bank.turn_seen, held.markers, held.marker_confidences,
-            held.links, flipped, self.mirror, self.dynamics,
-        )  # fmt: skip
-        held.give(bodies)
+    def _drop_duplicates(self, tracks: list[_Track], group: _DetectionGroup) -> None:
+        """Leave out detections on top of a person whom this message already shows."""
+        for j in group.unmatched:
+            near = self.work.pairs.distances[: len(tracks), j] < self.params.min_distance
+            if any(tracks[i].confirmed and tracks[i] in group.tracks for i in np.flatnonzero(near)):
+                group.reasons[j] = "duplicate"
 
-    def _drop_second_bodies(
-        self, held: _Held, known: list[_Track], gap: Floats, rest: list[int]
-    ) -> list[int]:
-        """Leave out detections on top of a person whom this camera has reported already."""
-        left = []
-        for j in rest:
-            near = [t for i, t in enumerate(known) if gap[i, j] < self.params.min_distance]
-            if any(t in held.tracks for t in near):
-                held.reasons[j] = "second body"
-            else:
-                left.append(j)
-        return left
-
-    def _add(self, held: _Held, people: list[int]) -> None:
-        """Start tracks of bodies that are of nobody known."""
-        stamp = held.stamp
-        born: list[_Track | None] = [None] * len(held.tracks)
-        for j in people:
-            here = held.markers[j, :, :3]
+    def _start(self, group: _DetectionGroup) -> None:
+        """Start a tentative track for each detection that is of nobody known."""
+        new: list[_Track] = []
+        pairs = self.work.pairs
+        pairs.match.fill(UNTRACKED)
+        for j in group.unmatched:
+            here = group.people.markers[j, :, POSITION]
             if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
-                held.reasons[j] = "too few markers"
+                group.reasons[j] = "too few markers"
                 continue
-            body = _Track(self.bank.take(), stamp, _Evidence(stamp, np.nanmean(here, axis=0)))
-            self.tracks.append(body)
-            self._changed()
-            born[j] = body
-        self._update(held, born, np.zeros(len(born), np.bool_))
+            support = _Support(group.stamp, np.nanmean(here, axis=0))
+            pairs.match[j] = len(new)
+            new.append(self._new_track(group.stamp, support))
+            group.give(j, new[-1])
+        if new:
+            pairs.mirrored.fill(False)
+            self._correct(np.array([track.row for track in new], np.int64), group)
 
-    def _judge(self, held: _Held) -> None:
-        """Weigh the evidence that this message adds to bodies that are not people yet."""
-        source, found = held.source, held.tracks
-        teaches = self.coverage.is_due(source, held.stamp)
-        if self.calm and not teaches:
-            return
-        for body in self.tracks:
-            if body.settled:
-                if teaches and body in found:
-                    self.coverage.learn(source, self._centre(body), held.stamp)
-                continue
-            evidence = body.evidence
-            if body in found:
-                evidence.reports[source] = evidence.reports.get(source, 0) + 1
-                step = self._centre(body) - evidence.birthplace
-                evidence.travelled = max(evidence.travelled, float(np.linalg.norm(step)))
-            elif source not in evidence.reports and self._ought_to_see(source, body):
-                evidence.misses += 1
-            self._settle(body, held)
-            self._changed()
+    def _new_track(self, stamp: int, support: _Support) -> _Track:
+        number = next(self.numbers)
+        row = self.bank.row(number, stamp)
+        self.bank.past.positions[row] = self.bank.past.orientations[row] = np.nan
+        self.tracks.append(_Track(number, row, stamp, support))
+        return self.tracks[-1]
 
-    def _changed(self) -> None:
-        """Say that the tracks are others, or what is known of them."""
-        self.known, self.calm, self.expiry = None, False, 0
+    def _confirm(self, group: _DetectionGroup) -> None:
+        """Weigh what the message says about every track that is not certain yet."""
+        due = self.coverage.is_due(group.source, group.stamp)
+        for track in self.tracks:
+            if not track.certain:
+                self._weigh(track, group)
+                self._decide(track, group)
+            elif due and track in group.tracks:
+                self.coverage.learn(group.source, self._centre(track), group.stamp)
 
-    def _settle(self, body: _Track, held: _Held) -> None:
-        """Make a body a person, or take that back, as the evidence now says."""
-        confirmed = body.evidence.confirms(body.seen, self.params)
-        if body.person == UNTRACKED and confirmed and not self._shadows(body):
-            body.person = next(self.people) if body.former == UNTRACKED else body.former
+    def _weigh(self, track: _Track, group: _DetectionGroup) -> None:
+        """Add the support, or the contradiction, of a message."""
+        support, source = track.support, group.source
+        if track in group.tracks:
+            support.reports[source] = support.reports.get(source, 0) + 1
+            moved = float(np.linalg.norm(self._centre(track) - support.origin))
+            support.travelled = max(support.travelled, moved)
+        elif source not in support.reports and self._ought_to_see(source, track):
+            support.misses += 1
+
+    def _decide(self, track: _Track, group: _DetectionGroup) -> None:
+        """Confirm a track, or withdraw its id."""
+        support = track.support
+        if track.confirmed and support.refuted(self.params):
+            self.events.note(group.stamp, "track withdrawn", person=track.id)
+            track.former_id, track.id = track.id, UNTRACKED
+        elif (
+            not track.confirmed
+            and support.confirms(track.seen, self.params)
+            and not self._is_duplicate(track)
+        ):
+            track.id = next(self.ids) if track.former_id == UNTRACKED else track.former_id
             self.events.note(
-                held.stamp, "track born", person=body.person, source=held.source,
-                detail=f"seen by {', '.join(sorted(body.evidence.reports))}",
+                group.stamp, "track born", person=track.id, source=group.source,
+                detail=f"seen by {', '.join(sorted(support.reports))}",
             )  # fmt: skip
-        elif body.person != UNTRACKED and self._refuted(body):
-            self.events.note(held.stamp, "track doubted", person=body.person)
-            body.former, body.person = body.person, UNTRACKED
 
-    def _refuted(self, body: _Track) -> bool:
-        evidence = body.evidence
-        return evidence.doubted(self.params) and evidence.travelled <= self.params.min_motion
+    def _is_duplicate(self, track: _Track) -> bool:
+        """Whether a tentative track lies on a person: a second view, nobody new."""
+        others = [other.row for other in self._confirmed() if other is not track]
+        positions, distances = self.bank.past.positions, np.empty((1, len(others)))
+        mean_distances(positions[[track.row]], positions[others], distances)
+        return bool((distances < self.params.min_distance).any())
 
-    def _shadows(self, body: _Track) -> bool:
-        """Whether the body lies on a person: a second view of that person, not somebody new."""
-        here = self.bank.motion[body.row, :, 0]
-        for other in self.tracks:
-            if other.person != UNTRACKED and other is not body:
-                there = self.bank.motion[other.row, :, 0]
-                common = (self.bank.seen[body.row] > 0) & (self.bank.seen[other.row] > 0)
-                if not common.any():
-                    continue
-                distance = np.linalg.norm(here[common] - there[common], axis=1).mean()
-                if distance < self.params.min_distance:
-                    return True
-        return False
+    def _ought_to_see(self, source: str, track: _Track) -> bool:
+        others = [self._centre(other) for other in self._confirmed() if other is not track]
+        return self.coverage.sees(source, self._centre(track), others)
 
-    def _ought_to_see(self, source: str, body: _Track) -> bool:
-        others = [self._centre(t) for t in self.tracks if t is not body and t.person != UNTRACKED]
-        return self.coverage.sees(source, self._centre(body), others)
-
-    def _centre(self, body: _Track) -> Floats:
+    def _centre(self, track: _Track) -> Floats:
         centre = np.empty(3)
-        kernels.centre(self.bank.motion, self.bank.seen, body.row, centre)
+        kernels.centre(self.bank.past.positions, track.row, centre)
         return centre
 
-    def _forget(self, stamp: int) -> None:
-        """Remove tracks that nobody saw for t_m; bodies that were nobody yet go sooner."""
-        kept = []
-        self.expiry = stamp + round(self.params.max_gap * 1e9)
-        for body in self.tracks:
-            person = body.person != UNTRACKED
-            gap = self.params.max_gap if person else self.params.tentative_gap
-            if (stamp - body.seen) * 1e-9 <= gap:
-                kept.append(body)
-                self.expiry = min(self.expiry, body.seen + int(gap * 1e9))
-                continue
-            self.bank.give_back(body.row)
-            if person:
-                self.events.note(body.seen, "track lost", person=body.person)
-        if len(kept) < len(self.tracks):
-            self.tracks = kept
-            self.known = None
+    def _make_room(self, n_people: int) -> None:
+        """Enlarge the scratch arrays: so many detections may start as many tracks."""
+        size, n_tracks = self.work.pairs.cost.shape, len(self.tracks) + n_people
+        if n_tracks > size[0] or n_people > size[1]:
+            self.work = self._work(2 * n_tracks, 2 * n_people)
+
+    # Many messages at once
+
+    def _follow(self, block: Block, place: int) -> int:
+        """Track messages in which everybody is certain, as update would; return how many."""
+        if len(self.delay) or not all(track.certain for track in self.tracks):
+            return 0
+        self._delete_unseen(int(block.stamps[place]))
+        stamps = block.stamps[place : self._next_deletion(block, place)]
+        tracks = self.tracks
+        confirmed = kernels.ConfirmedTracks(
+            np.array([track.row for track in tracks], np.int64),
+            np.array([track.id for track in tracks], np.int32),
+            np.array([track.seen for track in tracks], np.int64),
+        )
+        spans, n = block.rows[place:], len(block.people.ids)
+        followed = kernels.Followed(np.empty(n, np.int64), np.empty((n, 3)))
+        self._make_room(int((spans[:, 1] - spans[:, 0]).max()))
+        done: int = kernels.follow(
+            stamps, spans, block.people, self.bank.past, confirmed, self.slots, self.settings,
+            self.work, followed,
+        )  # fmt: skip
+        for track, seen in zip(tracks, confirmed.last_seen.tolist(), strict=True):
+            track.seen = seen
+        for i in range(place, place + done):
+            source, stamp = block.sources[i], int(block.stamps[i])
+            if self.coverage.is_due(source, stamp):
+                rows = range(*block.rows[i].tolist())
+                for row in sorted(rows, key=followed.match.__getitem__):
+                    self.coverage.learn(source, followed.centres[row], stamp)
+        return done
+
+    def _next_deletion(self, block: Block, place: int) -> int:
+        """Place of the first message at whose time a track might be deleted."""
+        seen = min((track.seen for track in self.tracks), default=None)
+        if seen is None:
+            return len(block)
+        late = block.stamps[place:] - seen >= int(self.params.max_gap * 1e9)
+        return place + int(late.argmax()) if late.any() else len(block)
+
+
+def _own_block(ready: Sequence[tuple[Part, int]]) -> Block:
+    """Return a copy of messages, for ids and velocities to be written into."""
+    block = join([part for part, _ in ready])
+    block.people.ids.fill(UNTRACKED)
+    return replace(block, log_times=np.array([now for _, now in ready], np.int64))

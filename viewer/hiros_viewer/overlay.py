@@ -10,7 +10,7 @@ import numpy as np
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels.tracking import assign
+from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
 from hiros_viewer.scene import Scene
 
