@@ -25,12 +25,13 @@ import numpy as np
 from numba import types
 
 from hiros_mcap.kernels.centroid_filter import NOISE_RATE, STARTING_SPEED
-from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, I2, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, PEOPLE, kernel, named_tuple
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import POSITION, VELOCITY, Flags, Floats, People, Stamps
 
 _LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
+_ACCEPTED, _OUTLIERS = 0, 1  # columns of the counts
 _X, _VX = POSITION.start, VELOCITY.start
 
 
@@ -47,10 +48,8 @@ class FilteredPeople(NamedTuple):
     """(R, M, 6) of ``kalman_filter``."""
     innovations: Floats
     """(R, M, N) lengths of the last N accepted innovations, m."""
-    accepted: Stamps
-    """(R, M) how many innovations were accepted so far."""
-    outliers: Stamps
-    """(R, M) consecutive outliers."""
+    counts: Stamps
+    """(R, M, 2) innovations accepted so far, consecutive outliers."""
     confidences: Floats
     """(R,) of the newest detection, as are the next three."""
     marker_confidences: Floats
@@ -63,10 +62,10 @@ class FilteredPeople(NamedTuple):
     @classmethod
     def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
         """Return the filters of nobody, with ``history`` innovations (N) per joint."""
-        nobody, count = People.room(0, markers, links), np.zeros((0, markers), np.int64)
+        nobody, count = People.room(0, markers, links), np.zeros((0, markers, 2), np.int64)
         return cls(
-            nobody.stamps, count > 0, np.zeros((0, markers, 2, 3)),
-            np.zeros((0, markers, TRIANGLE)), np.zeros((0, markers, history)), count, count.copy(),
+            nobody.stamps, count[..., 0] > 0, np.zeros((0, markers, 2, 3)),
+            np.zeros((0, markers, TRIANGLE)), np.zeros((0, markers, history)), count,
             nobody.confidences, nobody.marker_confidences, nobody.links, nobody.link_confidences,
         )  # fmt: skip
 
@@ -83,7 +82,8 @@ class JointFilterSettings(NamedTuple):
     max_outliers: int
 
 
-_PAST = named_tuple(FilteredPeople, I1, B2, F4, F3, F3, I2, I2, F1, F2, F3, F2)
+_I3 = types.int64[:, :, ::1]
+_PAST = named_tuple(FilteredPeople, I1, B2, F4, F3, F3, _I3, F1, F2, F3, F2)
 _SETTINGS = named_tuple(
     JointFilterSettings, *[types.float64] * 3, types.boolean, *[types.float64] * 2, types.int64
 )
@@ -116,49 +116,34 @@ def _measurement_variance(
 
 @kernel
 def _outlier_factor(
-    past: FilteredPeople, row: int, m: int, innovation: float, settings: JointFilterSettings
+    history: Floats, counts: Stamps, innovation: float, settings: JointFilterSettings
 ) -> float:
-    """Factor of the variance of a measurement; 1 = no outlier, it enters the history."""
-    history = past.innovations[row, m]
-    size, accepted = len(history), past.accepted[row, m]
+    """Factor of the variance of a measurement; 1 = no outlier, it enters the history (N,)."""
+    size = len(history)
     if size == 0:
         return 1.0
     highest = 0.0
     for i in range(size):
         highest = max(highest, history[i])
     threshold = settings.outlier_factor * highest  # eq 9
-    is_outlier = accepted >= size and innovation > threshold > 0
-    if is_outlier and past.outliers[row, m] < settings.max_outliers:  # o_max
-        past.outliers[row, m] += 1
+    is_outlier = counts[_ACCEPTED] >= size and innovation > threshold > 0
+    if is_outlier and counts[_OUTLIERS] < settings.max_outliers:  # o_max
+        counts[_OUTLIERS] += 1
         return innovation / threshold  # eq 10
-    past.outliers[row, m] = 0
-    history[accepted % size] = innovation
-    past.accepted[row, m] += 1
+    counts[_OUTLIERS] = 0
+    history[counts[_ACCEPTED] % size] = innovation
+    counts[_ACCEPTED] += 1
     return 1.0
 
 
 @kernel
-def _correct_joint(
-    past: FilteredPeople, row: int, m: int, measured: Floats, variance: float,
-    settings: JointFilterSettings,
-) -> bool:  # fmt: skip
-    """Correct a joint by a measured position (3,); return whether that is an outlier."""
-    x, p = past.states[row, m], past.covariances[row, m]
-    if not past.known[row, m]:
-        past.known[row, m] = True
-        start(x, p, measured, prior(variance, STARTING_SPEED**2, 0.0))
-        return False
-    squared = 0.0
-    for c in range(3):
-        squared += (measured[c] - x[0, c]) ** 2
-    factor = _outlier_factor(past, row, m, np.sqrt(squared), settings)  # eq 9 and 10
-    correct(x, p, measured, variance * factor)  # eq 6 and 7
-    return bool(factor > 1.0)
+def _distance(a: Floats, b: Floats) -> float:
+    return float(np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2))
 
 
 @kernel
 def _copy(target: Floats, source: Floats) -> None:
-    for i in np.ndindex(target.shape):
+    for i in range(len(target)):
         target[i] = source[i]
 
 
@@ -175,23 +160,34 @@ def update(
     range_variances : (P,) what the distance from the camera adds to eq 8, m2.
     """
     outliers = 0
-    for p in range(len(rows)):
-        row = rows[p]
+    for k in range(len(rows)):
+        row = rows[k]
         if row < 0:
             continue
         dt = (now - past.stamps[row]) * 1e-9
         for m in range(people.markers.shape[1]):
+            x, p = past.states[row, m], past.covariances[row, m]
             if past.known[row, m]:
-                _predict_joint(past.states[row, m], past.covariances[row, m], dt, settings)  # eq 5
-            confidence = people.marker_confidences[p, m]
-            variance = _measurement_variance(confidence, range_variances[p], settings)  # eq 8
-            measured = people.markers[p, m, _X : _X + 3]
-            if not np.isnan(variance + measured[0]):  # otherwise the prediction stands (III-C)
-                outliers += _correct_joint(past, row, m, measured, variance, settings)
-        past.stamps[row], past.confidences[row] = now, people.confidences[p]
-        _copy(past.marker_confidences[row], people.marker_confidences[p])
-        _copy(past.links[row], people.links[p])
-        _copy(past.link_confidences[row], people.link_confidences[p])
+                _predict_joint(x, p, dt, settings)  # eq 5
+            confidence, measured = people.marker_confidences[k, m], people.markers[k, m, POSITION]
+            variance = _measurement_variance(confidence, range_variances[k], settings)  # eq 8
+            if np.isnan(variance + measured[0]):
+                continue  # the prediction stands (III-C)
+            if past.known[row, m]:
+                innovation = _distance(measured, x[0])
+                factor = _outlier_factor(
+                    past.innovations[row, m], past.counts[row, m], innovation, settings
+                )  # eq 9 and 10
+                correct(x, p, measured, variance * factor)  # eq 6 and 7
+                outliers += factor > 1.0
+            else:
+                start(x, p, measured, prior(variance, STARTING_SPEED**2, 0.0))
+                past.known[row, m] = True
+        past.stamps[row], past.confidences[row] = now, people.confidences[k]
+        _copy(past.marker_confidences[row], people.marker_confidences[k])
+        for n in range(people.links.shape[1]):
+            _copy(past.links[row, n], people.links[k, n])
+        _copy(past.link_confidences[row], people.link_confidences[k])
     return outliers
 
 
@@ -209,5 +205,6 @@ def write(past: FilteredPeople, rows: Stamps, now: int, people: People) -> None:
                     people.markers[i, m, _VX + c] = velocity
         people.confidences[i] = past.confidences[row]
         _copy(people.marker_confidences[i], past.marker_confidences[row])
-        _copy(people.links[i], past.links[row])
+        for n in range(people.links.shape[1]):
+            _copy(people.links[i, n], past.links[row, n])
         _copy(people.link_confidences[i], past.link_confidences[row])

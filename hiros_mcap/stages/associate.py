@@ -15,7 +15,7 @@ from pydantic import Field
 
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 
 
@@ -71,7 +71,7 @@ def associate(
     ------
     The frames, in the order of their times, with ids; UNTRACKED where a track is not confirmed.
     """
-    from hiros_mcap.stages.track import in_time_order
+    from hiros_mcap.stages.time_order import in_time_order
 
     params = params or AssociateParams()
     associator = _Associator(params, Events() if events is None else events)
@@ -96,19 +96,21 @@ class _Associator:
 
     def update(self, frame: Frame) -> Frame:
         """Give every detection of one message its id (III-A)."""
+        from hiros_mcap.kernels.assignment import assign
+
         self._end_lost_tracks(frame.stamp)
-        centroids = np.empty((frame.n_people, 3))
-        self._kernels.find_centroids(frame.markers, centroids)
-        tracks = list(self._bank.rows)
-        rows = np.array(list(self._bank.rows.values()), np.int64)
-        self._kernels.predict_tracks(self._bank.past, rows, frame.stamp, self._settings)  # z^
-        matches = self._assign(rows, centroids)  # eq 2 and 3, Hungarian algorithm, epsilon
-        self._correct(tracks, matches, centroids, frame.stamp)
-        ids = np.full(frame.n_people, UNTRACKED, np.int32)
-        for detection, match in enumerate(matches.tolist()):
-            track = tracks[match] if match >= 0 else self._start(centroids[detection], frame)
-            if track is not None:
-                ids[detection] = self._id(track, frame)
+        kernels, settings, past = self._kernels, self._settings, self._bank.past
+        tracks, rows = list(self._bank.rows), np.array(list(self._bank.rows.values()), np.int64)
+        centroids, cost = np.empty((frame.n_people, 3)), np.empty((len(rows), frame.n_people))
+        kernels.find_centroids(frame.markers, centroids)
+        kernels.predict_tracks(past, rows, frame.stamp, settings)  # z^, without a new detection
+        kernels.association_cost(past, rows, centroids, settings, cost)  # eq 2 and 3, epsilon
+        matches = [tracks[k] if k >= 0 else None for k in assign(cost).tolist()]  # Hungarian
+        self._correct(matches, centroids, frame.stamp)
+        for d, track in enumerate(matches):
+            if track is None:  # a person never seen before
+                matches[d] = self._start(centroids[d], frame)
+        ids = np.array([self._id(track, frame) for track in matches], np.int32)
         return frame.replace(ids=ids)
 
     def _end_lost_tracks(self, now: int) -> None:
@@ -118,19 +120,11 @@ class _Associator:
                 person = self._ids.pop(track)
                 self._events.note(last_seen[track], "track lost", person=person)
 
-    def _assign(self, rows: Stamps, centroids: Floats) -> Stamps:
-        """(D,) Index in ``rows`` of each detection's track; -1 = none."""
-        from hiros_mcap.kernels.tracking import assign
-
-        cost = np.empty((len(rows), len(centroids)))
-        self._kernels.association_cost(self._bank.past, rows, centroids, self._settings, cost)
-        return np.asarray(assign(cost))
-
-    def _correct(self, tracks: list[int], matches: Stamps, centroids: Floats, stamp: int) -> None:
-        rows = [self._bank.row(tracks[k], stamp) if k >= 0 else -1 for k in matches.tolist()]
-        self._kernels.correct_tracks(
-            self._bank.past, np.array(rows, np.int64), centroids, self._settings
-        )
+    def _correct(self, matches: list[int | None], centroids: Floats, stamp: int) -> None:
+        """Correct the track of each detection by its centroid, where it has one."""
+        rows = [-1 if track is None else self._bank.row(track, stamp) for track in matches]
+        own = np.array(rows, np.int64)
+        self._kernels.correct_tracks(self._bank.past, own, centroids, self._settings)
 
     def _start(self, centroid: Floats, frame: Frame) -> int | None:
         """Start a track, unless a person was reported twice."""
@@ -146,8 +140,10 @@ class _Associator:
         self._kernels.start_track(self._bank.past, row, frame.stamp, centroid, self._settings)
         return track
 
-    def _id(self, track: int, frame: Frame) -> int:
+    def _id(self, track: int | None, frame: Frame) -> int:
         """Id of a track, UNTRACKED until it is confirmed."""
+        if track is None:
+            return UNTRACKED
         if track not in self._ids:
             row = self._bank.rows[track]
             if self._bank.past.detections[row] < self._params.confirm_detections:
