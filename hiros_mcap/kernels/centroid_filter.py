@@ -22,14 +22,10 @@ _X = POSITION.start
 class Centroids(NamedTuple):
     """The filters K_i of T tracks."""
 
-    stamps: Stamps
-    """(T,) time of the state, ns."""
-    states: Floats
-    """(T, 2, 2) position, m, and velocity, m/s, on the floor."""
-    covariances: Floats
-    """(T, 6) of ``kalman_filter``."""
-    detections: Stamps
-    """(T,) how many detections were associated."""
+    stamps: Stamps  # (T,) time of the state, ns
+    states: Floats  # (T, 2, 2) position, m, and velocity, m/s, on the floor
+    covariances: Floats  # (T, 6) of ``kalman_filter``
+    detections: Stamps  # (T,) how many detections were associated
 
     @classmethod
     def empty(cls) -> Centroids:

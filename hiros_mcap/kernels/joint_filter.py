@@ -12,9 +12,9 @@ motion would be an outlier after every longer interval. The prediction covers th
 interval, so the innovation depends on neither. Innovations of outliers do not enter the history;
 the first one would raise the threshold for the next N measurements.
 
-The paper replaces a rejected joint by its prediction (III-C). Here the correction is left out: to
-correct by the prediction would move nothing, but lower the
-covariance as if something had been measured.
+The paper replaces a rejected joint by its prediction (III-C). Here the correction is left out. A
+correction by the prediction would not move the joint; it would only lower the covariance, as if the
+joint had been measured.
 """
 
 from __future__ import annotations
@@ -38,26 +38,16 @@ _X, _VX = POSITION.start, VELOCITY.start
 class FilteredPeople(NamedTuple):
     """The filters of all people: R rows, M joints, L links."""
 
-    stamps: Stamps
-    """(R,) time of the state, ns."""
-    known: Flags
-    """(R, M) joints that were measured at least once."""
-    states: Floats
-    """(R, M, 2, 3) position, m, and velocity, m/s (eq 4)."""
-    covariances: Floats
-    """(R, M, 6) of ``kalman_filter``."""
-    innovations: Floats
-    """(R, M, N) lengths of the last N accepted innovations, m."""
-    counts: Stamps
-    """(R, M, 2) innovations accepted so far, consecutive outliers."""
-    confidences: Floats
-    """(R,) of the newest detection, as are the next three."""
-    marker_confidences: Floats
-    """(R, M)."""
-    links: Floats
-    """(R, L, 19)."""
-    link_confidences: Floats
-    """(R, L)."""
+    stamps: Stamps  # (R,) time of the state, ns
+    known: Flags  # (R, M) joints that were measured at least once
+    states: Floats  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
+    covariances: Floats  # (R, M, 6) of ``kalman_filter``
+    innovations: Floats  # (R, M, N) lengths of the last N accepted innovations, m
+    counts: Stamps  # (R, M, 2) innovations accepted so far, consecutive outliers
+    confidences: Floats  # (R,) of the newest detection, as are the next three
+    marker_confidences: Floats  # (R, M)
+    links: Floats  # (R, L, 19)
+    link_confidences: Floats  # (R, L)
 
     @classmethod
     def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:

@@ -16,19 +16,15 @@ _SHORTEST = 1e-6  # m; a shorter link has no direction
 class LimbLengths(NamedTuple):
     """What is known of people's limbs: R rows, L links."""
 
-    lengths: Floats
-    """(R, L) m."""
-    frames: Stamps
-    """(R,) frames with the whole skeleton that were measured."""
+    lengths: Floats  # (R, L) m
+    frames: Stamps  # (R,) frames with the whole skeleton that were measured
 
 
 class LinkTree(NamedTuple):
     """The hierarchical model (Fig. 2)."""
 
-    ends: Ints
-    """(L, 2) parent and child marker slot of each link."""
-    order: Stamps
-    """Links, a parent's before its children's; those that close a loop are left out."""
+    ends: Ints  # (L, 2) parent and child marker slot of each link
+    order: Stamps  # Links, a parent's before its children's; those that close a loop are left out
 
 
 class LimbSettings(NamedTuple):

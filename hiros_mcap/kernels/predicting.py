@@ -21,16 +21,11 @@ _DERIVATIVES = (VELOCITY.start, ACCELERATION.start)
 class PredictedPeople(NamedTuple):
     """The filters of all people: R rows, M joints, S elements of the state."""
 
-    stamps: Stamps
-    """(R,) time of the state, ns."""
-    known: Flags
-    """(R, M) joints that were measured at least once."""
-    seen: Stamps
-    """(R, M) time of the last measurement, ns."""
-    states: Floats
-    """(R, M, S, 3) position, m, and its derivatives per step."""
-    covariances: Floats
-    """(R, M, 6) of ``kalman_filter``, per R and step."""
+    stamps: Stamps  # (R,) time of the state, ns
+    known: Flags  # (R, M) joints that were measured at least once
+    seen: Stamps  # (R, M) time of the last measurement, ns
+    states: Floats  # (R, M, S, 3) position, m, and its derivatives per step
+    covariances: Floats  # (R, M, 6) of ``kalman_filter``, per R and step
 
     @classmethod
     def empty(cls, markers: int, size: int) -> PredictedPeople:

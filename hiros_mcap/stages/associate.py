@@ -39,9 +39,7 @@ class AssociateParams(Params):
         1.5, gt=0, description="s without a detection, after which a track ends (not in the paper)."
     )
     confirm_detections: int = advanced(
-        3,
-        ge=1,
-        description="Detections that confirm a track: OpenPTrack's number; the paper needs 1.",
+        3, ge=1, description="Detections that confirm a track (OpenPTrack; the paper: 1)."
     )
     min_distance: float = advanced(
         0.3,

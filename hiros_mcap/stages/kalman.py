@@ -44,17 +44,10 @@ class KalmanParams(Params):
     )
     use_confidence: bool = advanced(True, description="Divide sigma_r^2 by the confidence (eq 8).")
     min_confidence: float = advanced(
-        0.5,
-        ge=0,
-        le=1,
-        description="th (III-C): a joint of less confidence is not used; its prediction stands. "
-        "Needs use_confidence.",
+        0.5, ge=0, le=1, description="th (III-C): joints below it are predicted only."
     )
     history: int = advanced(
-        15,
-        ge=0,
-        description="N of eq 9: innovations that set the threshold of outliers. 0 = nothing is an "
-        "outlier.",
+        15, ge=0, description="N of eq 9: innovations behind the threshold. 0 = no outliers."
     )
     outlier_factor: float = advanced(1.25, ge=1, description="w of eq 9.")
     max_outliers: int = advanced(
@@ -67,22 +60,12 @@ class KalmanParams(Params):
         "the camera in m, as OpenPTrack does (there 0.0026).",
     )
     max_gap: float = advanced(
-        1.0,
-        gt=0,
-        description="s without a detection, after which a person's filter starts anew (not in the "
-        "paper).",
+        1.0, gt=0, description="s unseen, after which a filter starts anew (not in the paper)."
     )
     hold: float = advanced(
-        0.2,
-        ge=0,
-        description="s for which a person whom no camera detects stays in the output, at most "
-        "max_gap.",
+        0.2, ge=0, description="s for which an undetected person is kept, at most max_gap."
     )
-    rate: float = advanced(
-        0.0,
-        ge=0,
-        description="Hz: output at this rate, predicted to its times. 0 = at every message.",
-    )
+    rate: float = advanced(0.0, ge=0, description="Hz: output at this rate. 0 = at every message.")
 
 
 def kalman(

@@ -23,10 +23,8 @@ class MovingAverageParams(Params):
 class RecentPoses(NamedTuple):
     """The last W detections of R people, oldest first."""
 
-    stamps: Stamps
-    """(R, W) ns."""
-    positions: Floats
-    """(R, W, M, 3) m."""
+    stamps: Stamps  # (R, W) ns
+    positions: Floats  # (R, W, M, 3) m
 
 
 def moving_average(

@@ -18,10 +18,7 @@ class StraightenParams(Params):
     """Parameters of the limb lengths."""
 
     frames: int = advanced(
-        30,
-        ge=1,
-        description="Frames with the whole skeleton, whose mean lengths are the first ones; the "
-        'paper says "the first few".',
+        30, ge=1, description="Whole skeletons that the first lengths are the mean of (III-E)."
     )
     rate: float = advanced(
         0.002,
