@@ -289,7 +289,7 @@ def both(one: Frame, other: Frame) -> Frame:
     return one.replace(**arrays)
 
 
-def test_two_rooms_far_apart_are_two_runs() -> None:
+def test_people_far_from_each_other_are_two_runs() -> None:
     single = room(people=1, cameras=3, action="wave", seconds=2, seed=8)
     near, far = single.frames, aside(single.frames, 50.0)
     together = [both(a, b) for a, b in zip(near, far, strict=True)]
@@ -318,7 +318,7 @@ def scores_of(chain: str, where: Room) -> Scores:
     ],
     ids=lambda scene: f"{scene['people']}x{scene['cameras']}-{scene['action']}",
 )
-def test_people_keep_their_ids_and_nobody_is_a_ghost(scene: dict[str, object]) -> None:
+def test_people_keep_their_ids_and_nobody_is_false(scene: dict[str, object]) -> None:
     scores = scores_of("TM", room(seconds=4, **scene))
     assert (scores.switches, scores.false) == (0, 0)
 
@@ -333,15 +333,15 @@ def test_a_static_phantom_of_one_camera_of_four_is_never_anybody(seed: int) -> N
     assert events.total("not confirmed") > 40  # the phantom was there all the time
 
 
-def test_a_static_phantom_at_the_edge_of_the_views_is_doubted_in_the_end() -> None:
+def test_a_static_phantom_at_the_edge_of_the_views_loses_its_id_in_the_end() -> None:
     where = room(people=2, cameras=4, seconds=7, seed=33, detector={"static_phantoms": 1})
     frames = list(track(where.frames, where.model, cameras=where.cameras))
     assert {i for frame in frames[-120:] for i in frame.ids.tolist()} == {0, 1, -1}
 
 
 @pytest.mark.parametrize("way", ["relabel", "drop"])
-def test_every_flip_is_found_and_mended(way: Literal["relabel", "drop"]) -> None:
-    """H23: with the majority of the cameras right, no merged person faces the wrong way."""
+def test_every_flip_is_found_and_undone(way: Literal["relabel", "drop"]) -> None:
+    """With the majority of the cameras right, no merged person faces the wrong way."""
     flips = {"flips_per_minute": 20.0, "flip_seconds": (0.3, 1.0), "turn_share": 0.0}
     where = room(
         people=1, cameras=5, action="circle", seconds=5, seed=41,
@@ -357,15 +357,15 @@ def test_every_flip_is_found_and_mended(way: Literal["relabel", "drop"]) -> None
         across = np.diff(frame.positions[0, sides], axis=0) @ np.diff(true[sides], axis=0).T
         return bool(across > 0)
 
-    def judged(frames: Iterable[Frame]) -> list[bool]:
+    def facing_right(frames: Iterable[Frame]) -> list[bool]:
         return [is_right(f) for f in frames if f.n_people and where.truth.covers(f.stamp)]
 
-    assert events.total("flip") == judged(where.frames).count(False) > 20
-    assert all(judged(merged))
+    assert events.total("flip") == facing_right(where.frames).count(False) > 20
+    assert all(facing_right(merged))
 
 
 def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:
-    """Five frames of a body that a camera has just found again are wrong (section 4.2).
+    """The first five frames of a person whom a camera finds again are wrong (section 4.2).
 
     The merged error at these times is below half of the tracker's.
     """
@@ -380,14 +380,14 @@ def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:
     stamps = np.array([frame.stamp for frame in merged])
     nearest = [merged[int(np.abs(stamps - frame.stamp).argmin())] for frame in first]
     pairs = [
-        (error(before, where), error(after, where))
-        for before, after in zip(first, nearest, strict=True)
-        if where.truth.covers(before.stamp) and where.truth.covers(after.stamp)
+        (error(one, where), error(other, where))
+        for one, other in zip(first, nearest, strict=True)
+        if where.truth.covers(one.stamp) and where.truth.covers(other.stamp)
     ]
-    wrong, mended = np.mean(pairs, axis=0)
+    before, after = np.mean(pairs, axis=0)
     assert len(pairs) > 30
-    assert wrong > 0.03
-    assert mended < 0.5 * wrong
+    assert before > 0.03
+    assert after < 0.5 * before
 
 
 def found_again(frames: Sequence[Frame], source: str) -> list[Frame]:
