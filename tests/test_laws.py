@@ -1,26 +1,33 @@
-"""What must hold whatever the numbers: symmetries of tracking, merging and of whole chains."""
+"""What must hold whatever the numbers: laws of every system, and more of the stages of Hi-ROS."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from builders import FAULTLESS, Room, moved, room, same
 from scipy.spatial.transform import Rotation
+from stick_figures import MODEL, SECOND, START, person, seen
 
+from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Scores, evaluate
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.merge import MergeParams, merge
 from hiros_mcap.stages.track import track, track_blocks
-from hiros_mcap.systems import LETTERS, SYSTEMS, Run, hiros
+from hiros_mcap.systems import SYSTEMS, Run, Stages, chain_of
 
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
+# Some systems tell people apart on the floor: for them, z stays vertical.
+LEVEL_TURN, LEVEL_SHIFT = Rotation.from_euler("z", 1.2), np.array([3.0, -1.0, 0.0])
+
+every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
 @cache
@@ -29,13 +36,28 @@ def crossing() -> Room:
     return room(people=2, cameras=3, action="cross", seconds=3, seed=11)
 
 
-def through(chain: str, frames: Iterable[Frame], where: Room) -> list[Frame]:
-    """Run the stages of a chain one after the other, each to its end."""
-    stages = hiros(Run(where.model, cameras=where.cameras, fixed_frame="world"))
-    result = list(frames)
-    for letter in chain:
-        result = list(by_frame(stages[LETTERS[letter]])(result))
+def table(name: str, where: Room) -> Stages:
+    """Stages of a system, set up for a new run."""
+    config = load_config(system=name)
+    run = Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
+    return SYSTEMS[name].stages(run)
+
+
+def run_system(name: str, frames: Iterable[Frame], where: Room, stages: str = "") -> list[Frame]:
+    """Run the stages of a system, or some of them, one after the other, each to its end."""
+    result, ready = list(frames), table(name, where)
+    for channel in chain_of(name, stages):
+        result = list(by_frame(ready[channel])(result))
     return result
+
+
+def through(chain: str, frames: Iterable[Frame], where: Room) -> list[Frame]:
+    return run_system("hiros", frames, where, chain)
+
+
+@cache
+def result(name: str) -> tuple[Frame, ...]:
+    return tuple(run_system(name, crossing().frames, crossing()))
 
 
 @cache
@@ -51,54 +73,155 @@ def all_same(some: Sequence[Frame], others: Sequence[Frame]) -> bool:
     return len(some) == len(others) and all(map(same, some, others))
 
 
-@pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)
-def test_stages_do_not_change_what_they_are_given(chain: str) -> None:
-    given = through(chain[:-1], crossing().frames, crossing())
-    before = copies(given)
-    through(chain[-1], given, crossing())
-    assert all_same(given, before)
+# -- every system ----------------------------------------------------------------------------------
 
 
-def test_twice_the_same_is_the_same() -> None:
-    assert all_same(
-        through("TMOF", crossing().frames, crossing()),
-        through("TMOF", crossing().frames, crossing()),
+@every_system
+def test_people_have_one_id_each_and_no_id_comes_twice(name: str) -> None:
+    frames = result(name)
+    assert {i for f in frames for i in f.ids.tolist() if i != UNTRACKED} == {0, 1}
+    for frame in frames:
+        known = frame.ids[frame.ids != UNTRACKED].tolist()
+        assert len(set(known)) == len(known)
+    scores = evaluate(frames, crossing().truth, crossing().model)
+    assert scores.mean < 100
+    assert scores.switches == 0
+
+
+@every_system
+def test_the_input_is_unchanged_and_the_output_reproducible(name: str) -> None:
+    given = copies(crossing().frames)
+    again = run_system(name, given, crossing())
+    assert all_same(given, crossing().frames)
+    assert all_same(again, result(name))
+
+
+@every_system
+def test_no_stage_changes_its_input(name: str) -> None:
+    frames, stages = list(crossing().frames), table(name, crossing())
+    for channel in chain_of(name):
+        before = copies(frames)
+        out = list(by_frame(stages[channel])(frames))
+        assert all_same(frames, before)
+        frames = out
+
+
+@every_system
+def test_moving_the_room_moves_the_result(name: str) -> None:
+    where, turn, shift = crossing(), LEVEL_TURN, LEVEL_SHIFT
+    cameras = {c: turn.apply(p) + shift for c, p in where.cameras.items()}
+    elsewhere = Room(moved(where.frames, turn, shift), where.model, cameras, where.truth)
+    there = run_system(name, elsewhere.frames, elsewhere)
+    back = moved(there, turn.inv(), -turn.inv().apply(shift))
+    assert [f.ids.tolist() for f in back] == [f.ids.tolist() for f in result(name)]
+    pairs = list(zip(back, result(name), strict=True))
+    off = np.array([np.nanmax(np.abs(a.positions - b.positions), initial=0.0) for a, b in pairs])
+    # Rounding may tip a vote that stands at its threshold, or lead the search for a gross outlier's
+    # place elsewhere; the filter's look-ahead and memory pass one such frame on to twenty.
+    assert (off < 1e-6).mean() > 0.7
+    assert off.max() < 0.05
+
+
+@every_system
+def test_the_order_of_people_in_a_message_only_changes_ids(name: str) -> None:
+    """One renaming fits all frames, and the rest of the result is the same."""
+    reversed_people = [f.select(list(range(f.n_people))[::-1]) for f in crossing().frames]
+    out = run_system(name, reversed_people, crossing())
+    fits = [[_is_renamed(a, b, new) for a, b in zip(out, result(name), strict=True)]
+            for new in ({0: 0, 1: 1, -1: -1}, {0: 1, 1: 0, -1: -1})]  # fmt: skip
+    assert any(map(all, fits))
+
+
+def _is_renamed(one: Frame, other: Frame, new: dict[int, int]) -> bool:
+    ids = [new[i] for i in one.ids.tolist()]
+    rows = [
+        np.lexsort((np.nan_to_num(f.positions[:, 0, 0]), i))
+        for f, i in ((one, ids), (other, other.ids))
+    ]
+    return sorted(ids) == sorted(other.ids.tolist()) and np.allclose(
+        one.markers[rows[0]], other.markers[rows[1]], rtol=0, atol=1e-9, equal_nan=True
     )
 
 
-def test_stages_stream() -> None:
-    """A stage that is pulled frame by frame, behind another, gives what it gives in one go."""
-    stages = hiros(Run(crossing().model, cameras=crossing().cameras, fixed_frame="world"))
-    frames: Iterator[Frame] = iter(crossing().frames)
-    for stage in stages.values():
-        frames = by_frame(stage)(frames)
-    assert all_same(list(frames), through("TMOF", crossing().frames, crossing()))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_it_does_not_matter_how_frames_are_cut_into_blocks(seed: int) -> None:
+@every_system
+@pytest.mark.parametrize("seed", range(2))
+def test_it_does_not_matter_how_frames_are_cut_into_blocks(name: str, seed: int) -> None:
     """Also where cameras fall silent, people come and go, and time makes a leap."""
     rng = np.random.default_rng(seed)
-    frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 40 + 9 * seed]
-    leap = 600_000_000 * seed
+    frames = [frame for k, frame in enumerate(crossing().frames) if not 40 < k < 40 + 15 * seed]
+    leap = 900_000_000 * seed
     frames = frames[:150] + [
         f.replace(stamp=f.stamp + leap, stamps=f.stamps + leap, log_time=f.log_time + leap)
         for f in frames[150:]
     ]
     frames = [f.select([]) if rng.random() < 0.05 else f for f in frames]
-    expected = through("TMOF", frames, crossing())
-    stages = hiros(Run(crossing().model, cameras=crossing().cameras, fixed_frame="world"))
+    expected = run_system(name, frames, crossing())
     cuts = np.flatnonzero(rng.random(len(frames)) < 0.2).tolist()
     blocks: Iterator[Block] = (
         join([(Block.of(frame), 0) for frame in frames[a:b]])
         for a, b in pairwise([0, *cuts, len(frames)])
         if b > a
     )
-    for stage in stages.values():
-        blocks = stage(blocks)
-    found = list(frames_of(blocks))
-    assert all_same(found, expected)
-    assert [frame.log_time for frame in found] == [frame.log_time for frame in expected]
+    stages = table(name, crossing())
+    for channel in chain_of(name):
+        blocks = stages[channel](blocks)
+    assert all_same(list(frames_of(blocks)), expected)
+
+
+@every_system
+def test_the_origin_of_time_does_not_matter(name: str) -> None:
+    hour = 3_600_000_000_000
+    later = [
+        f.replace(stamp=f.stamp + hour, log_time=f.log_time + hour, stamps=f.stamps + hour)
+        for f in crossing().frames
+    ]
+    for a, b in zip(result(name), run_system(name, later, crossing()), strict=True):
+        stamps = b.stamps - np.where(b.stamps == 0, 0, hour)
+        assert same(a, b.replace(stamp=b.stamp - hour, log_time=b.log_time - hour, stamps=stamps))
+
+
+@every_system
+def test_nobody_and_nothing_pass(name: str) -> None:
+    model = SkeletonModel.of(["A", "B"], [("AB", 0, 1)])
+    where = Room([], model, {}, crossing().truth)
+    assert run_system(name, [], where) == []
+    nobody = [Frame.empty(0, model, stamp=k * 33_000_000, source="a") for k in range(60)]
+    assert [f.n_people for f in run_system(name, nobody, where)] == [0] * 60
+    unseen = [Frame.empty(1, model, stamp=k * 33_000_000, source="a") for k in range(60)]
+    assert all((f.ids == UNTRACKED).all() for f in run_system(name, unseen, where))
+
+
+@every_system
+def test_people_who_left_are_forgotten(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve people come one after the other, a minute apart; every bank knows the last two."""
+    banks: list[Bank[Any]] = []
+    plain: Callable[..., None] = Bank.__init__
+
+    def recording(self: Bank[Any], *args: Any, **options: Any) -> None:
+        plain(self, *args, **options)
+        banks.append(self)
+
+    monkeypatch.setattr(Bank, "__init__", recording)
+    frames = [
+        seen([person(i % 3)], START + 60 * i * SECOND + k * 50_000_000, "ab"[k % 2], turns=True)
+        for i in range(12)
+        for k in range(40)
+    ]
+    where = Room([], MODEL, {c: np.array([0.0, 3.0, 2.0]) for c in "ab"}, crossing().truth)
+    out = run_system(name, frames, where)
+    assert len({i for frame in out for i in frame.ids.tolist() if i != UNTRACKED}) == 12
+    assert all(len(bank.rows) <= 2 for bank in banks)
+
+
+# -- the stages of Hi-ROS --------------------------------------------------------------------------
+
+
+def test_stages_stream() -> None:
+    """A stage that is pulled frame by frame, behind another, gives what it gives in one go."""
+    frames: Iterator[Frame] = iter(crossing().frames)
+    for stage in table("hiros", crossing()).values():
+        frames = by_frame(stage)(frames)
+    assert all_same(list(frames), through("TMOF", crossing().frames, crossing()))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -136,17 +259,6 @@ def test_merged_people_move_with_the_room() -> None:
         assert np.allclose(here.markers, there.markers, rtol=1e-6, atol=1e-6, equal_nan=True)
         dots = np.abs(np.sum(here.orientations * there.orientations, axis=-1))
         assert np.nanmin(dots, initial=1.0) > 1 - 1e-9
-
-
-def test_time_zero_does_not_matter() -> None:
-    hour = 3_600_000_000_000
-    later = [
-        f.replace(stamp=f.stamp + hour, log_time=f.log_time + hour, stamps=f.stamps + hour)
-        for f in crossing().frames
-    ]
-    for here, there in zip(tracked(), through("T", later, crossing()), strict=True):
-        assert np.array_equal(here.markers, there.markers, equal_nan=True)
-        assert (here.ids.tolist(), here.stamp + hour) == (there.ids.tolist(), there.stamp)
 
 
 def names_of(one: Sequence[Frame], other: Sequence[Frame], rows: Sequence[list[int]]) -> set[tuple]:
@@ -193,7 +305,7 @@ def both(one: Frame, other: Frame) -> Frame:
     return one.replace(**arrays)
 
 
-def test_two_rooms_far_apart_are_two_runs() -> None:
+def test_people_far_from_each_other_are_two_runs() -> None:
     single = room(people=1, cameras=3, action="wave", seconds=2, seed=8)
     near, far = single.frames, aside(single.frames, 50.0)
     together = [both(a, b) for a, b in zip(near, far, strict=True)]
@@ -222,7 +334,7 @@ def scores_of(chain: str, where: Room) -> Scores:
     ],
     ids=lambda scene: f"{scene['people']}x{scene['cameras']}-{scene['action']}",
 )
-def test_people_keep_their_ids_and_nobody_is_a_ghost(scene: dict[str, object]) -> None:
+def test_people_keep_their_ids_and_nobody_is_false(scene: dict[str, object]) -> None:
     scores = scores_of("TM", room(seconds=4, **scene))
     assert (scores.switches, scores.false) == (0, 0)
 
@@ -237,15 +349,15 @@ def test_a_static_phantom_of_one_camera_of_four_is_never_anybody(seed: int) -> N
     assert events.total("not confirmed") > 40  # the phantom was there all the time
 
 
-def test_a_static_phantom_at_the_edge_of_the_views_is_doubted_in_the_end() -> None:
+def test_a_static_phantom_at_the_edge_of_the_views_loses_its_id_in_the_end() -> None:
     where = room(people=2, cameras=4, seconds=7, seed=33, detector={"static_phantoms": 1})
     frames = list(track(where.frames, where.model, cameras=where.cameras))
     assert {i for frame in frames[-120:] for i in frame.ids.tolist()} == {0, 1, -1}
 
 
 @pytest.mark.parametrize("way", ["relabel", "drop"])
-def test_every_flip_is_found_and_mended(way: Literal["relabel", "drop"]) -> None:
-    """H23: with the majority of the cameras right, no merged person faces the wrong way."""
+def test_every_flip_is_found_and_undone(way: Literal["relabel", "drop"]) -> None:
+    """With the majority of the cameras right, no merged person faces the wrong way."""
     flips = {"flips_per_minute": 20.0, "flip_seconds": (0.3, 1.0), "turn_share": 0.0}
     where = room(
         people=1, cameras=5, action="circle", seconds=5, seed=41,
@@ -261,15 +373,15 @@ def test_every_flip_is_found_and_mended(way: Literal["relabel", "drop"]) -> None
         across = np.diff(frame.positions[0, sides], axis=0) @ np.diff(true[sides], axis=0).T
         return bool(across > 0)
 
-    def judged(frames: Iterable[Frame]) -> list[bool]:
+    def facing_right(frames: Iterable[Frame]) -> list[bool]:
         return [is_right(f) for f in frames if f.n_people and where.truth.covers(f.stamp)]
 
-    assert events.total("flip") == judged(where.frames).count(False) > 20
-    assert all(judged(merged))
+    assert events.total("flip") == facing_right(where.frames).count(False) > 20
+    assert all(facing_right(merged))
 
 
 def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:
-    """Five frames of a body that a camera has just found again are wrong (section 4.2).
+    """The first five frames of a person whom a camera finds again are wrong (section 4.2).
 
     The merged error at these times is below half of the tracker's.
     """
@@ -284,14 +396,14 @@ def test_wrong_first_poses_of_a_camera_hardly_reach_the_merged_one() -> None:
     stamps = np.array([frame.stamp for frame in merged])
     nearest = [merged[int(np.abs(stamps - frame.stamp).argmin())] for frame in first]
     pairs = [
-        (error(before, where), error(after, where))
-        for before, after in zip(first, nearest, strict=True)
-        if where.truth.covers(before.stamp) and where.truth.covers(after.stamp)
+        (error(one, where), error(other, where))
+        for one, other in zip(first, nearest, strict=True)
+        if where.truth.covers(one.stamp) and where.truth.covers(other.stamp)
     ]
-    wrong, mended = np.mean(pairs, axis=0)
+    before, after = np.mean(pairs, axis=0)
     assert len(pairs) > 30
-    assert wrong > 0.03
-    assert mended < 0.5 * wrong
+    assert before > 0.03
+    assert after < 0.5 * before
 
 
 def found_again(frames: Sequence[Frame], source: str) -> list[Frame]:
@@ -306,11 +418,3 @@ def error(frame: Frame, where: Room) -> float:
     """Mean joint error, m, of the only person."""
     true = where.truth.at(frame.stamp)[0][0]
     return float(np.nanmean(np.linalg.norm(frame.positions[0] - true, axis=-1)))
-
-
-def test_empty_logs_and_empty_frames_pass() -> None:
-    model = SkeletonModel.of(["A", "B"], [("AB", 0, 1)])
-    where = Room([], model, {}, crossing().truth)
-    assert through("TMOF", [], where) == []
-    nobody = [Frame.empty(0, model, stamp=k * 33_000_000, source="a") for k in range(60)]
-    assert [f.n_people for f in through("TMOF", nobody, where)] == [0] * 60

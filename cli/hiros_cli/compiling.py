@@ -22,7 +22,7 @@ RUN = (
 """Modules that a run by the default system needs, in parts that take about as long to compile and
 share nothing that is to be compiled."""
 ALL = (
-    (*RUN[0], "clustering", "joint_filter", "predicting"),
+    (*RUN[0], "clustering", "joint_filter", "limb_lengths", "predicting"),
     (*RUN[1], "butterworth", "cleaning", "drawing", "transforming", "distance"),
 )
 """Every module, in such parts."""

@@ -1,268 +1,200 @@
-"""Malaguti's Kalman filter of all joints, joint by joint, and his limb lengths.
+"""Malaguti's Kalman filter, computed joint by joint (Malaguti et al. 2019, III-B to III-D).
 
-The 6M-state filter of the paper has no noise that couples two joints or two axes: its covariance
-stays block-diagonal, and the three axes of a joint share one 2x2 block. So a joint is 3 positions,
-3 velocities and 3 numbers of covariance, which is exact and two thousand times faster.
+No noise of the paper's 6M-state filter couples two joints or two axes. Its covariance therefore
+stays block-diagonal, and the three axes of a joint share one block. The result is the same, and two
+thousand times faster.
+
+The difference d of equations 9 and 10 is here the length of the innovation: the distance from the
+predicted to the measured position. The paper's literal form is the distance between consecutive
+positions of the joint, |q_m,t - q_m,t-1|. The cameras share no clock, so their messages come 1 to
+33 ms after each other. The literal form measures these intervals times the speed: a joint in steady
+motion would be an outlier after every longer interval. The prediction covers the motion in the
+interval, so the innovation depends on neither. Innovations of outliers do not enter the history;
+the first one would raise the threshold for the next N measurements.
+
+The paper replaces a rejected joint by its prediction (III-C). Here the correction is left out. A
+correction by the prediction would not move the joint; it would only lower the covariance, as if the
+joint had been measured.
 """
 
-# mypy: disable-error-code="no-any-return"
-
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_mcap.kernels.centroid_filter import NOISE_RATE, STARTING_SPEED
+from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
+from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
+from hiros_mcap.skeletons import POSITION, VELOCITY, Flags, Floats, People, Stamps
 
-# Columns of ``numbers``.
-MEASUREMENT, PROCESS, STEP, REJECT, OUTLIER, LIMIT, CONFIDENCE = 0, 1, 2, 3, 4, 5, 6
-# Columns of a joint's state: position, velocity, covariance 00 01 11.
-STATE = 9
-_VELOCITY = 7
+_LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
+_ACCEPTED, _OUTLIERS = 0, 1  # columns of the counts
+_X, _VX = POSITION.start, VELOCITY.start
 
-_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+
+class FilteredPeople(NamedTuple):
+    """The filters of all people: R rows, M joints, L links."""
+
+    stamps: Stamps  # (R,) time of the state, ns
+    known: Flags  # (R, M) joints that were measured at least once
+    states: Floats  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
+    covariances: Floats  # (R, M, 6) of ``kalman_filter``
+    innovations: Floats  # (R, M, N) lengths of the last N accepted innovations, m
+    counts: Stamps  # (R, M, 2) innovations accepted so far, consecutive outliers
+    confidences: Floats  # (R,) of the newest detection, as are the next three
+    marker_confidences: Floats  # (R, M)
+    links: Floats  # (R, L, 19)
+    link_confidences: Floats  # (R, L)
+
+    @classmethod
+    def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
+        """Return the filters of nobody, with ``history`` innovations (N) per joint."""
+        nobody, count = People.room(0, markers, links), np.zeros((0, markers, 2), np.int64)
+        return cls(
+            nobody.stamps, count[..., 0] > 0, np.zeros((0, markers, 2, 3)),
+            np.zeros((0, markers, TRIANGLE)), np.zeros((0, markers, history)), count,
+            nobody.confidences, nobody.marker_confidences, nobody.links, nobody.link_confidences,
+        )  # fmt: skip
+
+
+class JointFilterSettings(NamedTuple):
+    """Parameters of ``kalman`` that the kernels need."""
+
+    measurement_noise: float
+    process_noise: float
+    step: float
+    use_confidence: bool
+    min_confidence: float
+    outlier_factor: float
+    max_outliers: int
+
+
+_I3 = types.int64[:, :, ::1]
+_PAST = named_tuple(FilteredPeople, I1, B2, F4, F3, F3, _I3, F1, F2, F3, F2)
+_SETTINGS = named_tuple(
+    JointFilterSettings, *[types.float64] * 3, types.boolean, *[types.float64] * 2, types.int64
+)
 
 
 @kernel
-def _predict(state: Floats, dt: float, process: float, step: float) -> None:
-    """One joint, ``dt`` s on: eq 5, in steps of the paper's period or exactly."""
-    if step > 0:
-        n = int(np.round(dt / step))
-        for _ in range(n):
-            _advance(state, step, process * step**4 / 4, process * step**3 / 2, process * step**2)
+def _predict_joint(x: Floats, p: Floats, dt: float, settings: JointFilterSettings) -> None:
+    """Carry a joint on by ``dt`` s: in whole steps as the paper does, or exactly."""
+    q, step = settings.process_noise**2, settings.step
+    if step > 0:  # G = (step^2 / 2, step)
+        process = q * step**4 / 4, q * step**3 / 2, 0.0, q * step**2, 0.0, 0.0
+        for _ in range(int(np.round(dt / step))):  # "computed n times" (III-B)
+            predict(x, p, step, process)  # eq 5
     else:
-        q = process / 30.0  # as much as the paper's model adds per second at its 30 Hz
-        _advance(state, dt, q * dt**3 / 3, q * dt**2 / 2, q * dt)
+        predict(x, p, dt, white_acceleration(dt, q / NOISE_RATE))  # eq 5
 
 
 @kernel
-def _advance(state: Floats, dt: float, q00: float, q01: float, q11: float) -> None:
-    for c in range(3):
-        state[c] += dt * state[3 + c]
-    state[6] += dt * (2 * state[7] + dt * state[8]) + q00
-    state[7] += dt * state[8] + q01
-    state[8] += q11
-
-
-@kernel(
-    types.void(_F3, types.boolean[:, ::1], types.int64, types.float64, types.float64, types.float64)
-)
-def predict(states: Floats, known: Flags, row: int, dt: float, process: float, step: float) -> None:
-    """Carry the joints (R, M, 9) of one person on by ``dt`` s."""
-    for m in range(states.shape[1]):
-        if known[row, m]:
-            _predict(states[row, m], dt, process, step)
-
-
-@kernel
-def _correct(
-    states: Floats,
-    known: Flags,
-    history: Floats,
-    filled: Stamps,
-    strikes: Stamps,
-    row: int,
-    markers: Floats,
-    p: int,
-    confidences: Floats,
-    extra: float,
-    numbers: Floats,
-) -> int:
-    """Update one person with one detection; return how many joints were taken for outliers.
-
-    Parameters
-    ----------
-    states : (R, M, 9), predicted to the detection's time. known : (R, M), joints that have one.
-    history : (R, M, N) last distances of accepted measurements, m; filled, strikes : (R, M).
-    markers : (P, M, 19) m; confidences : (P, M); of person ``p``. extra : variance added, m2.
-    numbers : see the columns above.
-    """
-    outliers = 0
-    for m in range(states.shape[1]):
-        if np.isnan(markers[p, m, 0]):
-            continue
+def _measurement_variance(
+    confidence: float, range_variance: float, settings: JointFilterSettings
+) -> float:
+    """Variance of a measured position, m2; NaN if the joint is rejected."""
+    if not settings.use_confidence or np.isnan(confidence):
         confidence = 1.0
-        if numbers[CONFIDENCE] > 0 and not np.isnan(confidences[p, m]):
-            confidence = confidences[p, m]
-            if confidence < numbers[REJECT]:
-                continue  # the prediction stands in for it (III-C)
-        variance = numbers[MEASUREMENT] / max(confidence, 1e-3) + extra  # eq 8
-        state = states[row, m]
-        if not known[row, m]:
-            known[row, m] = True
-            for c in range(3):
-                state[c] = markers[p, m, c]
-                state[3 + c] = 0.0
-            state[6], state[7], state[8] = variance, 0.0, 1.0
-            filled[row, m] = strikes[row, m] = 0
-            continue
-        squared = 0.0
-        for c in range(3):
-            squared += (markers[p, m, c] - state[c]) ** 2
-        distance = np.sqrt(squared)
-        size = history.shape[2]
-        if size > 0:
-            highest = 0.0
-            for i in range(size):
-                highest = max(highest, history[row, m, i])
-            threshold = numbers[OUTLIER] * highest  # eq 9
-            suspicious = filled[row, m] >= size and distance > threshold > 0
-            if suspicious and strikes[row, m] < numbers[LIMIT]:
-                strikes[row, m] += 1
-                outliers += 1
-                variance *= distance / threshold  # eq 10
-            else:
-                strikes[row, m] = 0
-                history[row, m, filled[row, m] % size] = distance
-                filled[row, m] += 1
-        gain0 = state[6] / (state[6] + variance)
-        gain1 = state[7] / (state[6] + variance)
-        for c in range(3):
-            error = markers[p, m, c] - state[c]
-            state[c] += gain0 * error
-            state[3 + c] += gain1 * error
-        state[8] -= gain1 * state[7]
-        state[7] *= 1 - gain0
-        state[6] *= 1 - gain0
-    return outliers
-
-
-@kernel(
-    types.int64(
-        _F3,
-        types.boolean[:, ::1],
-        _F3,
-        types.int64[:, ::1],
-        types.int64[:, ::1],
-        types.int64[::1],
-        types.int64[::1],
-        _F1,
-        _F3,
-        _F2,
-        _F1,
-        _F1,
-    )
-)
-def update(
-    states: Floats,
-    known: Flags,
-    history: Floats,
-    filled: Stamps,
-    strikes: Stamps,
-    rows: Stamps,
-    people: Stamps,
-    dts: Floats,
-    markers: Floats,
-    confidences: Floats,
-    extra: Floats,
-    numbers: Floats,
-) -> int:
-    """Predict and correct the people of one message; return how many joints were outliers.
-
-    ``people[i]`` of markers (P, M, 19) is the person in row ``rows[i]``, last seen ``dts[i]`` s
-    ago; extra (P,) m2. The rest is as in :func:`correct`.
-    """
-    outliers = 0
-    for i in range(len(rows)):
-        row, p = rows[i], people[i]
-        if dts[i] > 0:
-            predict(states, known, row, dts[i], numbers[PROCESS], numbers[STEP])
-        outliers += _correct(
-            states, known, history, filled, strikes, row, markers, p, confidences, extra[i], numbers
-        )
-    return outliers
-
-
-@kernel(types.void(_F3, types.boolean[:, ::1], types.int64[::1], _F1, _F3))
-def emit(states: Floats, known: Flags, rows: Stamps, dts: Floats, markers: Floats) -> None:
-    """Write positions and velocities of ``rows``, ``dts`` s on, into markers (P, M, 19)."""
-    for i in range(len(rows)):
-        row = rows[i]
-        for m in range(states.shape[1]):
-            for c in range(3):
-                if known[row, m]:
-                    velocity = states[row, m, 3 + c]
-                    markers[i, m, c] = states[row, m, c] + dts[i] * velocity
-                    markers[i, m, _VELOCITY + c] = velocity
-                else:
-                    markers[i, m, c] = markers[i, m, _VELOCITY + c] = np.nan
+    elif confidence < settings.min_confidence:
+        return np.nan  # th (III-C)
+    sigma_r = settings.measurement_noise
+    return float(sigma_r**2 / max(confidence, _LEAST_CONFIDENCE) + range_variance)  # eq 8
 
 
 @kernel
-def _move_chain(
-    markers: Floats, p: int, lengths: Floats, row: int, links: Ints, order: Stamps
-) -> None:
-    """Place every child, parents first.
+def _outlier_factor(
+    history: Floats, counts: Stamps, innovation: float, settings: JointFilterSettings
+) -> float:
+    """Factor of the variance of a measurement; 1 = no outlier, it enters the history (N,)."""
+    size = len(history)
+    if size == 0:
+        return 1.0
+    highest = 0.0
+    for i in range(size):
+        highest = max(highest, history[i])
+    threshold = settings.outlier_factor * highest  # eq 9
+    is_outlier = counts[_ACCEPTED] >= size and innovation > threshold > 0
+    if is_outlier and counts[_OUTLIERS] < settings.max_outliers:  # o_max
+        counts[_OUTLIERS] += 1
+        return innovation / threshold  # eq 10
+    counts[_OUTLIERS] = 0
+    history[counts[_ACCEPTED] % size] = innovation
+    counts[_ACCEPTED] += 1
+    return 1.0
 
-    A child's filtered place is needed just once, when it is placed: all happens in place.
-    """
-    for k in order:
-        parent, child = links[k, 0], links[k, 1]
-        squared = 0.0
-        for c in range(3):
-            squared += (markers[p, child, c] - markers[p, parent, c]) ** 2
-        if np.isnan(squared) or squared < 1e-12:
-            continue
-        scale = lengths[row, k] / np.sqrt(squared)
-        for c in range(3):
-            start = markers[p, parent, c]
-            markers[p, child, c] = start + scale * (markers[p, child, c] - start)
+
+@kernel
+def _distance(a: Floats, b: Floats) -> float:
+    return float(np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2))
 
 
-@kernel(
-    types.void(
-        _F3,
-        types.int64[::1],
-        _F2,
-        types.int64[::1],
-        types.int32[:, ::1],
-        types.int64[::1],
-        types.int64,
-        types.float64,
-    )
-)
-def straighten(
-    markers: Floats,
-    rows: Stamps,
-    lengths: Floats,
-    frames: Stamps,
-    links: Ints,
-    order: Stamps,
-    enough: int,
-    rate: float,
-) -> None:
-    """Learn the lengths of people's links, and give every link its length, root to leaves.
+@kernel
+def _copy(target: Floats, source: Floats) -> None:
+    for i in range(len(target)):
+        target[i] = source[i]
 
-    The minimum of eq 12 in closed form: the child lies on the line from its parent, where that now
-    is, to where the filter has the child, at the link's length; both terms are 0 there.
+
+@kernel(types.int64(_PAST, PEOPLE, I1, types.int64, F1, _SETTINGS))
+def update(
+    past: FilteredPeople, people: People, rows: Stamps, now: int, range_variances: Floats,
+    settings: JointFilterSettings,
+) -> int:  # fmt: skip
+    """Predict and correct the people of one message; return how many joints are outliers.
 
     Parameters
     ----------
-    markers : (P, M, 19), positions changed in place once a person has ``enough`` frames.
-    rows : (P,) row of each person in lengths (R, L), m, and frames (R,); -1 = leave alone.
-    links : (L, 2) marker slots; order : links, parents first. rate : share of a new measurement.
+    rows : (P,) row of each person in ``past``; -1 = left out. now : ns.
+    range_variances : (P,) what the distance from the camera adds to eq 8, m2.
     """
-    measured = 0.0
-    for p in range(markers.shape[0]):
-        row = rows[p]
+    outliers = 0
+    for k in range(len(rows)):
+        row = rows[k]
         if row < 0:
             continue
-        whole = True
-        for k in order:
-            whole &= not np.isnan(markers[p, links[k, 0], 0] + markers[p, links[k, 1], 0])
-        for k in order:
-            squared = 0.0
-            for c in range(3):
-                squared += (markers[p, links[k, 0], c] - markers[p, links[k, 1], c]) ** 2
-            measured = np.sqrt(squared)
-            if frames[row] < enough:
-                if whole:
-                    lengths[row, k] += (measured - lengths[row, k]) / (frames[row] + 1)
-            elif not np.isnan(measured):
-                lengths[row, k] += rate * (measured - lengths[row, k])
-        if frames[row] < enough:
-            frames[row] += whole
-        if frames[row] < enough:
-            continue
-        _move_chain(markers, p, lengths, row, links, order)
+        dt = (now - past.stamps[row]) * 1e-9
+        for m in range(people.markers.shape[1]):
+            x, p = past.states[row, m], past.covariances[row, m]
+            if past.known[row, m]:
+                _predict_joint(x, p, dt, settings)  # eq 5
+            confidence, measured = people.marker_confidences[k, m], people.markers[k, m, POSITION]
+            variance = _measurement_variance(confidence, range_variances[k], settings)  # eq 8
+            if np.isnan(variance + measured[0]):
+                continue  # the prediction stands (III-C)
+            if past.known[row, m]:
+                innovation = _distance(measured, x[0])
+                factor = _outlier_factor(
+                    past.innovations[row, m], past.counts[row, m], innovation, settings
+                )  # eq 9 and 10
+                correct(x, p, measured, variance * factor)  # eq 6 and 7
+                outliers += factor > 1.0
+            else:
+                start(x, p, measured, prior(variance, STARTING_SPEED**2, 0.0))
+                past.known[row, m] = True
+        past.stamps[row], past.confidences[row] = now, people.confidences[k]
+        _copy(past.marker_confidences[row], people.marker_confidences[k])
+        for n in range(people.links.shape[1]):
+            _copy(past.links[row, n], people.links[k, n])
+        _copy(past.link_confidences[row], people.link_confidences[k])
+    return outliers
+
+
+@kernel(types.void(_PAST, I1, types.int64, PEOPLE))
+def write(past: FilteredPeople, rows: Stamps, now: int, people: People) -> None:
+    """Write the people in ``rows``, carried on to ``now``, ns, into people without markers."""
+    for i in range(len(rows)):
+        row = rows[i]
+        dt = (now - past.stamps[row]) * 1e-9
+        for m in range(people.markers.shape[1]):
+            if past.known[row, m]:
+                for c in range(3):
+                    position, velocity = past.states[row, m, 0, c], past.states[row, m, 1, c]
+                    people.markers[i, m, _X + c] = position + dt * velocity
+                    people.markers[i, m, _VX + c] = velocity
+        people.confidences[i] = past.confidences[row]
+        _copy(people.marker_confidences[i], past.marker_confidences[row])
+        for n in range(people.links.shape[1]):
+            _copy(people.links[i, n], past.links[row, n])
+        _copy(people.link_confidences[i], past.link_confidences[row])

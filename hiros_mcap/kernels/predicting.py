@@ -1,115 +1,110 @@
-"""Kernel of Lee's Kalman filter: every joint on its own (Lee et al. 2022, section 2.2.3).
-
-The three axes of a joint share one covariance, since they share every noise.
-"""
+"""Lee's Kalman filter, every joint on its own (Lee et al. 2022, section 2.2.3)."""
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import types
 
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.kernels.compile import B2, F3, F4, I1, I2, kernel, named_tuple
+from hiros_mcap.kernels.kalman_filter import Covariance
+from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
+from hiros_mcap.skeletons import ACCELERATION, POSITION, VELOCITY, Flags, Floats, Stamps
 
-_DERIVATIVES = (7, 13)  # first columns of velocity and acceleration in a KinematicState
+STEP = 1 / 30
+"""s: time step of Q, the period of the paper's cameras."""
+_X = POSITION.start
+_DERIVATIVES = (VELOCITY.start, ACCELERATION.start)
+
+
+class PredictedPeople(NamedTuple):
+    """The filters of all people: R rows, M joints, S elements of the state."""
+
+    stamps: Stamps  # (R,) time of the state, ns
+    known: Flags  # (R, M) joints that were measured at least once
+    seen: Stamps  # (R, M) time of the last measurement, ns
+    states: Floats  # (R, M, S, 3) position, m, and its derivatives per step
+    covariances: Floats  # (R, M, 6) of ``kalman_filter``, per R and step
+
+    @classmethod
+    def empty(cls, markers: int, size: int) -> PredictedPeople:
+        """Return the filters of nobody, with ``size`` elements (S) of the state."""
+        seen = np.zeros((0, markers), np.int64)
+        states = np.zeros((0, markers, size, 3))
+        return cls(seen[:, 0].copy(), seen > 0, seen, states, np.zeros((0, markers, TRIANGLE)))
+
+
+class PredictSettings(NamedTuple):
+    """Parameters of ``predict`` that the kernel needs."""
+
+    noise_ratio: float
+    max_gap: float
+    corrected: bool
+
+
+_PAST = named_tuple(PredictedPeople, I1, B2, I2, F4, F3)
+_SETTINGS = named_tuple(PredictSettings, types.float64, types.float64, types.boolean)
 
 
 @kernel
-def _write_derivatives(state: Floats, m: int, period: float, out: Floats) -> None:
+def _diagonal(size: int, variance: float) -> Covariance:
+    """Covariance of a state with ``size`` elements of equal variance."""
+    return variance, 0.0, 0.0, variance if size > 1 else 0.0, 0.0, variance if size > 2 else 0.0
+
+
+@kernel
+def _filter(x: Floats, p: Floats, marker: Floats, steps: float, settings: PredictSettings) -> None:
+    """Carry a joint on by ``steps``; replace a measured marker (19,) by the paper's result.
+
+    All variances are multiples of R. Q is that of every element of the state and accumulates.
+    """
+    process = _diagonal(len(x), settings.noise_ratio * steps)  # Q
+    predict(x, p, steps, process)  # X~ = A X^, P~ = A P A' + Q
+    if np.isnan(marker[_X]):
+        return
+    predicted = x[0, 0], x[0, 1], x[0, 2]
+    correct(x, p, marker[_X : _X + 3], 1.0)  # K, X^ = X~ + K (Z - H X~), P = (1 - K H) P~
+    for c in range(3):
+        marker[_X + c] = x[0, c] if settings.corrected else predicted[c]  # "X~ is used"
+    _write_derivatives(x, marker)
+
+
+@kernel
+def _write_derivatives(x: Floats, marker: Floats) -> None:
     """Write a joint's velocity and acceleration, as far as its state has them."""
     scale = 1.0
-    for order in range(1, state.shape[1]):
-        scale *= period
+    for order in range(1, len(x)):
+        scale *= STEP
         for c in range(3):
-            out[_DERIVATIVES[order - 1] + c] = state[m, order, c] / scale
+            marker[_DERIVATIVES[order - 1] + c] = x[order, c] / scale
 
 
-@njit(
-    "void(float64[:,:,::1], int64, float64, float64, float64, float64, float64, boolean,"
-    " float64[:,:,::1], float64[:,:,::1], float64[::1])",
-    cache=True,
-    nogil=True,
-)
-def predict_and_correct(
-    markers: Floats,
-    p: int,
-    steps: float,
-    period: float,
-    process: float,
-    measurement: float,
-    max_steps: float,
-    corrected: bool,
-    state: Floats,
-    covariance: Floats,
-    age: Floats,
+@kernel(types.void(_PAST, F3, I1, I1, _SETTINGS))
+def filter_people(
+    past: PredictedPeople, markers: Floats, rows: Stamps, stamps: Stamps, settings: PredictSettings
 ) -> None:
-    """Predict each joint, correct it by its measurement, write one of both, and its derivatives.
+    """Replace the measured positions of (P, M, 19) and fill in the derivatives of the state.
 
     Parameters
     ----------
-    markers : (P, M, 19); row ``p`` holds the measured positions, which are replaced; velocities,
-        and accelerations if the state has them, are filled in where a position is measured.
-    steps : time since the previous call, in time steps of the noises. period : s of such a step.
-    process, measurement : Q per step and R, m2; Q is that of every element of the state.
-    max_steps : after so long without a measurement a joint starts anew.
-    corrected : whether the corrected position is written, or the predicted one.
-    state : (M, S, 3) position and its derivatives, per step. covariance : (M, S, S).
-    age : (M,) steps since the last measurement, inf = not known.
+    rows : (P,) row of each person in ``past``; -1 = left alone. stamps : (P,) times, ns.
     """
-    size = state.shape[1]
-    move, moved = np.zeros((size, size)), np.empty((size, size))
-    for i in range(size):
-        move[i, i] = 1.0
-        for j in range(i + 1, size):
-            move[i, j] = move[i, j - 1] * steps / (j - i)
-    for m in range(len(age)):
-        here = markers[p, m]
-        seen = not math.isnan(here[0])
-        age[m] += steps
-        if age[m] > max_steps:
-            age[m] = np.inf
-            if not seen:
-                continue
-            for i in range(size):
-                for c in range(3):
-                    state[m, i, c] = here[c] if i == 0 else 0.0
-                for j in range(size):
-                    covariance[m, i, j] = measurement if i == j else 0.0
-            age[m] = 0.0
-            _write_derivatives(state, m, period, here)
+    for i in range(len(rows)):
+        row, now = rows[i], stamps[i]
+        if row < 0:
             continue
-        for i in range(size):
-            for c in range(3):
-                total = 0.0
-                for j in range(i, size):
-                    total += move[i, j] * state[m, j, c]
-                state[m, i, c] = total
-        for i in range(size):
-            for j in range(size):
-                total = 0.0
-                for k in range(i, size):
-                    total += move[i, k] * covariance[m, k, j]
-                moved[i, j] = total
-        for i in range(size):
-            for j in range(size):
-                total = process * steps if i == j else 0.0
-                for k in range(j, size):
-                    total += moved[i, k] * move[j, k]
-                covariance[m, i, j] = total
-        if not seen:
-            continue
-        age[m] = 0.0
-        scale = 1.0 / (covariance[m, 0, 0] + measurement)
-        for c in range(3):
-            predicted = state[m, 0, c]
-            change = here[c] - predicted
-            for i in range(size):
-                state[m, i, c] += covariance[m, i, 0] * scale * change
-            here[c] = state[m, 0, c] if corrected else predicted
-        _write_derivatives(state, m, period, here)
-        for i in range(size - 1, -1, -1):  # the first row, which the others need, comes last
-            gain = covariance[m, i, 0] * scale
-            for j in range(size):
-                covariance[m, i, j] -= gain * covariance[m, 0, j]
+        steps = (now - past.stamps[row]) * 1e-9 / STEP
+        for m in range(markers.shape[1]):
+            x, p, marker = past.states[row, m], past.covariances[row, m], markers[i, m]
+            is_seen = not np.isnan(marker[_X])
+            unseen_for = (now - past.seen[row, m]) * 1e-9
+            if past.known[row, m] and unseen_for <= settings.max_gap:
+                _filter(x, p, marker, steps, settings)
+            elif is_seen:
+                start(x, p, marker[_X : _X + 3], _diagonal(len(x), 1.0))
+                past.known[row, m] = True
+                _write_derivatives(x, marker)
+            if is_seen:
+                past.seen[row, m] = now
+        past.stamps[row] = now

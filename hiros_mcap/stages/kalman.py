@@ -1,25 +1,23 @@
 """One Kalman filter per person, updated by every camera's message (Malaguti 2019, III-B to III-D).
 
-Nothing is buffered: each message moves its people at once, whenever it comes. A detection weighs
-by its confidence, and less if it jumps farther than the joint has lately moved.
+Nothing is buffered: each message moves its people at once, whenever it comes. A detection counts by
+its confidence, and less if it lies farther from the prediction than others lately did.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from operator import attrgetter
 
 import numpy as np
 from pydantic import Field
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.params import Params
-from hiros_mcap.skeletons import (
-    UNTRACKED,
-    Floats,
-    Frame,
-    SkeletonModel,
-)
-from hiros_mcap.stages.bank import ArrayBank
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
+
+_PEOPLE = attrgetter(*People._fields)
 
 
 class KalmanParams(Params):
@@ -34,122 +32,40 @@ class KalmanParams(Params):
     process_noise: float = Field(
         8.0,
         gt=0,
-        description="m/s2, sigma_q: SD per axis of a joint's acceleration over 1/30 s. Tuned by "
-        "hand in the paper, not given; least error on simulated walks and gestures.",
+        description="m/s2, sigma_q: SD per axis of a joint's acceleration over 1/30 s. The paper "
+        "tunes it by hand and gives no number; this one has the least error on simulated walks "
+        "and gestures.",
     )
-    step: float = Field(
+    step: float = advanced(
         0.0,
         ge=0,
-        description="s: predict in whole steps of this length (the paper: 0.033); 0 = exactly to "
+        description="s: predict in whole steps of this length (the paper: 0.033). 0 = exactly to "
         "each message's time, which cameras without a common clock need.",
     )
-    use_confidence: bool = Field(True, description="Divide sigma_r^2 by the confidence (eq 8).")
-    min_confidence: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="A joint below this is not used, the prediction stands in (III-C).",
+    use_confidence: bool = advanced(True, description="Divide sigma_r^2 by the confidence (eq 8).")
+    min_confidence: float = advanced(
+        0.5, ge=0, le=1, description="th (III-C): joints below it are predicted only."
     )
-    history: int = Field(
-        15,
-        ge=0,
-        description="N of eq 9: distances that the threshold of outliers is taken from; 0 = "
-        "nothing is an outlier.",
+    history: int = advanced(
+        15, ge=0, description="N of eq 9: innovations behind the threshold. 0 = no outliers."
     )
-    outlier_factor: float = Field(1.25, ge=1, description="w of eq 9.")
-    max_outliers: int = Field(
-        2, ge=0, description="o_max: after so many outliers in a row the next one is believed."
+    outlier_factor: float = advanced(1.25, ge=1, description="w of eq 9.")
+    max_outliers: int = advanced(
+        2, ge=0, description="o_max (III-D): after so many outliers in a row, accept the next one."
     )
-    range_noise: float = Field(
+    range_noise: float = advanced(
         0.0,
         ge=0,
-        description="1/m: adds (this x distance^2)^2 to sigma_r^2, as OpenPTrack does for a "
-        "camera's distance in m (there 0.0026).",
+        description="1/m: adds (range_noise x distance^2)^2 to sigma_r^2, with the distance from "
+        "the camera in m, as OpenPTrack does (there 0.0026).",
     )
-    max_gap: float = Field(
-        1.0, gt=0, description="s after which a person's filter starts anew (not in the paper)."
+    max_gap: float = advanced(
+        1.0, gt=0, description="s unseen, after which a filter starts anew (not in the paper)."
     )
-    hold: float = Field(
-        0.2,
-        ge=0,
-        description="s for which somebody whom other cameras' messages do not show is carried on "
-        "in the output.",
+    hold: float = advanced(
+        0.2, ge=0, description="s for which an undetected person is kept, at most max_gap."
     )
-    rate: float = Field(
-        0.0,
-        ge=0,
-        description="Hz: output at this rate, predicted to its times; 0 = at every message.",
-    )
-
-
-class _Filters(ArrayBank):
-    """The filters of all people."""
-
-    ARRAYS = ("states", "known", "_history", "_filled", "_strikes")
-
-    def __init__(self, model: SkeletonModel, params: KalmanParams) -> None:
-        from hiros_mcap.kernels import joint_filter as kernels
-
-        super().__init__()
-        self._kernels = kernels
-        self._params = params
-        self._shape = model.n_markers
-        self.rows: dict[int, int] = {}
-        self.stamps: dict[int, int] = {}
-        self.seen: dict[int, int] = {}
-        m, n = model.n_markers, params.history
-        self.states = np.zeros((0, m, kernels.STATE))
-        self.known = np.zeros((0, m), np.bool_)
-        self._history = np.zeros((0, m, n))
-        self._filled = np.zeros((0, m), np.int64)
-        self._strikes = np.zeros((0, m), np.int64)
-        self._numbers = np.array([
-            params.measurement_noise**2, params.process_noise**2, params.step,
-            params.min_confidence, params.outlier_factor, params.max_outliers,
-            params.use_confidence,
-        ], np.float64)  # fmt: skip
-
-    def update(self, frame: Frame, extra: Floats) -> int:
-        """Predict and correct everybody with an id whom a message shows; return the outliers."""
-        gap = self._params.max_gap * 1e9
-        rows, people, dts = [], [], []
-        for index, person in enumerate(frame.ids.tolist()):
-            if person == UNTRACKED:
-                continue
-            if person in self.rows and frame.stamp - self.seen[person] > gap:
-                self.forget(person)
-            if person not in self.rows:
-                self.rows[person] = self.take()
-                self.stamps[person] = frame.stamp
-            rows.append(self.rows[person])
-            people.append(index)
-            dts.append((frame.stamp - self.stamps[person]) * 1e-9)
-            self.stamps[person] = self.seen[person] = frame.stamp
-        return int(
-            self._kernels.update(
-                self.states, self.known, self._history, self._filled, self._strikes,
-                np.array(rows, np.int64), np.array(people, np.int64), np.array(dts, np.float64),
-                frame.markers, frame.marker_confidences, extra[people], self._numbers,
-            )
-        )  # fmt: skip
-
-    def write(self, people: list[int], stamp: int, markers: Floats) -> None:
-        """Put people's positions and velocities, carried on to ``stamp``, into (P, M, 19)."""
-        rows = np.array([self.rows[person] for person in people], np.int64)
-        dts = np.array([(stamp - self.stamps[person]) * 1e-9 for person in people], np.float64)
-        self._kernels.emit(self.states, self.known, rows, dts, markers)
-
-    def forget(self, person: int) -> None:
-        """Free a person's row."""
-        self.give_back(self.rows.pop(person))
-        del self.stamps[person], self.seen[person]
-
-    def take(self) -> int:
-        """Return a row for a person whom nobody has seen yet."""
-        row = super().take()
-        self.known[row] = False
-        self._history[row] = 0
-        return row
+    rate: float = advanced(0.0, ge=0, description="Hz: output at this rate. 0 = at every message.")
 
 
 def kalman(
@@ -172,92 +88,90 @@ def kalman(
 
     Yields
     ------
-    Everybody seen within ``hold``, at the time of each message or at ``rate``, with velocities.
+    Everybody detected within ``hold``, at the time of each message or at ``rate``, with velocities.
     Link orientations and confidences are those of the person's newest detection.
     """
-    params = params or KalmanParams()
+    fusion = _Fusion(model, params or KalmanParams(), fixed_frame, cameras or {})
     events = Events() if events is None else events
-    fusion = _Fusion(model, params, events, fixed_frame, cameras or {})
     newest = 0
     for frame in frames:
         if frame.stamp < newest:
             events.count(TOO_LATE, frame.source)
             continue
         newest = frame.stamp
-        yield from fusion.step(frame)
+        for due in fusion.due_times(frame.stamp):
+            yield fusion.people_at(due, frame)
+        events.count("outlier", frame.source, fusion.update(frame))
+        if not fusion.params.rate:
+            yield fusion.people_at(frame.stamp, frame)
 
 
 class _Fusion:
+    """The filters of all people."""
+
     def __init__(
         self,
         model: SkeletonModel,
         params: KalmanParams,
-        events: Events,
         fixed_frame: str,
         cameras: Mapping[str, Floats],
     ) -> None:
-        self._model, self._params, self._events = model, params, events
-        self._fixed, self._cameras = fixed_frame, cameras
-        self._filters = _Filters(model, params)
-        self._latest: dict[int, tuple[Frame, int]] = {}
-        self._period = round(1e9 / params.rate) if params.rate else 0
+        from hiros_mcap.kernels import joint_filter
+
+        self.params, self._model = params, model
+        self._kernels, self._fixed, self._cameras = joint_filter, fixed_frame, cameras
+        empty = joint_filter.FilteredPeople.empty(model.n_markers, model.n_links, params.history)
+        self._bank = Bank(empty, params.max_gap)
+        names = joint_filter.JointFilterSettings._fields
+        self._settings = joint_filter.JointFilterSettings(*attrgetter(*names)(params))
         self._due = 0
 
-    def step(self, frame: Frame) -> Iterator[Frame]:
-        """Take a message; yield what is due, before it if that is earlier."""
-        if self._period:
-            if not self._due:
-                self._due = frame.stamp
-            while self._due < frame.stamp:
-                yield self._output(self._due, frame)
-                self._due += self._period
-        self._events.count(
-            "outlier", frame.source, self._filters.update(frame, self._range_noise(frame))
-        )
-        for index, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                self._latest[person] = (frame, index)
-        if not self._period:
-            yield self._output(frame.stamp, frame)
+    def update(self, frame: Frame) -> int:
+        """Predict and correct everybody whom a message shows; return how many joints are outliers.
 
-    def _range_noise(self, frame: Frame) -> Floats:
-        """(P,) Variance that grows with the distance from the camera, m2."""
-        if not self._params.range_noise or frame.source not in self._cameras:
-            return np.zeros(frame.n_people)
-        away = frame.positions - self._cameras[frame.source]
-        known = np.asarray(~np.isnan(away).any(axis=-1))
-        total = np.where(known[:, :, np.newaxis], away, 0.0).sum(axis=1)
-        middle = total / np.maximum(known.sum(axis=1), 1)[:, np.newaxis]
-        return np.asarray((self._params.range_noise * (middle**2).sum(axis=1)) ** 2)
-
-    def _output(self, stamp: int, cause: Frame) -> Frame:
-        """Everybody who was seen lately, at ``stamp``."""
-        hold, filters = self._params.hold * 1e9, self._filters
-        for person in [p for p, seen in filters.seen.items() if stamp - seen > 10e9]:
-            filters.forget(person)
-            self._latest.pop(person, None)
-        people = sorted(p for p, seen in filters.seen.items() if stamp - seen <= hold)
-        fixed = self._fixed or cause.frame_id
-        latest = [self._latest[person] for person in people]
-        if people and all(frame is cause for frame, _ in latest):
-            out = cause.select([index for _, index in latest])
-            out.stamps[:], out.boxes[:] = stamp, np.nan
-            out = out.replace(stamp=stamp, source=fixed, frame_id=fixed)
-        else:
-            out = Frame.empty(
-                len(people),
-                self._model,
-                stamp=stamp,
-                log_time=cause.log_time,
-                source=fixed,
-                frame_id=fixed,
+        The kernel has the steps of sections III-B to III-D in their order.
+        """
+        self._bank.expire(frame.stamp)
+        rows = [
+            -1 if person == UNTRACKED else self._bank.row(person, frame.stamp)
+            for person in frame.ids.tolist()
+        ]
+        return int(
+            self._kernels.update(
+                self._bank.past, People(*_PEOPLE(frame)), np.array(rows, np.int64), frame.stamp,
+                self._range_variances(frame), self._settings,
             )
-            for row, (frame, index) in enumerate(latest):
-                out.links[row] = frame.links[index]
-                out.link_confidences[row] = frame.link_confidences[index]
-                out.marker_confidences[row] = frame.marker_confidences[index]
-                out.confidences[row] = frame.confidences[index]
+        )  # fmt: skip
+
+    def _range_variances(self, frame: Frame) -> Floats:
+        """(P,) Variance that the distance from the camera adds, m2, as in OpenPTrack."""
+        from hiros_mcap.kernels.centroid_filter import find_centroids
+
+        if not self.params.range_noise or frame.source not in self._cameras:
+            return np.zeros(frame.n_people)
+        centroids = np.empty((frame.n_people, 3))
+        find_centroids(frame.markers, centroids)
+        distances = ((centroids - self._cameras[frame.source]) ** 2).sum(axis=1)
+        return np.asarray((self.params.range_noise * np.nan_to_num(distances)) ** 2)
+
+    def due_times(self, now: int) -> Iterator[int]:
+        """Yield the times before ``now``, ns, at which a fixed rate wants a result."""
+        if self.params.rate:
+            self._due = self._due or now
+            while self._due < now:
+                yield self._due
+                self._due += round(1e9 / self.params.rate)
+
+    def people_at(self, stamp: int, cause: Frame) -> Frame:
+        """Return everybody who was detected lately, predicted to ``stamp``, ns."""
+        hold, last_seen = self.params.hold * 1e9, self._bank.last_seen
+        people = sorted(p for p, seen in last_seen.items() if stamp - seen <= hold)
+        fixed = self._fixed or cause.frame_id
+        out = Frame.empty(
+            len(people), self._model, stamp=stamp, log_time=cause.log_time, source=fixed,
+            frame_id=fixed,
+        )  # fmt: skip
         out.ids[:] = people
-        out.markers[:] = np.nan
-        filters.write(people, stamp, out.markers)
+        rows: Stamps = np.array([self._bank.rows[person] for person in people], np.int64)
+        self._kernels.write(self._bank.past, rows, stamp, People(*_PEOPLE(out)))
         return out

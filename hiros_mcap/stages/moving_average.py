@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
 
 
 class MovingAverageParams(Params):
     """Parameters of the moving average."""
 
-    window: int = Field(5, ge=1, description="Detections that are averaged (OpenPTrack's MAF).")
-    lifetime: float = Field(
-        0.6, gt=0, description="s after which a detection does not count any more."
-    )
+    window: int = advanced(5, ge=1, description="Detections that are averaged (OpenPTrack's MAF).")
+    lifetime: float = advanced(0.6, gt=0, description="s after which a detection no longer counts.")
+
+
+class RecentPoses(NamedTuple):
+    """The last W detections of R people, oldest first."""
+
+    stamps: Stamps  # (R, W) ns
+    positions: Floats  # (R, W, M, 3) m
 
 
 def moving_average(
@@ -33,27 +38,30 @@ def moving_average(
 
     Parameters
     ----------
-    frames : with ids, in the fixed frame. model, params : see :class:`MovingAverageParams`.
-    events : unused; every stage takes one. fixed_frame : source of the output.
+    frames : with ids, in the fixed frame. model : of the frames.
+    params : parameters. events : unused; every stage takes one.
+    fixed_frame : source of the output; empty = that of the frames.
 
     Yields
     ------
     One frame per message, with the people that it shows.
     """
     params = params or MovingAverageParams()
-    past: dict[int, deque[tuple[int, Floats]]] = {}
-    limit = round(params.lifetime * 1e9)
+    lifetime = round(params.lifetime * 1e9)
+    none = np.zeros((0, params.window, model.n_markers, 3))
+    bank = Bank(RecentPoses(np.zeros((0, params.window), np.int64), none), params.lifetime)
     for frame in frames:
-        tracked = frame.select(frame.ids != UNTRACKED)
-        fixed = fixed_frame or frame.frame_id
-        out = tracked.replace(markers=tracked.markers.copy(), source=fixed)
-        for row, person in enumerate(tracked.ids.tolist()):
-            mine = past.setdefault(person, deque(maxlen=params.window))
-            mine.append((frame.stamp, tracked.positions[row].copy()))
-            poses = np.stack([pose for stamp, pose in mine if abs(frame.stamp - stamp) <= limit])
-            known = ~np.isnan(poses)
-            total = np.where(known, poses, 0.0).sum(axis=0)
-            count = known.sum(axis=0)
-            mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-            out.markers[row, :, POSITION] = mean
+        bank.expire(frame.stamp)
+        out = frame.select(frame.ids != UNTRACKED).replace(source=fixed_frame or frame.frame_id)
+        rows = [bank.row(person, frame.stamp) for person in out.ids.tolist()]
+        for row, pose in zip(rows, out.positions, strict=True):
+            for array, newest in zip(bank.past, (frame.stamp, pose), strict=True):
+                array[row, :-1] = array[row, 1:]
+                array[row, -1] = newest
+        poses = bank.past.positions[rows]
+        counts = np.abs(frame.stamp - bank.past.stamps[rows]) <= lifetime
+        known = ~np.isnan(poses) & counts[:, :, np.newaxis, np.newaxis]
+        total = np.where(known, poses, 0.0).sum(axis=1)
+        with np.errstate(invalid="ignore"):
+            out.markers[:, :, POSITION] = total / known.sum(axis=1)
         yield out

@@ -5,31 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
 
 
 class StraightenParams(Params):
     """Parameters of the limb lengths."""
 
-    frames: int = Field(
-        30,
-        ge=1,
-        description='Frames with the whole skeleton that lengths start from ("the first few").',
+    frames: int = advanced(
+        30, ge=1, description="Whole skeletons that the first lengths are the mean of (III-E)."
     )
-    rate: float = Field(
+    rate: float = advanced(
         0.002,
         ge=0,
         le=1,
         description="Share of a new measurement in a length. The paper updates with the optimized "
-        "joints, whose links have just that length: here with the filter's.",
+        "joints, whose links have this length already; here the filter's joints are measured.",
     )
-    chest_midpoint: bool = Field(
+    chest_midpoint: bool = advanced(
         False, description="Put the chest in the middle of shoulders and hips (III-E)."
     )
 
@@ -41,53 +39,82 @@ def straighten(
     events: Events | None = None,
     limbs: LimbTable | None = None,
 ) -> Iterator[Frame]:
-    """Give everybody's links their lengths: the closed minimum of eq 12.
+    """Give everybody's links their lengths (Malaguti 2019, III-E).
 
     Parameters
     ----------
     frames : merged frames; people pass unchanged until their lengths are known.
     model : its links are walked from the root outwards; those that close a loop are left alone.
     params, events : parameters; where calibrations are noted.
-    limbs : lengths known from before; filled on the way.
+    limbs : filled with the lengths of everybody, when they leave and at the end.
     """
-    from hiros_mcap.kernels.joint_filter import straighten as kernel
-
-    params, limbs = params or StraightenParams(), limbs or LimbTable()
+    params = params or StraightenParams()
+    consistency = _LimbConsistency(model, params, LimbTable() if limbs is None else limbs)
     events = Events() if events is None else events
-    order, links = link_order(model), np.ascontiguousarray(model.links)
     chest = _chest(model) if params.chest_midpoint else None
-    rows: dict[int, int] = {}
-    lengths, learned = np.zeros((8, model.n_links)), np.zeros(8, np.int64)
     for frame in frames:
-        ids = frame.ids.tolist()
-        for person in ids:
-            if person != UNTRACKED:
-                rows.setdefault(person, len(rows))
-        if len(rows) > len(lengths):
-            lengths = np.concatenate([lengths, np.zeros((len(rows), model.n_links))])
-            learned = np.concatenate([learned, np.zeros(len(rows), np.int64)])
         out = frame.replace(markers=frame.markers.copy())
-        own = np.array([rows.get(person, -1) for person in ids], np.int64)
-        before = learned[own]
-        kernel(out.markers, own, lengths, learned, links, order, params.frames, params.rate)
-        for k in np.nonzero((before < params.frames) & (learned[own] >= params.frames))[0]:
-            events.note(frame.stamp, "limbs calibrated", person=ids[k])
+        for person in consistency.apply(out):  # eq 11 to 13
+            events.note(frame.stamp, "limbs calibrated", person=person)
         if chest is not None:
             slot, corners = chest
             out.markers[:, slot, POSITION] = out.markers[:, corners, POSITION].mean(axis=1)
         yield out
-    for person, row in rows.items():
-        if learned[row] >= params.frames:
-            limbs.people[person] = _as_limbs(lengths[row], model, params)
+    consistency.save_all()
 
 
-def _as_limbs(lengths: Floats, model: SkeletonModel, params: StraightenParams) -> dict[str, Limb]:
-    rows = zip(link_keys(model), lengths.tolist(), strict=True)
-    return {key: Limb(length, 0.0, params.frames) for key, length in rows if length > 0}
+class _LimbConsistency:
+    """The limb lengths of everybody who was seen lately."""
+
+    def __init__(self, model: SkeletonModel, params: StraightenParams, limbs: LimbTable) -> None:
+        from hiros_mcap.kernels import limb_lengths as kernels
+
+        self._kernels, self._limbs, self._keys = kernels, limbs, link_keys(model)
+        self._settings = kernels.LimbSettings(params.frames, params.rate)
+        self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), link_order(model))
+        no_lengths = np.zeros((0, model.n_links)), np.zeros(0, np.int64)
+        self._bank = Bank(kernels.LimbLengths(*no_lengths))
+        self._calibrated: set[int] = set()
+
+    def apply(self, out: Frame) -> list[int]:
+        """Move the joints of ``out`` in place; return who is calibrated from now on."""
+        self._forget(out.stamp)
+        rows = [
+            -1 if person == UNTRACKED else self._bank.row(person, out.stamp)
+            for person in out.ids.tolist()
+        ]
+        past = self._bank.past
+        self._kernels.straighten(
+            out.markers, np.array(rows, np.int64), past, self._tree, self._settings
+        )
+        if len(self._calibrated) == len(self._bank.rows):
+            return []
+        enough = self._settings.frames
+        ready = {person for person, row in self._bank.rows.items() if past.frames[row] >= enough}
+        new = ready - self._calibrated
+        self._calibrated = ready
+        return sorted(new)
+
+    def _forget(self, now: int) -> None:
+        rows = self._bank.rows.copy()
+        for person in self._bank.expire(now):
+            self._save(person, rows[person])
+            self._calibrated.discard(person)
+
+    def save_all(self) -> None:
+        """Put the lengths of everybody who is left into the table."""
+        for person, row in self._bank.rows.items():
+            self._save(person, row)
+
+    def _save(self, person: int, row: int) -> None:
+        if person in self._calibrated:
+            pairs = zip(self._keys, self._bank.past.lengths[row].tolist(), strict=True)
+            limbs = {key: Limb(x, 0.0, self._settings.frames) for key, x in pairs if x > 0}
+            self._limbs.people[person] = limbs
 
 
 def link_order(model: SkeletonModel) -> Stamps:
-    """Link slots so that a link's parent is placed before it; loops and loose ends left out.
+    """Order the links, a parent's before its children's; loops and loose ends are left out.
 
     A root is a marker that is no link's child.
     """
@@ -108,7 +135,7 @@ def link_order(model: SkeletonModel) -> Stamps:
 
 
 def _chest(model: SkeletonModel) -> tuple[int, list[int]] | None:
-    """Slot of the chest, and those of shoulders and hips; None if the names do not tell."""
+    """Slot of the chest, and those of shoulders and hips; None if a name is missing."""
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
     chest = next((slots[(n, "")] for n in ("chest", "spine_chest") if (n, "") in slots), None)
     corners = [

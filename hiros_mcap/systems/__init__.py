@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.systems.averages import average, maf
 from hiros_mcap.systems.hiros import hiros, merging_order
 from hiros_mcap.systems.lee import lee
-from hiros_mcap.systems.malaguti import average, maf, malaguti, openptrack, raw
+from hiros_mcap.systems.malaguti import malaguti
+from hiros_mcap.systems.openptrack import openptrack
+from hiros_mcap.systems.raw import raw
 from hiros_mcap.systems.run import Run, Stages, System
 
 LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
@@ -22,7 +25,7 @@ SYSTEMS: dict[str, System] = {
         _HIROS,
     ),
     "hiros-realtime": System(
-        "hiros with the preset realtime: nothing waits for later frames", hiros, _HIROS
+        "hiros with the preset realtime: no stage waits for later frames", hiros, _HIROS
     ),
     "malaguti": System(
         "Malaguti 2019: centroids, a Kalman filter per person fed by every message, limb lengths",
@@ -32,12 +35,12 @@ SYSTEMS: dict[str, System] = {
     "openptrack": System(
         "OpenPTrack's filter per joint, as Malaguti 2019 compares it", openptrack, ("T", "TM")
     ),
-    "maf": System("moving average over each person's last detections", maf, ("T", "TM")),
+    "maf": System("moving average of each person's last detections", maf, ("T", "TM")),
     "average": System("plain mean of what the cameras see at one time", average, ("T", "TM")),
-    "raw": System("detections as they are, with ids by centroids", raw, ("T",)),
+    "raw": System("detections as they are, with ids of the association by centroids", raw, ("T",)),
     "lee": System("Lee 2022: sides re-arranged, joints clustered, Kalman filter", lee, _LEE),
-    "lee-a1": System("Lee's A1: just average", lee, _LEE[:2]),
-    "lee-a2": System("Lee's A2: sides re-arranged, average", lee, _LEE[:2]),
+    "lee-a1": System("Lee's A1: mean of the cameras", lee, _LEE[:2]),
+    "lee-a2": System("Lee's A2: sides re-arranged, mean of the cameras", lee, _LEE[:2]),
     "lee-a3": System("Lee's A3: sides re-arranged, DBSCAN", lee, _LEE[:2]),
     "lee-a4": System("Lee's A4: A3 with the previous position", lee, _LEE[:2]),
     "lee-a5": System("Lee's A5: A4 and the Kalman filter", lee, _LEE),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.systems.run import Run, Stages
 
@@ -15,22 +13,12 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.optimize import optimize_blocks
     from hiros_mcap.stages.track import track_blocks
 
-    model, config, events = run.model, run.config, run.events
+    config = run.config
     return {
-        "tracked": partial(
-            track_blocks, model=model, params=config.track, events=events, cameras=run.cameras
-        ),
-        "merged": partial(
-            merge_blocks,
-            model=model,
-            params=config.merge,
-            events=events,
-            fixed_frame=run.fixed_frame,
-        ),
-        "optimized": partial(
-            optimize_blocks, model=model, params=config.optimize, events=events, limbs=run.limbs
-        ),
-        "filtered": partial(filter_blocks, model=model, params=config.filter, events=events),
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
+        "merged": run.stage(merge_blocks, config.merge, fixed_frame=run.fixed_frame),  # 3.2
+        "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
+        "filtered": run.stage(filter_blocks, config.filter),  # 3.4
     }
 
 

@@ -1,13 +1,11 @@
 """Lee et al. (2022): joints re-arranged, clustered over the cameras, and filtered.
 
-The paper follows one person with cameras that are synchronised by wire. Here the tracker of Hi-ROS
-comes first, so that every person is merged as the paper merges its one. The variants A1 to A5 of
-section 3.1 are the same stages with other parameters (``SYSTEM_DEFAULTS`` of the configuration).
+The paper follows one person with cameras that a wire synchronises. Here the tracker of Hi-ROS comes
+first, and every person is merged as the paper merges its one. The variants A1 to A5 of section 3.1
+are the same stages with other parameters (``SYSTEM_DEFAULTS`` of the configuration).
 """
 
 from __future__ import annotations
-
-from functools import partial
 
 from hiros_mcap.frames import by_block
 from hiros_mcap.systems.run import Run, Stages
@@ -19,19 +17,10 @@ def lee(run: Run) -> Stages:
     from hiros_mcap.stages.predict import predict
     from hiros_mcap.stages.track import track_blocks
 
-    model, config, events = run.model, run.config, run.events
+    config = run.config
+    merge = run.stage(cluster, config.cluster, fixed_frame=run.fixed_frame)
     return {
-        "tracked": partial(
-            track_blocks, model=model, params=config.track, events=events, cameras=run.cameras
-        ),
-        "merged": by_block(
-            partial(
-                cluster,
-                model=model,
-                params=config.cluster,
-                events=events,
-                fixed_frame=run.fixed_frame,
-            )
-        ),
-        "filtered": by_block(partial(predict, model=model, params=config.predict, events=events)),
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        "merged": by_block(merge),  # 2.2.1, 2.2.2
+        "filtered": by_block(run.stage(predict, config.predict)),  # 2.2.3
     }

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.config import Config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import BlockStage
+from hiros_mcap.params import Params
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 Stages = Mapping[str, BlockStage]
-"""Output channel -> the stage that fills it, in order; ``blocks.by_frame`` takes frames."""
+"""Output channel -> the stage that fills it, in order; ``frames.by_frame`` takes frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +33,19 @@ class Run:
     system: str = "hiros"
     """Name of the system that is run."""
 
+    def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
+        """Return a stage with what every stage takes (model, parameters, events), and more."""
+        return partial(stage, model=self.model, params=params, events=self.events, **more)
+
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """A way to get from detections to clean skeletons: a table of stages."""
+    """A way from detections to clean skeletons: a table of stages."""
 
     text: str
     """One line for a list of systems."""
     stages: Callable[[Run], Stages]
-    """Sets up the stages of a run. Their modules are imported here and not before: the kernels of
-    a system that nobody runs are neither compiled nor loaded."""
+    """Sets up the stages of a run. It imports their modules: the kernels of a system that nobody
+    runs are neither compiled nor loaded."""
     chains: tuple[str, ...]
     """Legal selections of the stages by their letters (T M O F); the last one is all of them."""

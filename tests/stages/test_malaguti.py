@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares, linear_sum_assignment
+from builders import moved, same
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
@@ -16,100 +20,100 @@ from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.calibrate.noise import measure_noise
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import joint_filter as kernels
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.associate import AssociateParams, Centroid, associate, centroids
+from hiros_mcap.kernels import centroid_filter, joint_filter, limb_lengths
+from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
+from hiros_mcap.stages.associate import AssociateParams, associate
+from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.kalman import KalmanParams, kalman
 from hiros_mcap.stages.moving_average import MovingAverageParams, moving_average
+from hiros_mcap.stages.predict import predict
 from hiros_mcap.stages.straighten import StraightenParams, link_order, straighten
 from hiros_mcap.systems import chain_of
 
 AT_ONCE = AssociateParams(confirm_detections=1)
+EPS = 1e-12
 
 
-def numbers(**changes: object) -> Floats:
-    params = KalmanParams().model_copy(update=changes)
-    return np.array([
-        params.measurement_noise**2, params.process_noise**2, params.step, params.min_confidence,
-        params.outlier_factor, params.max_outliers, params.use_confidence,
-    ], float)  # fmt: skip
+# -- association (III-A) -------------------------------------------------------------------------
 
 
-def measure(
-    bank: Sequence[np.ndarray],
-    counters: Sequence[np.ndarray],
-    positions: Floats,
-    confidences: Floats,
-    values: Floats,
-    dt: float = 0.0,
-) -> int:
-    """Feed one person's joints (M, 3) to the filters in row 0."""
-    markers = np.full((1, len(positions), 19), np.nan)
-    markers[0, :, :3] = positions
-    zero = np.zeros(1, np.int64)
-    return int(
-        kernels.update(
-            *bank, *counters, zero, zero.copy(), np.array([dt]), markers,
-            np.ascontiguousarray(confidences)[None], np.zeros(1), values,
-        )
-    )  # fmt: skip
+class Track:
+    """One track of the association, behind its kernels."""
+
+    def __init__(self, noise: float = 0.1, acceleration: float = 3.0) -> None:
+        self.past = Bank(centroid_filter.Centroids.empty())
+        self.past.row(0, 0)
+        self.rows = np.array([0])
+        self.settings = centroid_filter.CentroidSettings(1e9, noise, acceleration)
+        self.state, self.p = self.past.past.states[0], self.past.past.covariances[0]
+
+    def start(self, place: Floats) -> None:
+        centroid_filter.start_track(self.past.past, 0, 0, np.append(place, 0.0), self.settings)
+
+    def predict(self, stamp: int) -> None:
+        centroid_filter.predict_tracks(self.past.past, self.rows, stamp, self.settings)
+
+    def cost(self, place: Floats) -> float:
+        cost, places = np.empty((1, 1)), np.append(place, 0.0)[np.newaxis]
+        arguments = self.past.past, self.rows, places, self.settings, cost
+        centroid_filter.association_cost(*arguments)
+        return float(cost[0, 0])
+
+    def correct(self, place: Floats) -> None:
+        places = np.append(place, 0.0)[np.newaxis]
+        centroid_filter.correct_tracks(self.past.past, self.rows, places, self.settings)
 
 
-# -- association ---------------------------------------------------------------------------------
-
-
-def test_m05_m06_cost_is_the_mahalanobis_distance_of_the_states() -> None:
-    """The closed form equals eq 2 and 3 on the dense 4-state filter."""
+def test_the_cost_is_the_mahalanobis_distance_of_the_states() -> None:
+    """The closed form equals eq 2 and 3 on the dense filter of 4 states."""
     rng = np.random.default_rng(0)
     for _ in range(50):
-        root = rng.normal(size=(2, 2))
+        root, noise = rng.normal(size=(2, 2)), rng.uniform(0.05, 0.5)
         p = root @ root.T
-        track = Centroid(0, 0, *rng.normal(size=4), p[0, 0], p[0, 1], p[1, 1])
+        track, place = Track(noise), rng.normal(size=2)
+        track.state[:], track.p[:] = rng.normal(size=(2, 2)), [p[0, 0], p[0, 1], 0, p[1, 1], 0, 0]
         covariance = np.kron(p, np.eye(2))
-        place, noise = rng.normal(size=2), rng.uniform(0.05, 0.5)
         gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + noise**2 * np.eye(2))
-        moved = gain @ (place - [track.x, track.y])
-        expected = moved @ np.linalg.inv(covariance) @ moved
-        assert track.cost(*place, noise) == pytest.approx(expected, rel=1e-9)
+        step = gain @ (place - track.state[0])
+        assert track.cost(place) == pytest.approx(step @ np.linalg.inv(covariance) @ step, rel=1e-9)
 
 
-def test_m05_prediction_and_correction_are_the_dense_filters() -> None:
-    track = Centroid.at(0, 1.0, 2.0, 0.1)
+def test_a_track_is_the_dense_filter() -> None:
+    track = Track()
+    track.start(np.array([1.0, 2.0]))
     state, covariance = np.array([1.0, 2.0, 0, 0]), np.diag([0.01, 0.01, 1.0, 1.0])
-    for k, (x, y) in enumerate([(1.1, 2.0), (1.3, 2.1), (1.4, 2.3)], start=1):
-        dt, q = 0.1, 9.0 / 30
-        move = np.eye(4)
-        move[0, 2] = move[1, 3] = dt
-        noise = q * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
-        state, covariance = move @ state, move @ covariance @ move.T + noise
-        gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + 0.01 * np.eye(2))
-        state = state + gain @ (np.array([x, y]) - state[:2])
-        covariance = covariance - gain @ covariance[:2]
-        track.predict(k * SECOND // 10, 3.0)
-        track.correct(x, y, 0.1)
-        assert [track.x, track.y, track.vx, track.vy] == pytest.approx(state.tolist(), abs=1e-12)
-        assert [track.p00, track.p01, track.p11] == pytest.approx(
-            [covariance[0, 0], covariance[0, 2], covariance[2, 2]], abs=1e-12
-        )
+    for k, place in enumerate([(1.1, 2.0), (1.3, 2.1), (1.4, 2.3)], start=1):
+        z = np.array(place)
+        state, covariance = dense_step(state, covariance, 0.1, 9.0 / 30, z, np.full(2, 0.01))
+        track.predict(k * SECOND // 10)
+        track.correct(z)
+        assert track.state.ravel() == pytest.approx(state, abs=EPS)
+        numbers = covariance[0, 0], covariance[0, 2], 0.0, covariance[2, 2], 0.0, 0.0
+        assert track.p == pytest.approx(numbers, abs=EPS)
 
 
-def test_m08_gate_is_the_chi_squared_quantile() -> None:
+def test_the_gate_is_the_chi_squared_quantile() -> None:
     assert AssociateParams().gate == pytest.approx(chi2.ppf(0.999, 4), abs=5e-4)
 
 
-def test_m07_assignment_has_the_least_sum() -> None:
-    """Two people pass each other; each keeps the id that the dense Hungarian algorithm gives."""
+def test_people_who_pass_each_other_keep_their_ids() -> None:
     frames = [
         seen([person(-1 + 0.05 * k), person(1 - 0.05 * k, 0.3)], at(k), ids=[-1, -1])
         for k in range(40)
     ]
     for frame in associate(frames, MODEL, AT_ONCE):
         assert frame.ids.tolist() == [0, 1]
-    cost = np.array([[0.3, 0.2], [0.2, 5.0]])
-    assert linear_sum_assignment(cost)[1].tolist() == [1, 0]
 
 
-def test_m08_somebody_beyond_the_gate_is_new() -> None:
+def test_the_assignment_has_the_least_sum() -> None:
+    """The nearest pair is 0.4 m from track 1 to the first detection; the sum wants it for 0."""
+    frames = [seen([person(0.0), person(1.0)], at(k)) for k in range(10)]
+    frames.append(seen([person(0.6), person(1.5)], at(10)))
+    (*_, last) = associate(frames, MODEL, AssociateParams(confirm_detections=1, gate=1e6))
+    assert last.ids.tolist() == [0, 1]
+
+
+def test_somebody_beyond_the_gate_is_new() -> None:
     frames = [seen([person()], at(k)) for k in range(10)]
     frames += [seen([person(), person(4.0)], at(10 + k)) for k in range(3)]
     ids = [frame.ids.tolist() for frame in associate(frames, MODEL, AT_ONCE)]
@@ -118,33 +122,66 @@ def test_m08_somebody_beyond_the_gate_is_new() -> None:
 
 
 def test_a_track_counts_after_three_detections_and_ends_after_the_gap() -> None:
-    frames = [seen([person()], at(k)) for k in (0, 1, 2, 3, 33, 34, 120, 121, 122)]
-    ids = [int(f.ids[0]) for f in associate(frames, MODEL)]
-    assert ids == [-1, -1, 0, 0, 0, 0, -1, -1, 1]
-
-
-def test_a_second_body_on_somebody_is_nobody() -> None:
     events = Events()
-    frames = [seen([person(), person(0.1)], at(k)) for k in range(10)]
-    frames = list(associate(frames, MODEL, AT_ONCE, events))
-    assert [sorted(f.ids.tolist()) for f in frames[1:]] == [[-1, 0]] * 9
-    assert events.total("second body") == 10
+    frames = [seen([person()], at(k)) for k in (0, 1, 2, 3, 33, 34, 120, 121, 122)]
+    ids = [int(f.ids[0]) for f in associate(frames, MODEL, events=events)]
+    assert ids == [-1, -1, 0, 0, 0, 0, -1, -1, 1]
+    noted = [(event.kind, event.person, event.stamp) for event in events.log]
+    born, lost, again = ("track born", 0, at(2)), ("track lost", 0, at(34)), at(122)
+    assert noted == [born, lost, ("track born", 1, again)]
+    assert events.total("not confirmed") == 4
+
+
+def test_a_tentative_track_ends_without_a_note() -> None:
+    events = Events()
+    frames = [seen([person()], at(0)), seen([person()], at(100))]
+    list(associate(frames, MODEL, events=events))
+    assert not events.log
+
+
+@pytest.mark.parametrize(("second", "expected"), [(0.29, [0, -1]), (0.31, [0, 1])])
+def test_a_second_report_of_a_person_starts_no_track(second: float, expected: list[int]) -> None:
+    events = Events()
+    frames = [seen([person(), person(second)], at(k)) for k in range(2)]
+    params = AT_ONCE.model_copy(update={"gate": 0.1})
+    assert next(associate(frames, MODEL, params, events)).ids.tolist() == expected
+    assert events.total("second body") == expected.count(-1)
+
+
+def test_a_detection_without_markers_is_nobody() -> None:
+    frames = [seen([POSE * np.nan, person()], at(k)) for k in range(3)]
+    assert [f.ids.tolist() for f in associate(frames, MODEL, AT_ONCE)] == [[-1, 0]] * 3
 
 
 def test_centroids_are_means_of_what_is_known() -> None:
-    poses = np.stack([POSE, POSE])
-    poses[1, 2:] = np.nan
-    assert centroids(poses)[1] == pytest.approx(POSE[:2, :2].mean(axis=0))
-    assert np.isnan(centroids(np.full((1, 8, 3), np.nan))).all()
+    frame = seen([POSE, POSE, POSE * np.nan], at(0))
+    frame.markers[1, 2:] = np.nan
+    places = np.empty((3, 3))
+    centroid_filter.find_centroids(frame.markers, places)
+    assert places[0] == pytest.approx(POSE.mean(axis=0))
+    assert places[1] == pytest.approx(POSE[:2].mean(axis=0))
+    assert np.isnan(places[2]).all()
 
 
-# -- filter --------------------------------------------------------------------------------------
+@settings(deadline=None, max_examples=20)
+@given(st.permutations(range(4)), st.integers(0, 2**32 - 1))
+def test_the_order_of_detections_does_not_matter(order: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    walks = np.cumsum(rng.normal(scale=0.02, size=(10, 4, 2)), axis=0) + 2.0 * np.arange(4)[:, None]
+    frames = [seen([person(*place) for place in places], at(k)) for k, places in enumerate(walks)]
+    shuffled = [frames[0], *[frame.select(order) for frame in frames[1:]]]
+    plain = list(associate(frames, MODEL, AT_ONCE))
+    for one, other in zip(plain[1:], list(associate(shuffled, MODEL, AT_ONCE))[1:], strict=True):
+        assert one.ids[order].tolist() == other.ids.tolist()
+
+
+# -- filter (III-B to III-D) ---------------------------------------------------------------------
 
 
 def dense_step(
     x: Floats, p: Floats, dt: float, q: float, z: Floats, variances: Floats
 ) -> tuple[Floats, Floats]:
-    """One step of the 6M-state filter; state is all positions, then all velocities."""
+    """One step of the filter of all states: all positions, then all velocities."""
     n = len(x) // 2
     move = np.eye(2 * n)
     move[:n, n:] = dt * np.eye(n)
@@ -156,150 +193,196 @@ def dense_step(
     return x + gain @ (z[known] - h @ x), p - gain @ h @ p
 
 
-def test_m04_blocks_equal_the_dense_filter_to_1e_9() -> None:
+class Joints:
+    """The filter of one person with M joints, behind its kernels."""
+
+    def __init__(self, joints: int = 1, **changes: object) -> None:
+        params = KalmanParams.model_validate(changes)
+        names = joint_filter.JointFilterSettings._fields
+        self.settings = joint_filter.JointFilterSettings(*[getattr(params, n) for n in names])
+        bank = Bank(joint_filter.FilteredPeople.empty(joints, 0, params.history))
+        bank.row(0, 0)
+        self.past = bank.past
+        self.x, self.p = self.past.states[0], self.past.covariances[0]
+        self.now = self.past.stamps[:] = START
+
+    def take(self, z: Floats, confidences: float | Floats = 1.0, dt: float = 0.0) -> int:
+        """Measure positions (M, 3) ``dt`` s later; return how many are outliers."""
+        people = People.room(1, len(z), 0)
+        people.markers[:] = np.nan
+        people.markers[0, :, :3], people.marker_confidences[0] = z, confidences
+        self.now += round(dt * 1e9)
+        arguments = people, np.zeros(1, np.int64), self.now, np.zeros(1), self.settings
+        return int(joint_filter.update(self.past, *arguments))
+
+    def measure(self, distance: float, confidence: float = 1.0) -> tuple[int, float]:
+        """Measure ``distance`` from a state as uncertain as a detection; outliers and gain."""
+        self.past.known[:], self.x[:], self.p[:] = True, 0.0, [0.0009, 0, 0, 1, 0, 0]
+        found = self.take(np.array([[distance, 0, 0]]), confidence)
+        return found, float(self.x[0, 0, 0] / distance)
+
+    def settle(self) -> None:
+        """Fill the history with innovations of 10 mm."""
+        for _ in range(15):
+            assert self.measure(0.01) == (0, pytest.approx(0.5))
+
+
+def test_joint_by_joint_equals_the_dense_filter() -> None:
     """15 joints, 90 states, 40 messages at uneven times, noise and gaps of their own per joint."""
     rng = np.random.default_rng(1)
-    m = 15
-    bank = [np.zeros((1, m, kernels.STATE)), np.zeros((1, m), bool), np.zeros((1, m, 0))]
-    counters = [np.zeros((1, m), np.int64), np.zeros((1, m), np.int64)]
-    values = numbers(history=0)
+    m, joints = 15, Joints(15, history=0)
     first = rng.normal(size=(m, 3))
-    confidences = np.ones(m)
-    measure(bank, counters, first, confidences, values)
+    joints.take(first)
     x = np.concatenate([first.ravel(), np.zeros(3 * m)])
-    p = np.diag(np.concatenate([np.full(3 * m, values[0]), np.ones(3 * m)]))
+    p = np.diag(np.concatenate([np.full(3 * m, 0.03**2), np.ones(3 * m)]))
     for _ in range(40):
-        dt = rng.uniform(0.001, 0.1)
-        z = first + rng.normal(scale=0.1, size=(m, 3))
+        dt = round(rng.uniform(0.001, 0.1), 9)
+        z, confidences = first + rng.normal(scale=0.1, size=(m, 3)), rng.uniform(0.5, 1, m)
         z[rng.random(m) < 0.2] = np.nan
-        confidences = rng.uniform(0.5, 1, m)
-        measure(bank, counters, z, confidences, values, dt)
-        variances = np.repeat(values[0] / confidences, 3)
-        x, p = dense_step(x, p, dt, values[1] / 30, z.ravel(), variances)
-    state = bank[0][0]
-    assert np.abs(state[:, :3].ravel() - x[: 3 * m]).max() < 1e-9
-    assert np.abs(state[:, 3:6].ravel() - x[3 * m :]).max() < 1e-9
-    assert np.abs(state[:, 6] - np.diag(p)[: 3 * m : 3]).max() < 1e-9
-    off = (
-        p
-        - np.diag(np.diag(p))
-        - np.diag(np.diag(p, 3 * m), 3 * m)
-        - np.diag(np.diag(p, -3 * m), -3 * m)
-    )
-    assert np.abs(off).max() == 0
+        joints.take(z, confidences, dt)
+        x, p = dense_step(x, p, dt, 64.0 / 30, z.ravel(), np.repeat(0.03**2 / confidences, 3))
+    assert np.abs(joints.x[:, 0].ravel() - x[: 3 * m]).max() < 1e-9
+    assert np.abs(joints.x[:, 1].ravel() - x[3 * m :]).max() < 1e-9
+    assert np.abs(joints.p[:, 0] - np.diag(p)[: 3 * m : 3]).max() < 1e-9
+    assert np.abs(joints.p[:, 3] - np.diag(p)[3 * m :: 3]).max() < 1e-9
+    diagonals = sum(np.diag(np.diag(p, k), k) for k in (0, 3 * m, -3 * m))
+    assert np.abs(p - diagonals).max() == 0
 
 
-def one_joint(state: Sequence[float]) -> tuple[Floats, Floats]:
-    return np.array(state, float).reshape(1, 1, 9), np.ones((1, 1), bool)
+NOTHING = np.full((1, 3), np.nan)
 
 
-def test_m10_five_steps_at_once_are_five_steps() -> None:
-    start = [1, 2, 3, 0.1, -0.2, 0.3, 0.01, 0.002, 0.05]
-    (once, known), (often, _) = one_joint(start), one_joint(start)
-    kernels.predict(once, known, 0, 5 * 0.033, 64.0, 0.033)
+def test_five_steps_at_once_are_five_steps() -> None:
+    once, often = Joints(step=0.033), Joints(step=0.033)
+    for joints in (once, often):
+        joints.take(np.array([[1.0, 2.0, 3.0]]))
+        joints.x[0, 1] = 0.1, -0.2, 0.3
+    once.take(NOTHING, dt=5 * 0.033 + 0.01)  # "approximated to an integer multiple"
     for _ in range(5):
-        kernels.predict(often, known, 0, 0.033, 64.0, 0.033)
-    assert (once == often).all()
-    assert once[0, 0, :3] == pytest.approx([1 + 0.165 * 0.1, 2 - 0.165 * 0.2, 3 + 0.165 * 0.3])
+        often.take(NOTHING, dt=0.033)
+    assert (once.x == often.x).all()
+    assert (once.p == often.p).all()
+    assert once.x[0, 0] == pytest.approx([1 + 0.165 * 0.1, 2 - 0.165 * 0.2, 3 + 0.165 * 0.3])
 
 
-def test_m09_process_noise_of_a_step_is_g_g_transposed() -> None:
-    state, known = one_joint([0, 0, 0, 0, 0, 0, 0, 0, 0])
-    kernels.predict(state, known, 0, 0.033, 4.0, 0.033)
+def test_the_process_noise_of_a_step_is_g_g_transposed() -> None:
+    joints = Joints(step=0.033, process_noise=2.0)
+    joints.take(np.zeros((1, 3)))
+    joints.p[:] = 0.0
+    joints.take(NOTHING, dt=0.033)
     g = np.array([0.033**2 / 2, 0.033])
-    expected = 4.0 * np.outer(g, g)
-    assert state[0, 0, 6:] == pytest.approx([expected[0, 0], expected[0, 1], expected[1, 1]])
+    (a, b), (_, d) = 4.0 * np.outer(g, g)
+    assert joints.p[0] == pytest.approx([a, b, 0, d, 0, 0], rel=1e-12)
 
 
-def corrected(
-    state: Sequence[float], z: Sequence[float], confidence: float, **changes: object
-) -> Floats:
-    bank, known = one_joint(state)
-    size = int(str(changes.get("history", 0)))
-    zeros = np.zeros((1, 1), np.int64)
-    banks, counters = [bank, known, np.zeros((1, 1, size))], [zeros, zeros.copy()]
-    measure(banks, counters, np.array([z], float), np.array([confidence]), numbers(**changes))
-    return bank[0, 0]
+@pytest.mark.parametrize(
+    ("confidence", "gain"), [(1.0, 1 / 2), (0.5, 1 / 3), (math.nan, 1 / 2), (0.49, 0.0)]
+)
+def test_the_confidence_divides_the_variance_and_below_one_half_the_prediction_stands(
+    confidence: float, gain: float
+) -> None:
+    joints = Joints()
+    assert joints.measure(0.3, confidence) == (0, pytest.approx(gain))
+    if not gain:
+        assert joints.p[0].tolist() == [0.0009, 0, 0, 1, 0, 0]
 
 
-def test_m13_half_the_confidence_doubles_the_variance() -> None:
-    """p = r: the gain is 1/2 at full confidence, 1/3 at one half."""
-    r = 0.03**2
-    assert corrected([0] * 6 + [r, 0, 1], [0.3, 0, 0], 1.0)[0] == pytest.approx(0.15)
-    assert corrected([0] * 6 + [r, 0, 1], [0.3, 0, 0], 0.5)[0] == pytest.approx(0.1)
-    assert corrected([0] * 6 + [r, 0, 1], [0.3, 0, 0], math.nan)[0] == pytest.approx(0.15)
+def test_confidences_do_not_count_on_request() -> None:
+    assert Joints(use_confidence=False).measure(0.3, 0.2)[1] == pytest.approx(0.5)
 
 
-def test_m14_below_one_half_the_prediction_stands() -> None:
-    state = [1, 2, 3, 4, 5, 6, 0.01, 0.02, 0.03]
-    assert corrected(state, [9, 9, 9], 0.49).tolist() == state
+def test_a_confidence_of_zero_hardly_counts_where_all_are_accepted() -> None:
+    assert Joints(min_confidence=0.0).measure(0.3, 0.0)[1] == pytest.approx(1 / 1001)
 
 
-class Joint:
-    """One joint with its history, fed with distances along x."""
-
-    def __init__(self, **changes: object) -> None:
-        self.values = numbers(**changes)
-        self.bank = np.zeros((1, 1, 9))
-        self.known = np.ones((1, 1), bool)
-        self.history = np.zeros((1, 1, 15))
-        self.filled = np.zeros((1, 1), np.int64)
-        self.strikes = np.zeros((1, 1), np.int64)
-
-    def take(self, distance: float, confidence: float) -> int:
-        banks, counters = [self.bank, self.known, self.history], [self.filled, self.strikes]
-        z = np.array([[distance, 0, 0.0]])
-        return measure(banks, counters, z, np.array([confidence]), self.values)
-
-    def feed(self, distance: float, variance: float = 0.0009) -> tuple[int, float]:
-        """Measure ``distance`` from the state, whose variance is set; outliers and gain."""
-        self.bank[0, 0] = [0, 0, 0, 0, 0, 0, variance, 0, 1]
-        found = self.take(distance, 1.0)
-        return found, float(self.bank[0, 0, 0] / distance)
+def test_a_jump_of_four_thresholds_has_four_times_the_variance() -> None:
+    joints = Joints()
+    assert joints.measure(0.02) == (0, pytest.approx(0.5))
+    for _ in range(14):
+        joints.measure(0.01)
+    assert joints.measure(0.0249) == (0, pytest.approx(0.5))  # the threshold is 1.25 x 20 mm
+    assert joints.measure(4 * 1.25 * 0.0249) == (1, pytest.approx(1 / 5))
 
 
-def test_m15_m16_a_jump_of_four_thresholds_has_four_times_the_variance() -> None:
-    joint = Joint()
-    for k in range(15):
-        assert joint.feed(0.01 if k else 0.02) == (0, pytest.approx(0.5))
-    assert joint.feed(0.024) == (0, pytest.approx(0.5))  # the threshold is 1.25 x 20 mm
-    for k in range(14):
-        joint.feed(0.02 if k == 3 else 0.01)
-    highest = joint.history.max()
-    found, gain = joint.feed(4 * 1.25 * highest)
-    assert found == 1
-    assert gain == pytest.approx(1 / 5)
+def test_nothing_is_an_outlier_before_the_history_is_full() -> None:
+    joints = Joints()
+    for _ in range(14):
+        joints.measure(0.01)
+    assert joints.measure(1.0) == (0, pytest.approx(0.5))
 
 
-def test_m17_after_two_outliers_the_third_is_believed() -> None:
-    joint = Joint()
+def test_the_history_is_that_of_the_last_fifteen() -> None:
+    joints = Joints()
+    joints.measure(1.0)
+    for _ in range(14):
+        joints.measure(0.01)
+    assert joints.measure(0.5)[0] == 0  # the first one still counts
     for _ in range(15):
-        joint.feed(0.01)
-    outcomes = [joint.feed(0.5) for _ in range(4)]
+        joints.measure(0.01)
+    assert joints.measure(0.5)[0] == 1
+
+
+def test_after_two_outliers_the_third_is_accepted() -> None:
+    joints = Joints()
+    joints.settle()
+    outcomes = [joints.measure(0.5) for _ in range(4)]
     assert [found for found, _ in outcomes] == [1, 1, 0, 0]
     assert outcomes[2][1] == pytest.approx(0.5)
 
 
-def test_m17_a_real_fast_motion_is_followed_after_two_samples() -> None:
+def test_after_an_accepted_jump_the_guard_is_on_again() -> None:
+    joints = Joints()
+    joints.settle()
+    for _ in range(3):
+        joints.measure(0.5)
+    joints.settle()
+    assert [joints.measure(0.5)[0] for _ in range(3)] == [1, 1, 0]
+
+
+def test_only_outliers_in_a_row_count() -> None:
+    joints = Joints()
+    joints.settle()
+    found = [joints.measure(d)[0] for d in (0.5, 0.01, 0.5, 0.01, 0.5)]
+    assert found == [1, 0, 1, 0, 1]
+
+
+def test_outliers_do_not_raise_the_threshold() -> None:
+    joints = Joints(max_outliers=100)
+    joints.settle()
+    assert [joints.measure(0.5)[0] for _ in range(20)] == [1] * 20
+
+
+def test_a_rejected_joint_neither_counts_as_outlier_nor_enters_the_history() -> None:
+    joints = Joints()
+    joints.settle()
+    assert joints.measure(5.0, 0.3) == (0, 0.0)
+    assert joints.measure(0.5)[0] == 1
+
+
+def test_steady_motion_is_no_outlier_at_uneven_times() -> None:
+    """The literal form of eq 9 and 10, with consecutive positions, finds most long intervals."""
+    rng, events = np.random.default_rng(5), Events()
+    ticks = np.cumsum([1 if k % 16 else 9 for k in range(160)]) / 8
+    frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in ticks.tolist()]
+    for frame in frames:
+        frame.positions[:] += rng.normal(scale=0.001, size=(8, 3))
+    list(kalman(frames, MODEL, events=events))
+    moves = np.linalg.norm(np.diff([frame.positions[0] for frame in frames], axis=0), axis=-1)
+    literal = sum((moves[k] > 1.25 * moves[k - 15 : k].max(axis=0)).sum() for k in range(15, 159))
+    assert literal >= 9 * 8
+    assert events.total("outlier") < literal / 4
+
+
+def test_a_real_fast_motion_is_followed_after_two_samples() -> None:
     """Still for a second, then a metre to the side for good."""
     frames = [seen([person(0.0 if k < 30 else 1.0)], at(k), ids=[0]) for k in range(36)]
-    noisy = np.random.default_rng(2)
+    noisy, events = np.random.default_rng(2), Events()
     for frame in frames:
         frame.positions[0] += noisy.normal(scale=0.005, size=(8, 3))
-    x = [f.positions[0, :, 0].mean() for f in kalman(frames, MODEL)]
+    x = [f.positions[0, :, 0].mean() for f in kalman(frames, MODEL, events=events)]
     assert x[30] < 0.5
     assert x[33] > 0.8
-
-
-def test_m18_confidence_comes_before_outliers() -> None:
-    """A joint that is not trusted neither counts as an outlier nor enters the history."""
-    joint = Joint()
-    for _ in range(15):
-        joint.feed(0.01)
-    before = joint.history.copy()
-    found = joint.take(5.0, 0.3)
-    assert found == 0
-    assert (joint.history == before).all()
+    assert events.counts["outlier", "a"] == events.total("outlier") >= 16
 
 
 def moving(k: float) -> Floats:
@@ -307,7 +390,7 @@ def moving(k: float) -> Floats:
 
 
 @pytest.mark.parametrize("rates", [(30,), (15, 50), (15, 30, 50, 15, 30)])
-def test_m02_one_output_per_message_and_no_delay(rates: tuple[int, ...]) -> None:
+def test_one_output_per_message_and_no_delay(rates: tuple[int, ...]) -> None:
     """Cameras of any number and rate without a common clock: each message updates at once."""
     stamped = sorted(
         (at(0) + k * SECOND // rate + c * 1_000_003, f"c{c}")
@@ -315,91 +398,164 @@ def test_m02_one_output_per_message_and_no_delay(rates: tuple[int, ...]) -> None
         for k in range(rate)
     )
     frames = [seen([moving((t - at(0)) * 30e-9)], t, c, ids=[0]) for t, c in stamped]
-    fused = list(kalman(frames, MODEL))
-    assert [f.stamp for f in fused] == [f.stamp for f in frames]
-    assert [f.log_time for f in fused] == [f.log_time for f in frames]
+    fused = list(kalman(frames, MODEL, fixed_frame="lab"))
+    assert [(f.stamp, f.log_time) for f in fused] == [(f.stamp, f.log_time) for f in frames]
+    assert {(f.source, f.frame_id) for f in fused} == {("lab", "lab")}
     assert not any((new.positions == old.positions).all() for old, new in pairwise(fused))
 
 
 def test_at_a_fixed_rate_on_request() -> None:
-    frames = [seen([moving(k)], at(k), ids=[0]) for k in range(60)]
-    stamps = [f.stamp for f in kalman(frames, MODEL, KalmanParams(rate=50.0))]
+    frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(60)]
+    out = list(kalman(frames, MODEL, KalmanParams(rate=50.0)))
+    stamps = [f.stamp for f in out]
     assert np.diff(stamps).tolist() == [20_000_000] * (len(stamps) - 1)
     assert 97 < len(stamps) <= 100
+    last = out[-1]  # a rate between the messages: predicted to its own time
+    assert last.positions[0, 0, 0] == pytest.approx(0.9 * (last.stamp - START) * 1e-9, abs=1e-3)
 
 
 def test_velocities_are_filled_and_right() -> None:
     frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(90)]
     (*_, last) = kalman(frames, MODEL)
     assert last.velocities[0, 0] == pytest.approx([0.9, 0, 0], abs=0.02)
+    assert np.isnan(last.accelerations).all()
 
 
-def test_m23_two_people_are_two_single_runs_bit_for_bit() -> None:
-    both = [seen([moving(k), person(2.0, 0.02 * k)], at(k), ids=[0, 1]) for k in range(50)]
-    alone = [[f.select([row]) for f in both] for row in (0, 1)]
-    together = list(kalman(both, MODEL))
-    for row in (0, 1):
-        for one, two in zip(kalman(alone[row], MODEL), together, strict=True):
-            assert (one.markers[0] == two.markers[row]).all(where=~np.isnan(two.markers[row]))
+def test_an_unseen_joint_is_predicted_and_an_unknown_one_is_absent() -> None:
+    frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in range(40)]
+    for k, frame in enumerate(frames):
+        frame.markers[0, 7] = np.nan
+        if k >= 35:
+            frame.markers[0, 6] = np.nan
+    (*_, last) = kalman(frames, MODEL)
+    assert last.positions[0, 6, 0] == pytest.approx(0.1 + 0.03 * 39, abs=0.01)
+    assert np.isnan(last.markers[0, 7]).all()
+
+
+def test_openptracks_range_noise_is_squared() -> None:
+    """A camera 1 m away measures 0, one 3 m away 1: the gain is v1 / (v1 + v3)."""
+    model = SkeletonModel.of(["JOINT"], [])
+    cameras = {"near": np.array([1.0, 0, 0]), "far": np.array([1.0, 3.0, 0])}
+    frames = [Frame.empty(1, model, stamp=START, source=c, frame_id="world") for c in cameras]
+    for frame, x in zip(frames, (0.0, 1.0), strict=True):
+        frame.ids[:], frame.positions[0, 0] = 0, [x, 0, 0]
+    params = KalmanParams(range_noise=0.01)
+    (*_, last) = kalman(frames, model, params, cameras=cameras)
+    near, far = (0.03**2 + (0.01 * d**2) ** 2 for d in (1, 3))
+    assert last.positions[0, 0, 0] == pytest.approx(near / (near + far), rel=1e-9)
+    (*_, last) = kalman(frames, model, params)  # cameras whose places are not known
+    assert last.positions[0, 0, 0] == pytest.approx(0.5)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(-math.pi, math.pi), st.floats(-5, 5), st.integers(0, 2**32 - 1))
+def test_the_filter_moves_with_its_frame_and_people_do_not_mix(
+    angle: float, shift: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    frames = [seen([moving(k), person(2.0)], at(k), ids=[0, 1]) for k in range(25)]
+    for frame in frames:
+        frame.positions[:] += rng.standard_t(2, size=(2, 8, 3)) * 0.01
+        frame.marker_confidences[:] = rng.random((2, 8))
+    rotation, offset = Rotation.from_rotvec([0.3, angle, -angle]), np.array([shift, 1.0, -shift])
+    expected = moved(list(kalman(frames, MODEL)), rotation, offset)
+    for one, other in zip(kalman(moved(frames, rotation, offset), MODEL), expected, strict=True):
+        assert np.allclose(one.markers, other.markers, rtol=0, atol=1e-9, equal_nan=True)
+    alone = kalman([frame.select([1]) for frame in frames], MODEL)
+    for one, both in zip(alone, kalman(frames, MODEL), strict=True):
+        assert same(one, both.select([1]))
 
 
 def test_a_late_message_is_counted_and_left_out() -> None:
     events = Events()
-    frames = [seen([person()], at(k), ids=[0]) for k in (0, 1, 2, 1, 3)]
-    assert len(list(kalman(frames, MODEL, events=events))) == 4
+    frames = [seen([person()], at(k), ids=[0]) for k in (0, 1, 2, 1, 2, 3)]
+    assert len(list(kalman(frames, MODEL, events=events))) == 5
     assert events.total("too late to be merged") == 1
 
 
-def test_somebody_who_is_gone_is_not_carried_on() -> None:
+def test_somebody_who_is_not_detected_is_held_for_a_while() -> None:
+    """With the links and confidences of the newest detection."""
     frames = [
-        seen([person()] if k < 10 else [], at(k), ids=[0] if k < 10 else []) for k in range(30)
+        seen([person(0.03 * k)] if k < 10 else [], at(k), ids=[0] if k < 10 else [], turns=True)
+        for k in range(30)
     ]
-    counts = [f.n_people for f in kalman(frames, MODEL, KalmanParams(hold=0.2))]
-    assert counts[:16] == [1] * 16
-    assert counts[17:] == [0] * 13
+    for frame in frames:
+        frame.confidences[:], frame.link_confidences[:] = 0.7, 0.6
+    out = list(kalman(frames, MODEL, KalmanParams(hold=0.2)))
+    assert [f.n_people for f in out] == [1] * 16 + [0] * 14
+    assert out[15].positions[0, 0, 0] == pytest.approx(0.45, abs=0.05)
+    assert same(out[15], out[9].replace(**held(out[15])))
+    assert out[15].stamps.tolist() == [at(15)]
 
 
-# -- limb lengths ---------------------------------------------------------------------------------
+def held(frame: Frame) -> dict[str, object]:
+    """What a person who is held does not keep."""
+    return {n: getattr(frame, n) for n in ("stamp", "log_time", "stamps", "markers")}
+
+
+@pytest.mark.parametrize(("gap", "anew"), [(29, False), (31, True)])
+def test_after_a_second_unseen_a_filter_starts_anew(gap: int, anew: bool) -> None:
+    frames = [seen([person()], at(k), ids=[0]) for k in range(10)]
+    frames.append(seen([person(1.0)], at(9 + gap), ids=[0]))
+    (*_, last) = kalman(frames, MODEL)
+    assert bool(last.positions[0, 0, 0] == 1.0) is anew
+
+
+def test_people_without_an_id_are_left_out_and_the_others_sorted() -> None:
+    frames = [seen([person(), person(1), person(2)], at(k), ids=[5, -1, 3]) for k in range(3)]
+    for frame in kalman(frames, MODEL):
+        assert frame.ids.tolist() == [3, 5]
+        assert frame.positions[:, 0, 0] == pytest.approx([2.0, 0.0])
+
+
+# -- limb lengths (III-E) ------------------------------------------------------------------------
 
 
 def link_residuals(parent: Floats, theta: Floats, length: float) -> Callable[[Floats], Floats]:
     """Length and direction of equation 12, of one link."""
 
     def residuals(child: Floats) -> Floats:
-        bone = child - parent
-        size = float(np.linalg.norm(bone))
-        return np.append(bone / size - theta, size - length)
+        link = child - parent
+        size = float(np.linalg.norm(link))
+        return np.append(link / size - theta, size - length)
 
     return residuals
 
 
-def test_m20_m22_closed_form_is_the_minimum_of_eq12() -> None:
+def test_the_closed_form_is_the_minimum_of_eq_12() -> None:
     """Levenberg-Marquardt, link by link from the root, ends where the closed form is."""
-    rng = np.random.default_rng(3)
-    links, order = np.ascontiguousarray(MODEL.links), link_order(MODEL)
+    rng, order = np.random.default_rng(3), link_order(MODEL)
+    tree = limb_lengths.LinkTree(np.ascontiguousarray(MODEL.links), order)
     lengths = rng.uniform(0.2, 0.6, MODEL.n_links)
     for _ in range(5):
-        given = POSE + rng.normal(scale=0.05, size=POSE.shape)
-        block = np.full((1, len(given), 19), np.nan)
-        block[0, :, :3] = given
-        zero = np.zeros(1, np.int64)
-        kernels.straighten(block, zero, lengths[None].copy(), np.array([1]), links, order, 1, 0.0)
-        closed = block[0, :, :3]
-        solved = given.copy()
+        noisy = POSE + rng.normal(scale=0.05, size=POSE.shape)
+        frame = seen([noisy], START)
+        past = limb_lengths.LimbLengths(lengths[None].copy(), np.array([1]))
+        arguments = np.array([0]), past, tree, limb_lengths.LimbSettings(1, 0.0)
+        limb_lengths.straighten(frame.markers, *arguments)
+        closed, solved = frame.positions[0], noisy.copy()
         for k in order:
-            parent, child = links[k]
-            theta = given[child] - solved[parent]
+            parent, child = MODEL.links[k]
+            theta = noisy[child] - solved[parent]
             theta /= np.linalg.norm(theta)
             residuals = link_residuals(solved[parent].copy(), theta, float(lengths[k]))
             assert np.sum(residuals(closed[child]) ** 2) < 1e-20
-            found = least_squares(residuals, given[child], method="lm", xtol=1e-15, ftol=1e-15)
+            found = least_squares(residuals, noisy[child], method="lm", xtol=1e-15, ftol=1e-15)
             solved[child] = found.x
         assert np.abs(solved - closed).max() < 1e-9
-        bones = np.linalg.norm(closed[links[:, 0]] - closed[links[:, 1]], axis=-1)
-        assert np.abs(bones - lengths).max() < 1e-9
+        assert np.abs(lengths_of(frame) - lengths).max() < 1e-9
 
 
-def test_m20_links_are_walked_from_the_root() -> None:
+def lengths_of(frame: Frame) -> Floats:
+    """(L,) measured lengths of the first person's links, m."""
+    ends = frame.positions[0][MODEL.links]
+    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+
+
+TRUE = lengths_of(seen([POSE], START))
+
+
+def test_links_are_walked_from_the_root() -> None:
     assert link_order(MODEL).tolist() == [0, 3, 4, 1, 2, 5, 6]
     loop = SkeletonModel.of(
         ["a", "b", "c"], [("ab", 0, 1), ("bc", 1, 2), ("ca", 2, 0), ("ac", 0, 2)]
@@ -407,50 +563,101 @@ def test_m20_links_are_walked_from_the_root() -> None:
     assert link_order(loop).tolist() == []  # nobody is a root in a ring
     fork = SkeletonModel.of(["a", "b", "c"], [("ab", 0, 1), ("bc", 1, 2), ("ac", 0, 2)])
     assert sorted(link_order(fork).tolist()) == [0, 2]
+    loose = SkeletonModel.of(["a", "b"], [("ab", 0, 1), ("none", -1, 1), ("of these", 0, -1)])
+    assert link_order(loose).tolist() == [0]
 
 
-def scaled(size: float, n: int = 1) -> list[Frame]:
-    frames = []
-    for k in range(n):
-        frame = seen([person()], at(k), ids=[0])
+def scaled(size: float, n: int = 1, start: int = 0) -> list[Frame]:
+    """Somebody of this size in ``n`` frames from frame ``start`` on."""
+    frames = [seen([person()], at(start + k), ids=[0]) for k in range(n)]
+    for frame in frames:
         frame.positions[0] *= size
-        frames.append(frame)
     return frames
 
 
-def test_m21_wrong_lengths_decay_steadily() -> None:
-    """Lengths start 10 % too long; the error falls with every frame."""
-    frames = scaled(1.1, 30) + [f.replace(stamp=f.stamp + SECOND) for f in scaled(1.0, 300)]
-    result = list(straighten(frames, MODEL, StraightenParams(rate=0.01)))
-    bones = [np.linalg.norm(f.positions[0, 1] - f.positions[0, 0]) - 0.5 for f in result[30:]]
-    assert bones[0] == pytest.approx(0.05, rel=0.02)
-    assert (np.diff(bones) < 0).all()
-    assert bones[-1] < 0.1 * bones[0]
-
-
-def test_m21_people_pass_unchanged_until_their_lengths_are_known() -> None:
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_once_calibrated_all_lengths_are_constant_and_directions_kept(seed: int) -> None:
+    rng = np.random.default_rng(seed)
     frames = scaled(1.0, 40)
-    frames[3].markers[0, 6] = np.nan  # not a whole skeleton: does not count
-    result = list(straighten(frames, MODEL))
-    assert all((a.positions == b.positions).all() for a, b in zip(frames[:3], result, strict=False))
+    for frame in frames[30:]:
+        frame.positions[0] += rng.normal(scale=0.05, size=POSE.shape)
+    out = list(straighten(frames, MODEL, StraightenParams(rate=0.0)))
+    for before, after in zip(frames[30:], out[30:], strict=True):
+        assert lengths_of(after) == pytest.approx(TRUE, abs=1e-9)
+        assert (after.positions[0, 0] == before.positions[0, 0]).all()  # the root stays
+        neck = before.positions[0, 1] - before.positions[0, 0]
+        moved_to = after.positions[0, 1] - after.positions[0, 0]
+        assert np.cross(neck, moved_to) == pytest.approx(np.zeros(3), abs=EPS)
+
+
+def test_wrong_lengths_decay_steadily() -> None:
+    """Lengths start 10 % too long; the error falls with every frame."""
+    frames = scaled(1.1, 30) + scaled(1.0, 300, 60)
+    result = list(straighten(frames, MODEL, StraightenParams(rate=0.01)))
+    errors = [lengths_of(f)[0] - 0.5 for f in result[30:]]
+    assert errors == pytest.approx([0.05 * 0.99 ** (k + 1) for k in range(300)], abs=1e-9)
+
+
+def test_lengths_are_learned_from_whole_frames_only() -> None:
+    """Half of the frames lack a wrist and show somebody twice as large."""
+    partial = scaled(2.0, 60)
+    for frame in partial:
+        frame.markers[0, 6] = np.nan
+    frames = [f for k, whole in enumerate(scaled(1.0, 60)) for f in (partial[k], whole)]
+    events, table = Events(), LimbTable()
+    out = list(straighten(frames, MODEL, StraightenParams(rate=0.0), events, table))
+    assert [(e.kind, e.person, e.stamp) for e in events.log] == [("limbs calibrated", 0, at(29))]
+    lengths = [limb.length for limb in table.people[0].values()]
+    assert lengths == pytest.approx(TRUE.tolist(), abs=1e-9)
+    assert all(map(same, frames[:59], out))
+    assert np.nanmax(lengths_of(out[60])) < 0.6  # partial ones are straightened, too
+    assert {limb.frames for limb in table.people[0].values()} == {30}
+
+
+def test_the_first_lengths_are_means() -> None:
     table = LimbTable()
-    list(straighten(scaled(1.0, 40), MODEL, limbs=table))
-    assert table.people[0]["NECK"].length == pytest.approx(0.5)
+    list(straighten(scaled(0.9, 10) + scaled(1.2, 20, 10), MODEL, limbs=table))
+    assert table.people[0]["NECK"].length == pytest.approx(0.5 * 1.1)
 
 
-def test_m19_chest_is_the_middle_of_shoulders_and_hips() -> None:
+def test_people_without_an_id_pass_unchanged() -> None:
+    frames = [seen([person(), 1.5 * person()], at(k), ids=[0, -1]) for k in range(40)]
+    for before, after in zip(frames, straighten(frames, MODEL), strict=True):
+        assert (after.positions[1] == before.positions[1]).all()
+
+
+def test_who_comes_back_after_ten_seconds_is_measured_again() -> None:
+    table, events = LimbTable(), Events()
+    frames = scaled(1.0, 30) + scaled(1.1, 30, 270) + scaled(1.2, 30, 700)
+    out = list(straighten(frames, MODEL, events=events, limbs=table))
+    assert lengths_of(out[59])[0] == pytest.approx(0.5, abs=0.005)
+    assert lengths_of(out[60])[0] == pytest.approx(0.6)
+    assert [e.stamp for e in events.log] == [at(29), at(729)]
+
+
+def test_lengths_of_who_left_are_in_the_table() -> None:
+    table = LimbTable()
+    later = seen([person()], at(900), ids=[1])
+    list(straighten([*scaled(1.0, 40), later], MODEL, limbs=table))
+    assert list(table.people) == [0]
+
+
+def test_the_chest_is_the_middle_of_shoulders_and_hips() -> None:
     names = ["chest", "LShoulder", "RShoulder", "LHip", "RHip"]
     model = SkeletonModel.of(names, [("", 0, k) for k in range(1, 5)])
     frame = Frame.empty(1, model, stamp=START)
     frame.ids[:], frame.positions[0] = 0, np.arange(15).reshape(5, 3)
     (out,) = straighten([frame], model, StraightenParams(chest_midpoint=True))
     assert out.positions[0, 0].tolist() == frame.positions[0, 1:].mean(axis=0).tolist()
+    (plain,) = straighten([frame], model)
+    assert (plain.positions == frame.positions).all()
 
 
 # -- noise, baselines ------------------------------------------------------------------------------
 
 
-def test_m12_noise_of_one_centimetre_is_found() -> None:
+def test_noise_of_one_centimetre_is_found() -> None:
     rng = np.random.default_rng(4)
     frames = []
     for k in range(400):
@@ -478,11 +685,126 @@ def test_openptrack_has_the_numbers_of_its_public_code() -> None:
     assert chain_of("openptrack") == ("tracked", "merged")
 
 
-def test_m34_mean_of_the_last_five_detections() -> None:
+def test_the_moving_average_is_that_of_the_last_five_detections() -> None:
     frames = [seen([person(float(k))], at(k), ids=[0]) for k in range(10)]
     x = [f.positions[0, 0, 0] for f in moving_average(frames, MODEL)]
     assert x == pytest.approx([0, 0.5, 1, 1.5, 2, 3, 4, 5, 6, 7])
-    late = [frames[0], frames[9].replace(stamp=at(0) + SECOND)]
-    assert [f.positions[0, 0, 0] for f in moving_average(late, MODEL)] == [0, 9]
     params = MovingAverageParams(window=1)
     assert [f.positions[0, 0, 0] for f in moving_average(frames, MODEL, params)] == list(range(10))
+
+
+@pytest.mark.parametrize(("late", "expected"), [(0.59, 4.5), (0.61, 9.0)])
+def test_detections_count_for_point_six_seconds(late: float, expected: float) -> None:
+    frames = [seen([person(x)], at(0) + round(t * SECOND), ids=[0]) for x, t in ((0, 0), (9, late))]
+    (*_, last) = moving_average(frames, MODEL)
+    assert last.positions[0, 0, 0] == expected
+
+
+def test_each_joint_of_each_person_is_averaged_on_its_own() -> None:
+    frames = [seen([person(k), person(9), person(-k)], at(k), ids=[0, -1, 1]) for k in range(3)]
+    frames[1].markers[0, 2], frames[1].markers[2] = np.nan, np.nan
+    (*_, last) = moving_average(frames, MODEL, fixed_frame="lab")
+    assert (last.ids.tolist(), last.source) == ([0, 1], "lab")
+    assert last.positions[:, 0, 0].tolist() == [1.0, -1.0]
+    assert last.positions[0, 2, 0] == 1.0
+    for frame in frames:
+        frame.markers[0, 2] = np.nan
+    (*_, last) = moving_average(frames, MODEL)
+    assert np.isnan(last.positions[0, 2]).all()
+
+
+# -- all stages ------------------------------------------------------------------------------------
+
+Stage = Callable[..., Iterator[Frame]]
+
+
+@pytest.fixture
+def banks(monkeypatch: pytest.MonkeyPatch) -> list[Bank[tuple[Floats, ...]]]:
+    """Every bank that is made."""
+    made: list[Bank[tuple[Floats, ...]]] = []
+    plain = Bank.__init__
+
+    def recording(self: Bank[tuple[Floats, ...]], *args: object, **kwargs: object) -> None:
+        plain(self, *args, **kwargs)  # type: ignore[arg-type]
+        made.append(self)
+
+    monkeypatch.setattr(Bank, "__init__", recording)
+    return made
+
+
+@pytest.mark.parametrize("stage", [associate, kalman, straighten, moving_average, predict])
+def test_memory_does_not_grow_when_1000_people_come_and_go(
+    stage: Stage, banks: list[Bank[tuple[Floats, ...]]]
+) -> None:
+    frames = [
+        seen([person(5.0 * (i % 7))], START + 11 * i * SECOND + k * 30_000_000, ids=[i])
+        for i in range(1000)
+        for k in range(3)
+    ]
+    assert len(list(stage(frames, MODEL))) == 3000
+    (bank,) = banks
+    assert len(bank.rows) == len(bank.last_seen) == 1
+    assert {len(array) for array in bank.past} == {8}
+
+
+def crossing() -> list[Frame]:
+    """Two people, one of whom comes and goes, by two cameras, with noise, gaps and a repeat."""
+    rng, frames = np.random.default_rng(7), []
+    for k in range(160):
+        poses = [person(0.02 * k), person(1.0, 0.8 - 0.02 * k), person(0.02 * k + 0.25)]
+        rows = [0, 1] if k % 50 < 25 else [0, 2]
+        frame = seen([poses[i] for i in rows], at(k, k % 2), "ab"[k % 2], ids=[0, rows[1]])
+        frame.positions[:] += rng.standard_t(2, size=(2, 8, 3)) * 0.02
+        frame.marker_confidences[:] = rng.random((2, 8))
+        frame.markers[rng.random((2, 8)) < 0.1] = np.nan
+        frames.append(frame)
+    return [f for k, f in enumerate(frames) if not 60 < k < 100] + frames[90:95]
+
+
+CHANGES = [
+    (associate, AssociateParams, name, value)
+    for name, value in {
+        "gate": 1e-3, "position_noise": 1e-3, "acceleration": 1e-3, "max_gap": 0.1,
+        "confirm_detections": 1, "min_distance": 0.0, "reorder": 0.0,
+    }.items()
+] + [
+    (kalman, KalmanParams, name, value)
+    for name, value in {
+        "measurement_noise": 0.1, "process_noise": 1.0, "step": 0.033, "use_confidence": False,
+        "min_confidence": 0.1, "history": 3, "outlier_factor": 2.0, "max_outliers": 0,
+        "range_noise": 0.1, "max_gap": 0.5, "hold": 0.0, "rate": 10.0,
+    }.items()
+] + [
+    (straighten, StraightenParams, "frames", 3), (straighten, StraightenParams, "rate", 0.5),
+    (moving_average, MovingAverageParams, "window", 2),
+    (moving_average, MovingAverageParams, "lifetime", 0.02),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("stage", "params", "name", "value"), CHANGES, ids=[f"{c[0].__name__}.{c[2]}" for c in CHANGES]
+)
+def test_every_parameter_changes_something(
+    stage: Stage, params: type[KalmanParams], name: str, value: object
+) -> None:
+    more = {"cameras": {"a": np.zeros(3), "b": np.ones(3)}} if stage is kalman else {}
+
+    def run(**changes: object) -> list[Frame]:
+        return list(stage(crossing(), MODEL, params.model_validate(changes), **more))
+
+    plain, changed = run(), run(**{name: value})
+    assert len(plain) != len(changed) or not all(map(same, plain, changed))
+
+
+def test_the_parameters_above_are_all() -> None:
+    named = {(params, name) for _, params, name, _ in CHANGES}
+    named.add((StraightenParams, "chest_midpoint"))
+    kinds = AssociateParams, KalmanParams, StraightenParams, MovingAverageParams
+    assert named == {(kind, name) for kind in kinds for name in kind.model_fields}
+
+
+@pytest.mark.parametrize("stage", [associate, kalman, straighten, moving_average])
+def test_the_input_is_unchanged(stage: Stage) -> None:
+    frames = crossing()
+    list(stage(frames, MODEL))
+    assert all(map(same, frames, crossing()))

@@ -1,0 +1,112 @@
+"""Centroids of people on the floor, and their Kalman filters (Malaguti et al. 2019, III-A)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, kernel, named_tuple
+from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
+from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
+from hiros_mcap.skeletons import POSITION, Floats, Stamps
+
+NOISE_RATE = 30.0
+"""Hz: the noise of one second is that of so many steps of the paper's model (33 ms)."""
+STARTING_SPEED = 1.0
+"""m/s, SD per axis of what was just seen for the first time."""
+_X = POSITION.start
+
+
+class Centroids(NamedTuple):
+    """The filters K_i of T tracks."""
+
+    stamps: Stamps  # (T,) time of the state, ns
+    states: Floats  # (T, 2, 2) position, m, and velocity, m/s, on the floor
+    covariances: Floats  # (T, 6) of ``kalman_filter``
+    detections: Stamps  # (T,) how many detections were associated
+
+    @classmethod
+    def empty(cls) -> Centroids:
+        """Return no tracks."""
+        none = np.zeros(0, np.int64)
+        return cls(none, np.zeros((0, 2, 2)), np.zeros((0, TRIANGLE)), none.copy())
+
+
+class CentroidSettings(NamedTuple):
+    """Parameters of ``associate`` that the kernels need."""
+
+    gate: float
+    position_noise: float
+    acceleration: float
+
+
+_TRACKS = named_tuple(Centroids, I1, F3, F2, I1)
+_SETTINGS = types.NamedUniTuple(types.float64, 3, CentroidSettings)  # type: ignore[no-untyped-call]
+
+
+@kernel(types.void(F3, F2))
+def find_centroids(markers: Floats, centroids: Floats) -> None:
+    """Write the means of the known markers of (P, M, 19) into (P, 3), m; NaN where none is."""
+    for p in range(len(markers)):
+        known = 0
+        centroids[p] = 0.0
+        for m in range(markers.shape[1]):
+            if not np.isnan(markers[p, m, _X]):
+                known += 1
+                for c in range(3):
+                    centroids[p, c] += markers[p, m, _X + c]
+        for c in range(3):
+            centroids[p, c] = centroids[p, c] / known if known else np.nan
+
+
+@kernel(types.void(_TRACKS, types.int64, types.int64, F1, _SETTINGS))
+def start_track(
+    tracks: Centroids, row: int, now: int, centroid: Floats, settings: CentroidSettings
+) -> None:
+    """Start a track at a centroid (3,), m, at ``now``, ns."""
+    covariance = prior(settings.position_noise**2, STARTING_SPEED**2, 0.0)
+    start(tracks.states[row], tracks.covariances[row], centroid[:2], covariance)
+    tracks.stamps[row], tracks.detections[row] = now, 1
+
+
+@kernel(types.void(_TRACKS, I1, types.int64, _SETTINGS))
+def predict_tracks(tracks: Centroids, rows: Stamps, now: int, settings: CentroidSettings) -> None:
+    """Carry the tracks in ``rows`` on to ``now``, ns."""
+    for row in rows:
+        dt = (now - tracks.stamps[row]) * 1e-9
+        process = white_acceleration(dt, settings.acceleration**2 / NOISE_RATE)
+        predict(tracks.states[row], tracks.covariances[row], dt, process)  # z^ of eq 2
+        tracks.stamps[row] = now
+
+
+@kernel(types.void(_TRACKS, I1, F2, _SETTINGS, F2))
+def association_cost(
+    tracks: Centroids, rows: Stamps, centroids: Floats, settings: CentroidSettings, cost: Floats
+) -> None:
+    """Write the cost of every track in ``rows`` and centroid (D, 3) into (T, D).
+
+    The vector of eq 2 is the gain times the innovation. With the gain K = P H' / (p00 + r), its
+    Mahalanobis distance by P is the squared innovation times p00 / (p00 + r)^2.
+    """
+    r = settings.position_noise**2
+    for t in range(len(rows)):
+        position, p00 = tracks.states[rows[t], 0], tracks.covariances[rows[t], 0]
+        for d in range(len(centroids)):
+            squared = (centroids[d, 0] - position[0]) ** 2 + (centroids[d, 1] - position[1]) ** 2
+            distance = squared * p00 / (p00 + r) ** 2  # eq 2 and 3
+            cost[t, d] = distance if distance <= settings.gate else np.inf  # epsilon
+
+
+@kernel(types.void(_TRACKS, I1, F2, _SETTINGS))
+def correct_tracks(
+    tracks: Centroids, matches: Stamps, centroids: Floats, settings: CentroidSettings
+) -> None:
+    """Correct the track in row ``matches[d]`` by centroid d of (D, 3); -1 = none."""
+    for d in range(len(matches)):
+        row = matches[d]
+        if row >= 0:
+            p, variance = tracks.covariances[row], settings.position_noise**2
+            correct(tracks.states[row], p, centroids[d, :2], variance)
+            tracks.detections[row] += 1

@@ -1,0 +1,102 @@
+"""Constant limb lengths, from the root to the leaves (Malaguti et al. 2019, III-E)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.compile import F2, F3, I1, J2, kernel, named_tuple
+from hiros_mcap.skeletons import Floats, Ints, Stamps
+
+_SHORTEST = 1e-6  # m; a shorter link has no direction
+
+
+class LimbLengths(NamedTuple):
+    """What is known of people's limbs: R rows, L links."""
+
+    lengths: Floats  # (R, L) m
+    frames: Stamps  # (R,) frames with the whole skeleton that were measured
+
+
+class LinkTree(NamedTuple):
+    """The hierarchical model (Fig. 2)."""
+
+    ends: Ints  # (L, 2) parent and child marker slot of each link
+    order: Stamps  # Links, a parent's before its children's; those that close a loop are left out
+
+
+class LimbSettings(NamedTuple):
+    """Parameters of ``straighten`` that the kernels need."""
+
+    frames: int
+    rate: float
+
+
+_TREE = named_tuple(LinkTree, J2, I1)
+_PAST = named_tuple(LimbLengths, F2, I1)
+_SETTINGS = named_tuple(LimbSettings, types.int64, types.float64)
+
+
+@kernel
+def _length(pose: Floats, tree: LinkTree, k: int) -> float:
+    """Measured length of link k in a pose (M, 19), m; NaN if an end is absent."""
+    squared = 0.0
+    for c in range(3):
+        squared += (pose[tree.ends[k, 1], c] - pose[tree.ends[k, 0], c]) ** 2
+    return float(np.sqrt(squared))
+
+
+@kernel
+def _learn(
+    pose: Floats, row: int, past: LimbLengths, tree: LinkTree, settings: LimbSettings
+) -> None:
+    """Average the first whole skeletons; adapt the lengths slowly afterwards."""
+    frames = past.frames[row]
+    is_whole = True
+    for k in tree.order:
+        is_whole &= not np.isnan(_length(pose, tree, k))
+    for k in tree.order:
+        error = _length(pose, tree, k) - past.lengths[row, k]
+        if frames < settings.frames:
+            if is_whole:
+                past.lengths[row, k] += error / (frames + 1)
+        elif not np.isnan(error):
+            past.lengths[row, k] += settings.rate * error
+    if frames < settings.frames:
+        past.frames[row] += is_whole
+
+
+@kernel
+def _apply(pose: Floats, lengths: Floats, tree: LinkTree) -> None:
+    """Give every link its length (L,), m, by moving its child; the parents have moved before.
+
+    The minimum of eq 12 has a closed form. Theta_kf points from the moved parent to the filter's
+    child (eq 13), so the point at the link's length in this direction makes both terms 0.
+    """
+    for k in tree.order:
+        parent, child = tree.ends[k, 0], tree.ends[k, 1]
+        measured = _length(pose, tree, k)
+        if np.isnan(measured) or measured < _SHORTEST:
+            continue
+        scale = lengths[k] / measured
+        for c in range(3):
+            start = pose[parent, c]
+            pose[child, c] = start + scale * (pose[child, c] - start)  # eq 12
+
+
+@kernel(types.void(F3, I1, _PAST, _TREE, _SETTINGS))
+def straighten(
+    markers: Floats, rows: Stamps, past: LimbLengths, tree: LinkTree, settings: LimbSettings
+) -> None:
+    """Learn the limb lengths of people (P, M, 19) and apply them in place.
+
+    ``rows`` (P,) are the people's rows in ``past``; -1 = left alone, like anybody with too few
+    frames.
+    """
+    for p in range(len(rows)):
+        if rows[p] >= 0:
+            _learn(markers[p], rows[p], past, tree, settings)
+            if past.frames[rows[p]] >= settings.frames:
+                _apply(markers[p], past.lengths[rows[p]], tree)
