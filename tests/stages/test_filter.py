@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.kernels.filtering import restore_lengths
+from hiros_mcap.kernels.link_lengths import project
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.filter import FilterParams, filter_blocks, filter_frames
 
@@ -392,7 +392,7 @@ def test_lengths_are_restored_on_a_graph_with_a_loop_and_missing_ends():
     markers = np.full((1, 4, 19), np.nan)
     markers[0, :3, :3] = [(0, 0, 0), (1.2, 0, 0), (0.5, 0.7, 0)]
     middle = markers[0, :3, :3].mean(axis=0)
-    restore_lengths(markers, 0, links, lengths, 100, 1e-9)
+    project(markers[0], links, lengths, 100, 1e-9)
     sides = markers[0, [1, 2, 0], :3] - markers[0, :3, :3]
     np.testing.assert_allclose(np.linalg.norm(sides, axis=1), 1, atol=1e-8)
     np.testing.assert_allclose(markers[0, :3, :3].mean(axis=0), middle, atol=1e-12)
