@@ -31,13 +31,13 @@ from hiros_mcap.kernels.filtering import (
     SLOT_POSE,
     SLOT_VELOCITY,
     STEPS,
+    WINDOW,
     FilterMethod,
     FilterPast,
     FilterSettings,
     FilterSteps,
     Group,
     Step,
-    WINDOW,
     Window,
     clear,
     difference,
@@ -87,7 +87,7 @@ WORK = named_tuple(ButterworthWork, F1, F2, F1, F1, F1)
 
 @kernel
 def _substeps(interval: float, period: float) -> int:
-    """Number of steps into which an interval is divided if ``period`` is the usual one."""
+    """Return into how many steps an interval is divided if ``period`` is the usual one."""
     return 1 if interval < 1.5 * period else int(np.ceil(interval / period - 0.1))
 
 
@@ -148,7 +148,7 @@ def _start(z: Quaternion, state: Any, slot: Any) -> None:
 
 @kernel
 def _load(row: Any, state: Floats) -> None:
-    """Derivatives of a trajectory; its output is the origin."""
+    """Load the derivatives of a trajectory; its output is the origin."""
     n = state.shape[1]
     for c in range(3):
         state[c, 0] = 0.0
@@ -264,9 +264,7 @@ def weigh(window: Window, work: ButterworthWork) -> None:
 
 
 @kernel
-def _run_back(
-    group: Group, k: int, window: Window, weights: Floats, motion: Floats
-) -> None:
+def _run_back(group: Group, k: int, window: Window, weights: Floats, motion: Floats) -> None:
     """Write the weighted mean of a trajectory's outputs, velocities and accelerations.
 
     Between two measurements the output moves evenly; after the last one, at its velocity. Where
@@ -347,7 +345,7 @@ def gain_at(corner: float, dt: float, ahead: int, frequency: float, work: Butter
     """
     warped = 2.0 / dt * np.tan(np.pi * frequency * dt)  # bilinear transform
     forward = 1.0 / np.sqrt(1.0 + (warped / corner) ** (2 * len(work.adjoint)))
-    steps = np.arange(ahead + 1)
+    steps = np.arange(ahead + 1, dtype=np.float64)
     weigh(Window(np.zeros((0, 0, 0)), steps * dt, -1, 0, ahead + 1, corner, dt), work)
     backward = work.weights[: ahead + 1] @ np.exp(2j * np.pi * frequency * dt * steps)
     return float(forward * abs(backward))
@@ -360,7 +358,7 @@ def tune(order: int, cutoff: float, dt: float, ahead: int) -> float:
     work, middle = work_of(order, ahead + 1), np.log(2.0 * np.pi * cutoff)
 
     def excess(corner: float) -> float:
-        return gain_at(float(np.exp(corner)), dt, ahead, cutoff, work) - np.sqrt(0.5)
+        return float(gain_at(np.exp(corner), dt, ahead, cutoff, work) - np.sqrt(0.5))
 
     return float(np.exp(brentq(excess, middle - 1.0, middle + 5.0, xtol=1e-13)))
 

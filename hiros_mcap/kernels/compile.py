@@ -29,7 +29,9 @@ def kernel(signature: Any, **options: Any) -> Any:
 
 def named_tuple(kind: type[Any], *fields: Any) -> Any:
     """Return numba's type of a NamedTuple, for signatures, from those of its fields."""
-    return types.BaseTuple.from_types(fields, kind)  # type: ignore[no-untyped-call]
+    if len(set(fields)) == 1:  # numba has a type of its own for equal fields
+        return types.NamedUniTuple(fields[0], len(fields), kind)  # type: ignore[no-untyped-call]
+    return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
 
 
 # C-contiguous arrays: floats, 64-bit integers, 32-bit integers and flags, of 1 to 4 dimensions.

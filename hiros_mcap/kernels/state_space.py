@@ -1,4 +1,4 @@
-"""Kalman filter and fixed-lag smoother of trajectories (the state-space filter of Hi-ROS 2023, 3.4).
+"""State-space filter (Hi-ROS 2023, section 3.4): Kalman filter and fixed-lag smoother.
 
 The process is integrated white noise: white acceleration at order 2, white jerk at order 3
 (Bar-Shalom et al. 2001, sections 6.2.2 and 6.2.3). A measurement has variance 1, so the ratio of
@@ -7,6 +7,8 @@ the noises is the only number to tune.
 The smoother is Bryson and Frazier's (Bierman 1977, section X.4): it carries back an adjoint of the
 innovations instead of states. It needs no inverse and, for an orientation, one exponential.
 """
+
+# mypy: disable-error-code="no-any-return"
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from pydantic import Field, model_validator
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.kernels import state_space
 from hiros_mcap.kernels.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
 from hiros_mcap.params import Params, advanced
@@ -257,12 +258,12 @@ class _SkeletonFilter:
 
 
 def _method(params: FilterParams) -> FilterMethod:
-    """Return the chosen filter; the other one is neither imported nor compiled."""
+    """Return the chosen filter; Butterworth's kernels are compiled only where it is chosen."""
     if params.method == "state_space":
-        from hiros_mcap.kernels.state_space import METHOD
-    else:
-        from hiros_mcap.kernels.butterworth import METHOD
-    return METHOD
+        return state_space.METHOD
+    from hiros_mcap.kernels import butterworth
+
+    return butterworth.METHOD
 
 
 def _nobody(model: SkeletonModel, order: int, method: FilterMethod) -> FilterPast:
