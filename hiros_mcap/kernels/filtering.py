@@ -171,29 +171,16 @@ def step_of(steps: FilterSteps, past: FilterPast, j: int) -> Step:
     row, step, mask = steps.rows[j], steps.steps[j], past.ring.shape[1] - 1
     slot, before = step & mask, (step - 1) & mask
     interval = past.times[row, slot] - past.times[row, before] if step > 0 else np.inf
-    return Step(
-        past.states[row],
-        past.ring[row, slot],
-        past.ring[row, before],
-        interval,
-        steps.tunings[j],
-        steps.periods[j],
-    )
+    states, ring = past.states[row], past.ring[row]
+    return Step(states, ring[slot], ring[before], interval, steps.tunings[j], steps.periods[j])
 
 
 @kernel
 def window_of(steps: FilterSteps, past: FilterPast, j: int) -> Window:
     """Return what the estimate of row ``j`` of ``steps`` may use."""
-    row, mask = steps.rows[j], past.ring.shape[1] - 1
-    return Window(
-        past.ring[row],
-        past.times[row],
-        mask,
-        steps.steps[j],
-        steps.ends[j],
-        steps.tunings[j],
-        steps.periods[j],
-    )
+    ring, times, mask = past.ring[steps.rows[j]], past.times[steps.rows[j]], past.ring.shape[1] - 1
+    first, end, tuning, period = steps.steps[j], steps.ends[j], steps.tunings[j], steps.periods[j]
+    return Window(ring, times, mask, first, end, tuning, period)
 
 
 @kernel

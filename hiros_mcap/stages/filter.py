@@ -216,8 +216,8 @@ class _SkeletonFilter:
             if person.n_steps and time <= person.stamp:
                 self._events.count("filter: time not increasing", source)
                 continue
-            place = self._bank.row(person.number, stamp)
-            plan.update(begin + row, place, person, time, sample_time)
+            bank_row = self._bank.row(person.number, stamp)
+            plan.update(begin + row, bank_row, person, time, sample_time)
             steps.append((row, person, person.n_steps - 1))
         return _HeldFrame(part, end - begin, steps, sample_time)
 
@@ -234,8 +234,8 @@ class _SkeletonFilter:
         """Plan to write the estimates of frames, with all the data so far."""
         for held in frames:
             for row, person, step in held.people:
-                place = self._bank.rows[person.number]
-                plan.estimate(row, place, person, step, held.sample_time)
+                bank_row = self._bank.rows[person.number]
+                plan.estimate(row, bank_row, person, step, held.sample_time)
             plan.finish(held, log_time)
 
     def _reserve(self, plan: _FilterPlan) -> None:
@@ -343,27 +343,28 @@ class _FilterPlan:
         self.log_times: list[int] = []
         """Of these frames, ns."""
         self._n_rows = 0
-        self._updates, self._estimates = _StepTable(), _StepTable()
+        self._updates: list[tuple[float, ...]] = []
+        self._estimates: list[tuple[float, ...]] = []
         self._times: list[float] = []
         self._first: dict[_FilteredPerson, int] = {}
         """The first step of each person that is estimated in this batch or later."""
 
     def update(
-        self, row: int, place: int, person: _FilteredPerson, time: int, sample_time: _SampleTime
+        self, row: int, bank_row: int, person: _FilteredPerson, time: int, sample: _SampleTime
     ) -> None:
         """Add a step of a person, measured at ``time``, ns."""
         self._first.setdefault(person, person.n_estimated)
         self._times.append((time - person.start) * 1e-9)
-        self._updates.add((row, place, person.n_steps, person.n_steps + 1), sample_time)
-        person.stamp, person.n_steps = time, person.n_steps + 1
+        step, person.stamp, person.n_steps = person.n_steps, time, person.n_steps + 1
+        self._updates.append((row, bank_row, step, step + 1, sample.tuning, sample.period))
 
     def estimate(
-        self, row: int, place: int, person: _FilteredPerson, step: int, sample_time: _SampleTime
+        self, row: int, bank_row: int, person: _FilteredPerson, step: int, sample: _SampleTime
     ) -> None:
         """Add the estimate of a step, with all the data of the person so far."""
         self._first.setdefault(person, person.n_estimated)
-        self._estimates.add((self._n_rows + row, place, step, person.n_steps), sample_time)
-        person.n_estimated = step + 1
+        person.n_estimated, row, end = step + 1, self._n_rows + row, person.n_steps
+        self._estimates.append((row, bank_row, step, end, sample.tuning, sample.period))
 
     def finish(self, held: _HeldFrame, log_time: int) -> None:
         """Add a frame whose estimates are all planned."""
@@ -376,30 +377,16 @@ class _FilterPlan:
         return max((p.n_steps - first for p, first in self._first.items()), default=0)
 
     def updates(self, past: FilterPast) -> FilterSteps:
-        """Return the steps to add; their times are in the ring then."""
-        steps = self._updates.steps()
+        """Return the steps to add, after writing their times into the ring."""
+        steps = _columns(self._updates)
         past.times[steps.rows, steps.steps & (past.times.shape[1] - 1)] = self._times
         return steps
 
     def estimates(self) -> FilterSteps:
         """Return the steps to estimate; rows of people are those of the joined frames."""
-        return self._estimates.steps()
+        return _columns(self._estimates)
 
 
-class _StepTable:
-    """Rows of FilterSteps."""
-
-    def __init__(self) -> None:
-        self._numbers: list[tuple[int, int, int, int]] = []
-        self._designs: list[tuple[float, float]] = []
-
-    def add(self, numbers: tuple[int, int, int, int], sample_time: _SampleTime) -> None:
-        """Add row of the person, row in the bank, step and end."""
-        self._numbers.append(numbers)
-        self._designs.append((sample_time.tuning, sample_time.period))
-
-    def steps(self) -> FilterSteps:
-        """Return the columns."""
-        numbers = np.array(self._numbers, np.int64).reshape(-1, 4).T.copy()
-        designs = np.array(self._designs, np.float64).reshape(-1, 2).T.copy()
-        return FilterSteps(*numbers, *designs)
+def _columns(rows: list[tuple[float, ...]]) -> FilterSteps:
+    columns = np.array(rows, np.float64).reshape(-1, 6).T
+    return FilterSteps(*columns[:4].astype(np.int64, order="C"), *columns[4:].copy())
