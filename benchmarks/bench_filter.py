@@ -17,13 +17,13 @@ from itertools import product
 import numpy as np
 
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame, SkeletonModel
 from hiros_mcap.stages.filter import FilterParams, filter_frames
 
 ACTIONS = ("walk", "jog", "throw", "free_dynamic")
 SECONDS, PEOPLE = 8.0, 4
 COLOURED, CORRELATION, WHITE = 0.011, 0.85, 0.004  # m, per 1/30 s, m
-TURN = 0.06  # rad, of the links' coloured noise
+ROTATION = 0.06  # rad, of the links' coloured noise
 
 
 def coloured(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
@@ -34,31 +34,19 @@ def coloured(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     return noise
 
 
-def turn(rotation: Floats, q: Floats) -> Floats:
-    """Rotate quaternions ``q`` by small rotation vectors."""
-    x, y, z = np.moveaxis(rotation / 2, -1, 0)
-    a, b, c, d = np.moveaxis(q, -1, 0)
-    out = np.stack(
-        [
-            a + x * d + y * c - z * b,
-            b + y * d + z * a - x * c,
-            c + z * d + x * b - y * a,
-            d - x * a - y * b - z * c,
-        ],
-        axis=-1,
-    )
-    return np.asarray(out / np.linalg.norm(out, axis=-1, keepdims=True))
-
-
 def scene(action: str) -> tuple[SkeletonModel, list[Frame], list[Frame]]:
     """Model, truth, and truth with noise."""
+    from scipy.spatial.transform import Rotation
+
     simulation = simulate(SimulateParams(people=PEOPLE, action=action, seconds=SECONDS, seed=1))
     truth = [f for f in simulation.truth if f.n_people == PEOPLE]
     rng = np.random.default_rng(2)
     markers, links = (np.stack([getattr(f, a) for f in truth]) for a in ("markers", "links"))
-    markers[..., :3] += COLOURED * coloured(markers[..., :3].shape, rng)
-    markers[..., :3] += WHITE * rng.normal(size=markers[..., :3].shape)
-    links[..., 3:7] = turn(TURN * coloured(links[..., :3].shape, rng), links[..., 3:7])
+    shape = markers[..., POSITION].shape
+    markers[..., POSITION] += COLOURED * coloured(shape, rng) + WHITE * rng.normal(size=shape)
+    noise = Rotation.from_rotvec(ROTATION * coloured(links[..., :3].shape, rng).reshape(-1, 3))
+    noisy_links = noise * Rotation.from_quat(links[..., ORIENTATION].reshape(-1, 4))
+    links[..., ORIENTATION] = noisy_links.as_quat().reshape(*links.shape[:-1], 4)
     noisy = [f.replace(markers=m, links=n) for f, m, n in zip(truth, markers, links, strict=True)]
     return simulation.model, truth, noisy
 

@@ -16,8 +16,8 @@ NOTICE = "hiros: compiling kernels for this machine, once (about 20 s with two c
 _SPACE = 32 << 20  # bytes; all kernels take half of that
 
 RUN = (
-    ("tracking", "averaging", "merging"),
-    ("cdr", "encode", "batch", "record_index", "gathering", "optimizing", "filtering"),
+    ("tracking", "averaging", "merging", "record_index"),
+    ("cdr", "encode", "batch", "gathering", "optimizing", "state_space", "link_lengths"),
 )
 """Modules that a run by the default system needs, in parts that take about as long to compile and
 share nothing that is to be compiled."""

@@ -1,478 +1,373 @@
-"""Butterworth low-pass of any order at the samples' own times, on R3 and SO(3).
+"""Butterworth low-pass of any order for trajectories (Hi-ROS 2023, section 3.4).
 
-The analogue filter is run by the bilinear rule at every sample's own interval. Its states are the
-derivatives of the output, so velocity and acceleration come for free; all steps are functions of
-one stable matrix, so any mixture of intervals is stable; and the corner is prewarped, so the
-response at a steady rate is the digital Butterworth filter's. An interval much longer than usual
-is taken in shorter steps along a straight line, which keeps it from ringing. On SO(3) all of it
-happens in the tangent space at the last output.
+The analogue filter runs by the trapezoidal rule (bilinear transform) over each sample's own
+interval. Its states are the derivatives of the output, so velocity and acceleration come for free.
+All steps are functions of one stable matrix, so any mixture of intervals is stable. The corner is
+prewarped: at a steady rate the response is the digital Butterworth filter's. An interval much
+longer than usual is taken in shorter steps along a straight line, which prevents ringing. For an
+orientation all of it happens in the tangent space at the last output.
 
-With a look-ahead the same filter also runs backwards over the forward outputs, which cancels its
-phase. Being linear, the backward run is one weight per step, the same for all tracks.
+With a look-ahead the same filter also runs backwards over the outputs, which cancels its phase
+(Winter 2009, section 2.4). The backward run is linear: one weight per step, for all trajectories.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import types
 
-from hiros_mcap.kernels.compile import kernel
+from hiros_mcap.kernels.compile import F1, F2, PEOPLE, kernel, named_tuple
 from hiros_mcap.kernels.filtering import (
-    AGE,
-    BEND,
-    CONFIDENCE,
-    CONTINUES,
-    DELTA,
-    POSE,
-    PUSH,
-    RATE,
-    RUN,
-    Floats,
-    Links,
-    Stamps,
-    block_of,
+    GROUPS,
+    PAST,
+    SETTINGS,
+    SLOT_ACCELERATION,
+    SLOT_AGE,
+    SLOT_CONFIDENCE,
+    SLOT_CONTINUES,
+    SLOT_METHOD,
+    SLOT_POSE,
+    SLOT_VELOCITY,
+    STEPS,
+    WINDOW,
+    FilterMethod,
+    FilterPast,
+    FilterSettings,
+    FilterSteps,
+    Group,
+    Step,
+    Window,
     clear,
     difference,
     displace,
     erase,
-    follow_lengths,
-    is_present,
+    fill_confidence,
+    group_of,
+    is_shown,
     measure,
-    restore_lengths,
-    write,
+    pose_at,
+    put,
+    step_of,
+    vector_at,
+    window_of,
+    write_motion,
+    write_pose,
 )
+from hiros_mcap.kernels.quaternions import Quaternion, Vector
+from hiros_mcap.skeletons import Floats, People
 
-# Columns of what butterworth_push carries on, (T, STATE + 3 * (order - 1)).
-NOW_POSE = 0
-NOW_INPUT = 4
-NOW_AGE = 8
-NOW_CONFIDENCE = 9
-STATE = 10  # then the derivatives 1 to order - 1, the i-th divided by rate^i
+# Columns of a trajectory's state.
+INPUT = 0  # the last measurement
+DERIVATIVES = 4  # of the output, 1 to order - 1, the i-th over corner^i; by component
 
-COLUMNS = 16  # of a ring: POSE to CONFIDENCE
-CACHED = 8  # sample times whose matrices are kept during one push
+# Column of a slot beside the common ones, whose pose is the output at the last measurement.
+MEAN_VELOCITY = SLOT_METHOD  # of the output, between the last two measurements
+SLOT_COLUMNS = SLOT_METHOD + 3
+
+
+class ButterworthWork(NamedTuple):
+    """The filter, and scratch."""
+
+    polynomial: Floats
+    """(order + 1,) ascending coefficients of the normalized Butterworth polynomial."""
+    state: Floats
+    """(3, order) the output relative to the last one and its derivatives, by component."""
+    adjoint: Floats
+    """(order,)"""
+    weights: Floats
+    """(R,) of the steps of a window."""
+    motion: Floats
+    """(6,) velocity and acceleration."""
+
+
+WORK = named_tuple(ButterworthWork, F1, F2, F1, F1, F1)
 
 
 @kernel
-def solve(a: Any, b: Any) -> None:
-    """Solve the small complex system ``a x = b`` in place (``b`` becomes ``x``), pivoting."""
-    n = b.shape[0]
+def _substeps(interval: float, period: float) -> int:
+    """Return into how many steps an interval is divided if ``period`` is the usual one."""
+    return 1 if interval < 1.5 * period else int(np.ceil(interval / period - 0.1))
+
+
+@kernel
+def _advance(state: Floats, polynomial: Floats, h: float, u: float) -> None:
+    """Trapezoidal rule: s' = 2 x - s, (I - h A) x = s + h b u, with the companion matrix A.
+
+    ``state`` (order,), ``h`` half of corner times interval, ``u`` the input in the middle.
+    """
+    n = len(state)
+    top, c, scale = state[n - 1] + h * u, 0.0, 1.0
+    for i in range(n - 2, -1, -1):  # x_i = c_i + h^(n-1-i) x_(n-1)
+        c = state[i] + h * c
+        top -= h * polynomial[i] * c
+    scale = polynomial[0]
+    for i in range(1, n + 1):
+        scale = h * scale + polynomial[i]
+    x = top / scale
+    state[n - 1] = 2.0 * x - state[n - 1]
+    for i in range(n - 2, -1, -1):
+        x = state[i] + h * x
+        state[i] = 2.0 * x - state[i]
+
+
+@kernel
+def _carry_back(adjoint: Floats, polynomial: Floats, h: float) -> float:
+    """Transpose of :func:`_advance`: r' = 2 y - r, (I - h A)' y = r; return the weight of u."""
+    n, p, q = len(adjoint), 0.0, 0.0
+    for i in range(n):  # y_i = p_i - q_i y_(n-1)
+        p = adjoint[i] + h * p
+        q = h * (polynomial[i] + q)
+    top, p, q = p / (1.0 + q), 0.0, 0.0
     for i in range(n):
-        pivot = i
-        for r in range(i + 1, n):
-            if abs(a[r, i]) > abs(a[pivot, i]):
-                pivot = r
-        for c in range(n):
-            a[i, c], a[pivot, c] = a[pivot, c], a[i, c]
-        b[i], b[pivot] = b[pivot], b[i]
-        for r in range(n):
-            if r != i:
-                factor = a[r, i] / a[i, i]
-                for c in range(i, n):
-                    a[r, c] -= factor * a[i, c]
-                b[r] -= factor * b[i]
-    for i in range(n):
-        b[i] /= a[i, i]
+        p = adjoint[i] + h * p
+        q = h * (polynomial[i] + q)
+        adjoint[i] = 2.0 * (p - q * top) - adjoint[i]
+    return 2.0 * h * top
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def coefficients(order: int) -> Any:
-    """Ascending coefficients of the normalised Butterworth polynomial, (order + 1)."""
-    a = np.ones(order + 1)
-    for i in range(order):
-        angle = 0.5 * np.pi / order
-        a[i + 1] = a[i] * np.cos(i * angle) / np.sin((i + 1) * angle)
-    return a
+@kernel
+def _hold(before: Any, age: float, slot: Any) -> None:
+    """Fill the slot of a trajectory that is not measured."""
+    for c in range(len(slot)):
+        slot[c] = before[c]
+    put(slot, SLOT_ACCELERATION, (0.0, 0.0, 0.0))
+    slot[SLOT_AGE] = age
+    slot[SLOT_CONTINUES] = 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def transition(a: Any, rate: float, dt: float, out: Any) -> None:
-    """Into ``out`` (n, n + 1): ``s' = out[:, :n] s + out[:, n] (u + u')`` over ``dt``.
-
-    ``rate`` is the corner in rad/s, state i the i-th derivative of the output over ``rate``^i. In
-    these units a change of the rate is a change of the clock: the filter stays stable.
-    """
-    n, half = a.shape[0] - 1, 0.5 * rate * dt
-    left, column = np.zeros((n, n)), np.zeros(n)
-    for j in range(n + 1):  # (I - A half) s' = (I + A half) s + b half (u + u')
-        for r in range(n):
-            for c in range(n):
-                left[r, c] = 1.0 if r == c else 0.0
-            column[r] = 1.0 if r == j else 0.0
-        for i in range(n - 1):
-            left[i, i + 1] = -half
-        for i in range(n):
-            left[n - 1, i] += half * a[i]
-        if 0 < j < n:
-            column[j - 1] += half
-        column[n - 1] += half if j == n else -half * a[j]
-        solve(left, column)
-        for r in range(n):
-            out[r, j] = column[r]
+@kernel
+def _start(z: Quaternion, state: Any, slot: Any) -> None:
+    """Start at rest."""
+    state[:] = 0.0
+    slot[:] = 0.0
+    put(state, INPUT, z)
+    put(slot, SLOT_POSE, z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def substeps(dt: float, period: float) -> int:
-    """Into how many steps an interval is divided when ``period`` is the usual one."""
-    return 1 if dt < 1.5 * period else int(np.ceil(dt / period - 0.1))
+@kernel
+def _load(row: Any, state: Floats) -> None:
+    """Load the derivatives of a trajectory; its output is the origin."""
+    n = state.shape[1]
+    for c in range(3):
+        state[c, 0] = 0.0
+        for i in range(1, n):
+            state[c, i] = row[DERIVATIVES + c * (n - 1) + i - 1]
 
 
-@njit(
-    "float64(int64, float64, float64, int64, float64)", cache=True, nogil=True, error_model="numpy"
-)
-def butterworth_gain(order: int, rate: float, dt: float, ahead: int, frequency: float) -> float:
-    """Magnitude response at a constant sample time ``dt``; ``ahead`` in samples, 0 = causal."""
-    step = np.empty((order, order + 1))
-    transition(coefficients(order), rate, dt, step)
-    z = np.exp(2j * np.pi * frequency * dt)
-    system = np.zeros((order, order), np.complex128)
-    state = np.zeros(order, np.complex128)
-    for r in range(order):
-        for c in range(order):
-            system[r, c] = (z if r == c else 0.0) - step[r, c]
-        state[r] = (1.0 + z) * step[r, order]
-    solve(system, state)
-    forward = state[0]
-    if ahead == 0:
-        return float(abs(forward))
-    for r in range(order):
-        state[r] = forward if r == 0 else 0.0
-    back = np.zeros(order, np.complex128)
-    for _ in range(ahead):
-        for r in range(order):
-            back[r] = forward * (1.0 + z) * step[r, order]
-            for c in range(order):
-                back[r] += step[r, c] * z * state[c]
-        for r in range(order):
-            state[r] = back[r]
-    return float(abs(state[0]))
+@kernel
+def _store(row: Any, state: Floats) -> None:
+    n = state.shape[1]
+    for c in range(3):
+        for i in range(1, n):
+            row[DERIVATIVES + c * (n - 1) + i - 1] = state[c, i]
 
 
-@njit("float64(int64, float64, float64, int64)", cache=True, nogil=True, error_model="numpy")
-def butterworth_rate(order: int, cutoff: float, dt: float, ahead: int) -> float:
-    """Corner in rad/s that puts the -3 dB point of :func:`butterworth_gain` at ``cutoff``, Hz."""
-    middle = np.log(2.0 * np.pi * cutoff)
-    low, high = middle - 1.0, middle + 5.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if butterworth_gain(order, np.exp(middle), dt, ahead, cutoff) < np.sqrt(0.5):
-            low = middle
-        else:
-            high = middle
-    return float(np.exp(middle))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def matrix(a: Any, rate: float, dt: float, cache: Any, count: int) -> int:
-    """Slot of ``cache`` (CACHED, n, n + 2) with the transition over ``dt``, made when missing.
-
-    Element (0, n + 1) of a slot is its dt; ``count`` slots have been made before.
-    """
-    n = a.shape[0] - 1
-    for i in range(min(count, CACHED)):
-        if cache[i, 0, n + 1] == dt:
-            return i
-    i = count % CACHED
-    transition(a, rate, dt, cache[i])
-    cache[i, 0, n + 1] = dt
-    return int(i)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def advance(step: Any, count: int, state: Any, u0: Any, u1: Any) -> None:
-    """``count`` steps of the filter on ``state`` (n, 3) while the input goes from u0 to u1.
-
-    Row 0 of the state is zero at first: everything is relative to the last output.
-    """
-    n = state.shape[0]
-    new = np.empty(n)
+@kernel
+def _filter(
+    z: Quaternion, angular: bool, age: float, t: int, step: Step, work: ButterworthWork
+) -> None:
+    """Run a trajectory from its last measurement, ``age`` s ago, to measurement ``z``."""
+    row, slot, last = step.states[t], step.slot[t], pose_at(step.before[t], SLOT_POSE)
+    u0 = difference(pose_at(row, INPUT), last, angular)
+    u1 = difference(z, last, angular)
+    _load(row, work.state)
+    count = _substeps(age, step.period)
+    h = 0.5 * step.tuning * age / count
     for i in range(count):
         middle = (i + 0.5) / count
         for c in range(3):
-            u = 2.0 * (u0[c] + middle * (u1[c] - u0[c]))
-            for r in range(n):
-                new[r] = step[r, n] * u
-                for j in range(n):
-                    new[r] += step[r, j] * state[j, c]
-            for r in range(n):
-                state[r, c] = new[r]
+            _advance(work.state[c], work.polynomial, h, u0[c] + middle * (u1[c] - u0[c]))
+    s = work.state
+    output = displace(last, (s[0, 0], s[1, 0], s[2, 0]), angular)
+    moved = difference(output, last, angular)
+    put(slot, MEAN_VELOCITY, (moved[0] / age, moved[1] / age, moved[2] / age))
+    put(slot, SLOT_POSE, output)
+    _derive(difference(z, output, angular), t, step, work)
+    put(row, INPUT, z)
+    _store(row, work.state)
+    slot[SLOT_CONTINUES] = 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def derive(a: Any, rate: float, state: Any, u: Any, dt: float, before: Any, row: Any) -> None:
-    """Velocity and acceleration of the output into columns RATE and BEND of ``row``.
+@kernel
+def _derive(u: Vector, t: int, step: Step, work: ButterworthWork) -> None:
+    """Velocity and acceleration of the output, given the input ``u`` relative to it.
 
-    ``state`` (n, 3) and the input ``u`` (3) are relative to the output. What the state does not
-    hold follows from the differential equation, and an acceleration of order 1 from the row
-    ``before``, ``dt`` ago (infinitely long ago where the track starts).
+    The highest derivative follows from the differential equation, and an acceleration at order 1
+    from the previous velocity.
     """
-    n = state.shape[0]
+    slot, before, n, rate = step.slot[t], step.before[t], work.state.shape[1], step.tuning
     for c in range(3):
-        top = u[c]  # the n-th derivative
+        top = u[c]
         for i in range(1, n):
-            top -= a[i] * state[i, c]
-        row[RATE + c] = rate * (state[1, c] if n > 1 else top)
+            top -= work.polynomial[i] * work.state[c, i]
+        velocity = rate * (work.state[c, 1] if n > 1 else top)
+        slot[SLOT_VELOCITY + c] = velocity
         if n == 1:
-            row[BEND + c] = (row[RATE + c] - before[RATE + c]) / dt
+            change = velocity - before[SLOT_VELOCITY + c]
+            slot[SLOT_ACCELERATION + c] = change / step.interval
         else:
-            row[BEND + c] = rate * rate * (state[2, c] if n > 2 else top)
+            slot[SLOT_ACCELERATION + c] = rate * rate * (work.state[c, 2] if n > 2 else top)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_gap(ring: Any, times: Any, step: int, t: int, turning: bool) -> None:
-    """Let the outputs of the steps since track ``t`` was last seen lead evenly up to ``step``."""
-    mask = ring.shape[0] - 1
-    last = step - 1
-    while last > 0 and last > step - mask and ring[last & mask, t, AGE] > 0.0:
-        last -= 1
-    start, whole, part = ring[last & mask, t], np.empty(3), np.empty(3)
-    difference(ring[step & mask, t], start, turning, whole)
-    total = times[step & mask] - times[last & mask]
-    for i in range(last + 1, step + 1):
-        row = ring[i & mask, t]
-        share = (times[i & mask] - times[last & mask]) / total
-        own = (times[i & mask] - times[(i - 1) & mask]) / total
-        for c in range(3):
-            part[c] = share * whole[c]
-            row[DELTA + c] = own * whole[c]
-        if i < step:
-            displace(part, start, turning, row)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def coast(before: Any, row: Any, turning: bool, dt: float) -> None:
-    """Carry a track on from its row in the previous slot, at its velocity."""
-    for c in range(3):
-        row[DELTA + c] = dt * before[RATE + c]
-        row[RATE + c] = before[RATE + c]
-        row[BEND + c] = 0.0
-    displace(row[DELTA:], before, turning, row)
-    row[CONFIDENCE] = before[CONFIDENCE]
-
-
-@njit(
-    "void(float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64,"
-    " float64[:,:,::1], float64[::1], int64, float64[:,::1], float64, float64[::1], int64)",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def butterworth_push(
-    markers: Floats,
-    links: Floats,
-    marker_confidences: Floats,
-    link_confidences: Floats,
-    person: int,
-    ring: Floats,
-    times: Floats,
-    step: int,
-    now: Floats,
-    max_gap: float,
-    tuning: Floats,
-    order: int,
+@kernel(types.void(PEOPLE, STEPS, PAST, SETTINGS, WORK))
+def update(
+    people: People,
+    steps: FilterSteps,
+    past: FilterPast,
+    settings: FilterSettings,
+    work: ButterworthWork,
 ) -> None:
-    """Run the tracks that are seen up to step ``step``; the others coast at their velocity.
-
-    Arguments as of ``_state_space_push`` in ``kernels.filters``. A track that comes back within
-    ``max_gap`` s takes the whole gap as one step, its input a straight line. ``tuning`` holds
-    :func:`butterworth_rate` and the usual sample time.
-    """
-    n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1
-    slot, before = ring[step & mask], ring[(step - 1) & mask]
-    dt = times[step & mask] - times[(step - 1) & mask] if step > 0 else 0.0
-    a, rate = coefficients(order), tuning[0]
-    cache, cached = np.zeros((CACHED, order, order + 2)), 0
-    z, former, u0, u1 = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(3)
-    state = np.zeros((order, 3))
-    for block in range(4):
-        of_markers, turning, start, size = block_of(block, n_markers, n_links)
-        elements = markers[person] if of_markers else links[person]
-        confidences = (marker_confidences if of_markers else link_confidences)[person]
-        for k in range(size):
-            t = start + k
-            seen = measure(elements, k, turning, z)
-            own, row = now[t], slot[t]
-            elapsed = own[NOW_AGE] + dt
-            active = elapsed <= max_gap
-            if not seen and not active:
-                own[NOW_AGE] = np.inf
-                clear(slot, t)
-                continue
-            row[CONTINUES] = 1.0 if active else 0.0
-            if not seen:
-                own[NOW_AGE] = row[AGE] = elapsed
-                coast(before[t], row, turning, dt)
-                continue
-            for c in range(4):
-                former[c] = own[NOW_POSE + c] if active else z[c]
-                row[POSE + c] = former[c]
-            for i in range(3 * order):
-                state[i // 3, i % 3] = own[STATE + i - 3] if active and i >= 3 else 0.0
-            if active:
-                count = substeps(elapsed, tuning[1])
-                at = matrix(a, rate, elapsed / count, cache, cached)
-                cached = max(cached, at + 1)
-                difference(own[NOW_INPUT:], former, turning, u0)
-                difference(z, former, turning, u1)
-                advance(cache[at], count, state, u0, u1)
-                displace(state[0], former, turning, row)
-            difference(z, row, turning, u1)
-            derive(a, rate, state, u1, dt if active else np.inf, before[t], row)
-            difference(row, former, turning, row[DELTA:])
-            for c in range(4):
-                own[NOW_POSE + c], own[NOW_INPUT + c] = row[POSE + c], z[c]
-            for i in range(3, 3 * order):
-                own[STATE + i - 3] = state[i // 3, i % 3]
-            own[NOW_CONFIDENCE] = confidences[k]
-            row[CONFIDENCE] = own[NOW_CONFIDENCE]
-            row[AGE] = 0.0
-            if active and own[NOW_AGE] > 0.0:
-                fill_gap(ring, times, step, t, turning)
-            own[NOW_AGE] = 0.0
+    """Run the trajectories that are measured at each step; hold the others; start new ones."""
+    for j in range(len(steps.rows)):
+        step = step_of(steps, past, j)
+        for number in range(GROUPS):
+            group = group_of(people, steps.people[j], number)
+            for k in range(len(group.elements)):
+                t = group.first + k
+                slot, before = step.slot[t], step.before[t]
+                z, seen = measure(group, k)
+                age = before[SLOT_AGE] + step.interval
+                active = age <= settings.max_gap
+                if not seen:
+                    if active:
+                        _hold(before, age, slot)
+                    else:
+                        clear(slot)
+                    continue
+                if active:
+                    _filter(z, group.angular, age, t, step, work)
+                else:
+                    _start(z, step.states[t], slot)
+                slot[SLOT_AGE] = 0.0
+                slot[SLOT_CONFIDENCE] = group.confidences[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def backward_weights(times: Any, mask: int, first: int, end: int, tuning: Any, order: int) -> Any:
-    """Weight of the forward output of each step in the backward output at ``first``; sum 1."""
-    a, step = coefficients(order), np.empty((order, order + 1))
-    weights, row, new = np.zeros(end - first), np.zeros(order), np.zeros(order)
-    row[0] = 1.0
-    done = -1.0
-    for i in range(end - first - 1):
-        dt = times[(first + i + 1) & mask] - times[(first + i) & mask]
-        count = substeps(dt, tuning[1])
-        if dt != done:
-            transition(a, tuning[0], dt / count, step)
-            done = dt
+@kernel(types.void(WINDOW, WORK))
+def weigh(window: Window, work: ButterworthWork) -> None:
+    """Weight of the output of each step of a window in the backward run; their sum is 1."""
+    n_steps = window.end - window.first
+    work.weights[:n_steps] = 0.0
+    work.adjoint[:] = 0.0
+    work.adjoint[0] = 1.0
+    for i in range(n_steps - 1):
+        step = window.first + i
+        dt = window.times[(step + 1) & window.mask] - window.times[step & window.mask]
+        count = _substeps(dt, window.period)
         for part in range(count):
             later = (part + 0.5) / count
-            for c in range(order):
-                new[c] = 0.0
-                weights[i] += row[c] * step[c, order] * 2.0 * (1.0 - later)
-                weights[i + 1] += row[c] * step[c, order] * 2.0 * later
-                for r in range(order):
-                    new[c] += row[r] * step[r, c]
-            for c in range(order):
-                row[c] = new[c]
-    weights[end - first - 1] += row[0]  # it starts at rest on the last output
-    return weights
+            weight = _carry_back(work.adjoint, work.polynomial, 0.5 * window.tuning * dt / count)
+            work.weights[i] += weight * (1.0 - later)
+            work.weights[i + 1] += weight * later
+    work.weights[n_steps - 1] += work.adjoint[0]  # the backward run starts at rest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sum_backwards(ring: Any, first: int, t: int, weights: Any, shift: Any, motion: Any) -> None:
-    """Weighted mean of a track's forward outputs, relative to that of ``first``, and motions.
+@kernel
+def _run_back(group: Group, k: int, window: Window, weights: Floats, motion: Floats) -> None:
+    """Write the weighted mean of a trajectory's outputs, velocities and accelerations.
 
-    Where the track ends within the window, it is taken to stay as it was last.
+    Between two measurements the output moves evenly; after the last one, at its velocity. Where
+    the trajectory ends within the window, it stays as it was last.
     """
-    mask = ring.shape[0] - 1
-    row, rest = ring[first & mask, t], 1.0
+    t, mask, first = group.first + k, window.mask, window.first
+    last = first
+    while last + 1 < window.end and window.ring[(last + 1) & mask, t, SLOT_CONTINUES] == 1.0:
+        last += 1
+    velocity, x, y, z = vector_at(window.ring[last & mask, t], SLOT_VELOCITY), 0.0, 0.0, 0.0
+    later = 0.0
+    motion[:] = 0.0
+    for step in range(window.end - 1, first - 1, -1):
+        slot = window.ring[min(step, last) & mask, t]
+        weight = weights[step - first]
+        later += weight
+        for c in range(3):
+            motion[c] += weight * slot[SLOT_VELOCITY + c]
+            motion[3 + c] += weight * slot[SLOT_ACCELERATION + c]
+        if first < step <= last:
+            if slot[SLOT_AGE] == 0.0:
+                velocity = vector_at(slot, MEAN_VELOCITY)
+            share = later * (window.times[step & mask] - window.times[(step - 1) & mask])
+            x, y, z = x + share * velocity[0], y + share * velocity[1], z + share * velocity[2]
+    slot = window.ring[first & mask, t]
+    pose, age = pose_at(slot, SLOT_POSE), slot[SLOT_AGE]
+    if age > 0.0:
+        since = age * velocity[0], age * velocity[1], age * velocity[2]
+        pose = displace(pose, since, group.angular)
+    write_pose(group, k, displace(pose, (x, y, z), group.angular))
     for c in range(3):
-        shift[c] = motion[c] = motion[3 + c] = 0.0
-    for i in range(len(weights)):
-        if i > 0:
-            later = ring[(first + i) & mask, t]
-            if later[CONTINUES] == 0.0:
-                break
-            row = later
-            for c in range(3):
-                shift[c] += rest * row[DELTA + c]
-        share = weights[i]
-        rest -= share
-        for c in range(6):
-            motion[c] += share * row[RATE + c]
-    else:
-        rest = 0.0
-    for c in range(6):
-        motion[c] += rest * row[RATE + c]
+        write_motion(group, k, c, motion[c], motion[3 + c])
 
 
-@njit(
-    "void(float64[:,:,::1], float64[::1], int64, int64, float64[::1], int64, float64,"
-    " float64[:,:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1], int64)",
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
-def butterworth_emit(
-    ring: Floats,
-    times: Floats,
-    first: int,
-    end: int,
-    tuning: Floats,
-    order: int,
-    bridge: float,
-    markers: Floats,
-    links: Floats,
-    marker_confidences: Floats,
-    link_confidences: Floats,
-    person: int,
+@kernel(types.void(PEOPLE, STEPS, PAST, SETTINGS, WORK))
+def estimate(
+    people: People,
+    steps: FilterSteps,
+    past: FilterPast,
+    settings: FilterSettings,
+    work: ButterworthWork,
 ) -> None:
-    """Write the estimate at step ``first``, given all steps before ``end``, into a frame.
+    """Write the estimates of steps, given the data until their ends."""
+    for j in range(len(steps.rows)):
+        window = window_of(steps, past, j)
+        weigh(window, work)
+        for number in range(GROUPS):
+            group = group_of(people, steps.people[j], number)
+            for k in range(len(group.elements)):
+                t = group.first + k
+                slot = window.ring[window.first & window.mask, t]
+                if not slot[SLOT_AGE] < np.inf:
+                    continue
+                if not is_shown(window, t, settings.bridge):
+                    erase(group, k)
+                    continue
+                _run_back(group, k, window, work.weights, work.motion)
+                fill_confidence(group, k, slot)
 
-    Velocity and acceleration are the forward filter's, filtered backwards like its output.
+
+def polynomial_of(order: int) -> Floats:
+    """Ascending coefficients of the normalized Butterworth polynomial, (order + 1,)."""
+    from scipy.signal import butter
+
+    return np.ascontiguousarray(butter(order, 1.0, analog=True)[1][::-1])
+
+
+def work_of(order: int, slots: int) -> ButterworthWork:
+    """Return the filter of an order, and scratch for a ring of so many slots."""
+    scratch = np.zeros((3, order)), np.zeros(order), np.zeros(slots), np.zeros(6)
+    return ButterworthWork(polynomial_of(order), *scratch)
+
+
+def gain_at(corner: float, dt: float, ahead: int, frequency: float, work: ButterworthWork) -> float:
+    """Magnitude response at a constant sample time ``dt``, s; ``ahead`` in samples, 0 = causal.
+
+    ``corner`` is the analogue filter's, rad/s; ``frequency`` in Hz.
     """
-    n_markers, n_links, mask = markers.shape[1], links.shape[1], ring.shape[0] - 1
-    pose, shift, motion = np.zeros(4), np.zeros(3), np.zeros(6)
-    weights = backward_weights(times, mask, first, end, tuning, order)
-    for block in range(4):
-        of_markers, turning, start, size = block_of(block, n_markers, n_links)
-        elements = markers[person] if of_markers else links[person]
-        confidences = (marker_confidences if of_markers else link_confidences)[person]
-        for k in range(size):
-            t = start + k
-            row = ring[first & mask, t]
-            if not row[AGE] < np.inf:
-                continue
-            if not is_present(ring, times, first, end, t, bridge):
-                erase(elements, k, turning)
-                continue
-            sum_backwards(ring, first, t, weights, shift, motion)
-            displace(shift, row, turning, pose)
-            write(elements, k, pose, motion, turning)
-            if row[AGE] > 0.0 and np.isnan(confidences[k]):
-                confidences[k] = 0.5 * row[CONFIDENCE]
+    warped = 2.0 / dt * np.tan(np.pi * frequency * dt)  # bilinear transform
+    forward = 1.0 / np.sqrt(1.0 + (warped / corner) ** (2 * len(work.adjoint)))
+    steps = np.arange(ahead + 1, dtype=np.float64)
+    weigh(Window(np.zeros((0, 0, 0)), steps * dt, -1, 0, ahead + 1, corner, dt), work)
+    backward = work.weights[: ahead + 1] @ np.exp(2j * np.pi * frequency * dt * steps)
+    return float(forward * abs(backward))
 
 
-@njit(RUN, cache=True, error_model="numpy", nogil=True)
-def run_butterworth(
-    jobs: Stamps,
-    numbers: Floats,
-    order: int,
-    settings: Floats,
-    limbs: Links,
-    markers: Floats,
-    links: Floats,
-    marker_confidences: Floats,
-    link_confidences: Floats,
-    ring: Floats,
-    times: Floats,
-    now: Floats,
-    lengths: Floats,
-    out_markers: Floats,
-    out_links: Floats,
-    out_marker_confidences: Floats,
-    out_link_confidences: Floats,
-) -> None:
-    """Do the jobs of :func:`hiros_mcap.kernels.filtering.run_state_space` with this filter."""
-    mask = ring.shape[1] - 1
-    for j in range(len(jobs)):
-        row, who, step = jobs[j, 1], jobs[j, 2], jobs[j, 3]
-        if jobs[j, 0] == PUSH:
-            times[who, step & mask] = numbers[j, 0]
-            butterworth_push(
-                markers, links, marker_confidences, link_confidences, row, ring[who], times[who],
-                step, now[who], settings[0], numbers[j, 2:], order,
-            )  # fmt: skip
-            if settings[2] > 0.0:
-                follow_lengths(markers, row, limbs, numbers[j, 1], settings[2], lengths[who])
-        else:
-            butterworth_emit(
-                ring[who], times[who], step, jobs[j, 4], numbers[j, 2:], order, settings[1],
-                out_markers, out_links, out_marker_confidences, out_link_confidences, row,
-            )  # fmt: skip
-            if settings[2] > 0.0:
-                restore_lengths(
-                    out_markers, row, limbs, lengths[who], int(settings[3]), settings[4]
-                )
+def tune(order: int, cutoff: float, dt: float, ahead: int) -> float:
+    """Corner, rad/s, that puts the -3 dB point of :func:`gain_at` at ``cutoff``, Hz."""
+    from scipy.optimize import brentq
+
+    work, middle = work_of(order, ahead + 1), np.log(2.0 * np.pi * cutoff)
+
+    def excess(corner: float) -> float:
+        return float(gain_at(np.exp(corner), dt, ahead, cutoff, work) - np.sqrt(0.5))
+
+    return float(np.exp(brentq(excess, middle - 1.0, middle + 5.0, xtol=1e-13)))
+
+
+METHOD = FilterMethod(
+    tune=tune,
+    update=update,
+    estimate=estimate,
+    work=work_of,
+    state_columns=lambda order: DERIVATIVES + 3 * (order - 1),
+    slot_columns=SLOT_COLUMNS,
+)

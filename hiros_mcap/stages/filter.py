@@ -1,17 +1,17 @@
 """Skeleton filter (Hi-ROS 2023, section 3.4): smooth trajectories, velocities, accelerations.
 
-Each marker and link of a person is a track of its own, filtered at the person's source times by
-one of two filters with a free cut-off and order. With a look-ahead (the default) the estimate at
-time t also uses the data up to t + lookahead: no lag and less error than the input, where a
-strictly causal filter of the same smoothness adds error (benchmarks/bench_filter.py). Frames come
-out in the order they came in, each with the log time of the frame that completed its look-ahead.
+Each marker and link of a person has a trajectory, filtered at the person's own times by one of two
+filters with a free cut-off and order. With a look-ahead (the default) the estimate at time t also
+uses the data until t + lookahead: no lag and less error than the input, where a strictly causal
+filter of the same smoothness adds error (benchmarks/bench_filter.py). Frames come out in the order
+they came in. Each is logged when its look-ahead is complete.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Literal, NamedTuple, Self
 
@@ -19,26 +19,29 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, frames_of, join, most_often
-from hiros_mcap.kernels import filtering as _filters
-from hiros_mcap.params import Params
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel
-from hiros_mcap.stages.bank import ArrayBank
+from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.kernels import state_space
+from hiros_mcap.kernels.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
+from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.delay import Delay
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
 _INTERVALS = 31
-"""Number of intervals whose median is taken as the sample time."""
-_RETUNE = 0.1
-"""Relative change of the sample time, once well known, that makes the filter be designed anew."""
+"""Number of intervals whose median is the sample time."""
+_REDESIGN = 0.1
+"""Relative change of the sample time, once well known, at which the filter is designed anew."""
 _SHORTEST = 0.002
 """Least sample time in s to design for; nothing that sees people is faster."""
 _HIGHEST = 0.4
 """Highest cut-off over the sample rate; half of the rate cannot be filtered at all."""
-_AT_ONCE = 16
-"""Most frames that are filtered in one call: each takes room in the rings."""
-_SWEEPS, _TOLERANCE = 30, 2e-3
-"""Limit of the projections onto the limb lengths, and their relative accuracy."""
+_BATCH = 16
+"""Most frames that are filtered in one call: each takes a slot of the rings."""
+_SLOTS = 4
+"""Slots of the rings at first."""
 
 
 class FilterParams(Params):
@@ -47,21 +50,14 @@ class FilterParams(Params):
     method: Literal["state_space", "butterworth"] = Field(
         "state_space",
         description="state_space: Kalman filter of integrated white noise, no lag on steady "
-        "motion. butterworth: maximally flat, any order, lags unless it looks ahead.",
+        "motion. butterworth: maximally flat, any order; lags unless it looks ahead.",
     )
     cutoff: float = Field(
         4.5,
         gt=0,
         description="Frequency in Hz at which the whole filter, look-ahead included, is at -3 dB. "
         "Human motion with merged-camera noise has its least error at 4 to 5 Hz "
-        "(benchmarks/bench_filter.py); Winter 2009 gives 6 to 10 Hz for marker-based capture.",
-    )
-    order: int = Field(
-        2,
-        ge=1,
-        le=10,
-        description="Order. state_space: 2 = constant velocity, 3 = constant acceleration "
-        "(sharper, and a better acceleration); butterworth: any.",
+        "(benchmarks/bench_filter.py). Winter 2009 gives 6 to 10 Hz for marker-based capture.",
     )
     lookahead: float = Field(
         0.3,
@@ -69,28 +65,34 @@ class FilterParams(Params):
         description="s of data after an instant that its estimate uses. 0 = strictly causal. More "
         "than 1 / cutoff changes nothing at order 2 or 3; a high order rings for longer.",
     )
-    bridge: float = Field(
+    order: int = advanced(
+        2,
+        ge=1,
+        le=10,
+        description="Order. state_space: 2 = constant velocity, 3 = constant acceleration "
+        "(sharper, and a better acceleration). butterworth: any.",
+    )
+    bridge: float = advanced(
         0.2,
         ge=0,
-        description="s for which a marker or link may be missing and is filled in, with half of "
-        "its last confidence. A gap must end within the look-ahead to be known as this short.",
+        description="s for which a missing marker or link is filled in, with half of its last "
+        "confidence. A longer gap is left empty; its length is known only within the look-ahead.",
     )
-    max_gap: float = Field(
+    max_gap: float = advanced(
         1.0,
         gt=0,
         description="s without data after which a person, a marker or a link starts anew.",
     )
-    keep_lengths: bool = Field(
+    keep_lengths: bool = advanced(
         True,
-        description="Give each link the length that it has in the input, averaged over "
-        "length_time; smoothing each joint on its own shortens limbs that swing.",
+        description="Give each link the mean length that it has in the input. To smooth each "
+        "joint on its own shortens limbs that swing.",
     )
-    length_time: float = Field(
+    length_time: float = advanced(
         2.0,
         gt=0,
-        description="Time constant in s of the average of the link lengths. Longer is slightly "
-        "better where nothing has corrected the lengths before, and slower to follow a new "
-        "calibration.",
+        description="Time constant in s of the mean length of a link. Longer is slightly better "
+        "where no earlier stage corrects the lengths, and slower to follow a new calibration.",
     )
 
     @model_validator(mode="after")
@@ -98,38 +100,6 @@ class FilterParams(Params):
         if self.method == "state_space" and self.order not in (2, 3):
             raise ValueError("order of a state-space filter must be 2 or 3")
         return self
-
-
-@dataclass(frozen=True, slots=True)
-class _Method:
-    """The kernels of one filter and the number of columns that they keep per track."""
-
-    tune: Callable[[int, float, float, int], float]
-    run: Callable[..., None]
-    ring_columns: int
-    state_columns: int
-    age_column: int
-
-
-def _method(params: FilterParams) -> _Method:
-    """Kernels of the chosen filter; those of the other one are not even compiled."""
-    if params.method == "state_space":
-        return _Method(
-            _filters.state_space_noise,
-            _filters.run_state_space,
-            _filters.COLUMNS,
-            _filters.STATE,
-            _filters.NOW_AGE,
-        )
-    from hiros_mcap.kernels import butterworth
-
-    return _Method(
-        butterworth.butterworth_rate,
-        butterworth.run_butterworth,
-        butterworth.COLUMNS,
-        butterworth.STATE + 3 * (params.order - 1),
-        butterworth.NOW_AGE,
-    )
 
 
 def filter_frames(
@@ -142,8 +112,8 @@ def filter_frames(
 
     Parameters
     ----------
-    frames : tracked, merged or optimised frames, stamps in ns not decreasing; people are told
-        apart by (source, id). Untracked people (-1) pass through unchanged.
+    frames : tracked, merged or optimized frames, stamps in ns not decreasing. A person is known
+        by source and id. Untracked people (-1) pass through unchanged.
     model : the skeleton; its links are the limbs whose lengths are kept.
     params : see :class:`FilterParams`.
     events : counts "filter: time not increasing" (a person passed unchanged) and "filter: cut-off
@@ -166,266 +136,257 @@ def filter_blocks(
     events: Events | None = None,
 ) -> Iterator[Block]:
     """Do what :func:`filter_frames` does, a block at a time."""
-    run = _Run(model, params, Events() if events is None else events)
+    skeletons = _SkeletonFilter(model, params, Events() if events is None else events)
     for block in blocks:
-        for start in range(0, len(block), _AT_ONCE):
-            yield from run.take(block, range(start, min(start + _AT_ONCE, len(block))))
-    yield from run.rest()
+        for start in range(0, len(block), _BATCH):
+            yield from skeletons.update(block, range(start, min(start + _BATCH, len(block))))
+    yield from skeletons.rest()
 
 
-class _Waiting(NamedTuple):
-    """A frame whose look-ahead is not complete, and where each filtered person's data are."""
+class _SkeletonFilter:
+    """The filters of all people, and the frames whose look-ahead is not complete."""
 
-    part: Part
-    stamp: int
-    source: str
-    people: list[tuple[int, _Person, int]]
-    """Row in the frame, who, and the number of the step."""
+    def __init__(self, model: SkeletonModel, params: FilterParams, events: Events) -> None:
+        self._params, self._events, self._method = params, events, _method(params)
+        self._settings = FilterSettings(params.order, params.max_gap, params.bridge)
+        self._links = np.ascontiguousarray(model.links)
+        self._bank = Bank(
+            _nobody(model, params.order, self._method), params.max_gap + params.lookahead
+        )
+        self._work = self._method.work(params.order, _SLOTS)
+        self._people: dict[tuple[str, int], _FilteredPerson] = {}
+        self._n_people = 0
+        self._sample_times: dict[str, _SampleTime] = {}
+        self._delay: Delay[_HeldFrame] = Delay(max(params.lookahead - _JITTER, 0.0))
+        self._last: tuple[int, int] | None = None
+        """Stamp and log time of the latest frame."""
+
+    def update(self, block: Block, frames: Iterable[int]) -> Iterator[Block]:
+        """Filter some frames of a block; yield those whose look-ahead is complete."""
+        plan = _FilterPlan()
+        for i in frames:
+            stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
+            if self._last and stamp - self._last[0] > self._params.max_gap * 1e9:
+                self._estimate(plan, self._delay.rest(), self._last[1])  # nothing waits over a gap
+            self._delay.push(stamp, self._add(plan, (block, i), stamp))
+            self._estimate(plan, self._delay.release(stamp, lambda held: False), log_time)
+            self._last = stamp, log_time
+        yield from self._carry_out(plan, block.people)
+
+    def rest(self) -> Iterator[Block]:
+        """Yield the frames that are left, after the last one of the log."""
+        plan = _FilterPlan()
+        if self._last:
+            self._estimate(plan, self._delay.rest(), self._last[1])
+            yield from self._carry_out(plan, None)
+
+    def _carry_out(self, plan: _FilterPlan, people: People | None) -> Iterator[Block]:
+        """Take the measurements of ``people``, then write the estimates that are due."""
+        self._reserve(plan)
+        past, settings, work = self._bank.past, self._settings, self._work
+        if people is not None:
+            steps = plan.updates(past)
+            self._method.update(people, steps, past, settings, work)  # predict, correct
+            if self._params.keep_lengths:
+                average_lengths(people, steps, past, self._links, self._params.length_time)
+        if plan.done:
+            out, steps = join(plan.done), plan.estimates()
+            self._method.estimate(out.people, steps, past, settings, work)  # fixed-lag smoothing
+            if self._params.keep_lengths:
+                restore_lengths(out.people, steps, past, self._links)
+            yield replace(out, log_times=np.array(plan.log_times, np.int64))
+        self._forget()
+
+    def _add(self, plan: _FilterPlan, part: Part, stamp: int) -> _HeldFrame:
+        """Plan a step of everybody in a frame."""
+        block, i = part
+        source = block.sources[i]
+        if source not in self._sample_times:
+            self._sample_times[source] = _SampleTime(self._params, self._method, source)
+        sample_time = self._sample_times[source]
+        sample_time.update(stamp, self._events)
+        begin, end = block.rows[i].tolist()
+        ids, times = block.people.ids[begin:end].tolist(), block.people.stamps[begin:end].tolist()
+        steps = []
+        for row, (identity, given) in enumerate(zip(ids, times, strict=True)):
+            if identity == UNTRACKED:
+                continue
+            time = given or stamp
+            person = self._person((source, identity), stamp, time)
+            if person.n_steps and time <= person.stamp:
+                self._events.count("filter: time not increasing", source)
+                continue
+            bank_row = self._bank.row(person.number, stamp)
+            plan.update(begin + row, bank_row, person, time, sample_time)
+            steps.append((row, person, person.n_steps - 1))
+        return _HeldFrame(part, end - begin, steps, sample_time)
+
+    def _person(self, key: tuple[str, int], stamp: int, time: int) -> _FilteredPerson:
+        """Return who goes on, or starts anew after a long gap."""
+        person = self._people.get(key)
+        gap = stamp - self._bank.last_seen[person.number] if person else np.inf
+        if person is None or gap > self._params.max_gap * 1e9:
+            person = self._people[key] = _FilteredPerson(self._n_people, time, time)
+            self._n_people += 1
+        return person
+
+    def _estimate(self, plan: _FilterPlan, frames: Iterable[_HeldFrame], log_time: int) -> None:
+        """Plan to write the estimates of frames, with all the data so far."""
+        for held in frames:
+            for row, person, step in held.people:
+                bank_row = self._bank.rows[person.number]
+                plan.estimate(row, bank_row, person, step, held.sample_time)
+            plan.finish(held, log_time)
+
+    def _reserve(self, plan: _FilterPlan) -> None:
+        """Let the rings hold all steps that are waited for, and the one before."""
+        needed = plan.most_steps() + 1
+        past = self._bank.past
+        while past.ring.shape[1] < needed:
+            # Twice the same: wherever a step belongs in the longer ring, there it is.
+            ring, times, lengths = (np.concatenate([a, a], axis=1) for a in past[1:])
+            past = FilterPast(past.states, ring, times, lengths)
+        if past is not self._bank.past:
+            self._bank.past = past
+            self._work = self._method.work(self._params.order, past.ring.shape[1])
+
+    def _forget(self) -> None:
+        """Forget those who left."""
+        if self._last and self._bank.expire(self._last[0]):
+            rows = self._bank.rows
+            self._people = {key: p for key, p in self._people.items() if p.number in rows}
 
 
-class _Rhythm:
-    """The sample time of one source and the filter tuned to it."""
+def _method(params: FilterParams) -> FilterMethod:
+    """Return the chosen filter; Butterworth's kernels are compiled only where it is chosen."""
+    if params.method == "state_space":
+        return state_space.METHOD
+    from hiros_mcap.kernels import butterworth
 
-    def __init__(self, params: FilterParams, method: _Method, events: Events, source: str) -> None:
-        self._params, self._method, self._events, self._source = params, method, events, source
+    return butterworth.METHOD
+
+
+def _nobody(model: SkeletonModel, order: int, method: FilterMethod) -> FilterPast:
+    n = 2 * (model.n_markers + model.n_links)
+    return FilterPast(
+        states=np.zeros((0, n, method.state_columns(order))),
+        ring=np.zeros((0, _SLOTS, n, method.slot_columns)),
+        times=np.zeros((0, _SLOTS)),
+        lengths=np.zeros((0, _SLOTS, model.n_links, 2)),
+    )
+
+
+class _SampleTime:
+    """The sample time of one source, and the filter that is designed for it."""
+
+    def __init__(self, params: FilterParams, method: FilterMethod, source: str) -> None:
+        self._params, self._method, self._source = params, method, source
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
         self._stamp: int | None = None
-        self._tuned_to = 0.0
+        self._designed_for = 0.0
         self.period = 1 / 30
-        self.tuning = 0.0, 0.0
-        self._tune()
+        self.tuning = 0.0
 
-    def beat(self, stamp: int) -> None:
-        """Note a frame; design the filter anew when the sample time has changed."""
+    def update(self, stamp: int, events: Events) -> None:
+        """Add a frame; design the filter anew if the sample time has changed."""
         if self._stamp is not None and 0 < stamp - self._stamp <= self._params.max_gap * 1e9:
             self._intervals.append((stamp - self._stamp) * 1e-9)
             self.period = max(median(self._intervals), _SHORTEST)
         self._stamp = stamp
-        doubt = _RETUNE * (_INTERVALS / max(len(self._intervals), 1)) ** 0.5
-        first = len(self._intervals) == 1 and self.period != self._tuned_to
-        if first or abs(self.period - self._tuned_to) > doubt * self._tuned_to:
-            self._tune()
+        change = abs(self.period - self._designed_for)
+        # The median of few intervals is not well known, but one is better than none.
+        tolerance = _REDESIGN * (_INTERVALS / max(len(self._intervals), 1)) ** 0.5
+        is_first = len(self._intervals) == 1 and change > 0
+        if is_first or change > tolerance * self._designed_for:
+            self._design(events)
 
-    def _tune(self) -> None:
-        params, period = self._params, self.period
-        cutoff = min(params.cutoff, _HIGHEST / period)
+    def _design(self, events: Events) -> None:
+        params, self._designed_for = self._params, self.period
+        cutoff = min(params.cutoff, _HIGHEST / self.period)
         if cutoff < params.cutoff:
-            self._events.count("filter: cut-off lowered", self._source)
-        ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / period))
-        corner = self._method.tune(params.order, cutoff, period, ahead)
-        self.tuning = corner, period
-        self._tuned_to = period
+            events.count("filter: cut-off lowered", self._source)
+        ahead = int(np.ceil(max(params.lookahead - _JITTER, 0.0) / self.period))
+        self.tuning = self._method.tune(params.order, cutoff, self.period, ahead)
 
 
 @dataclass(slots=True, eq=False)
-class _Person:
-    """How far the filters of one person are; their numbers are a row of the bank."""
+class _FilteredPerson:
+    """How far the filters of one person are."""
 
-    row: int
+    number: int
+    """In the bank; whoever comes back after a long gap gets a new one."""
     start: int
     """Time of the first step, ns."""
     stamp: int
-    """Time of the last one."""
+    """Time of the latest step, ns."""
     n_steps: int = 0
-    first: int = 0
-    """The step that is estimated next."""
+    n_estimated: int = 0
+    """Steps whose estimates are written."""
 
 
-class _Bank(ArrayBank):
-    """The filters of all people."""
+class _HeldFrame(NamedTuple):
+    """A frame whose look-ahead is not complete."""
 
-    ARRAYS = ("now", "ring", "times", "lengths")
-
-    def __init__(self, model: SkeletonModel, method: _Method) -> None:
-        super().__init__()
-        self._method = method
-        n_tracks = 2 * (model.n_markers + model.n_links)
-        self.now: Floats = np.zeros((0, n_tracks, method.state_columns))
-        self.ring: Floats = np.zeros((0, 4, n_tracks, method.ring_columns))
-        """The steps that are still waited for, and the one before."""
-        self.times: Floats = np.zeros((0, 4))
-        """s since the person's start, of the steps in the ring."""
-        self.lengths: Floats = np.zeros((0, model.n_links, 2))
-
-    def take(self) -> int:
-        """Return a row for a person who has no steps yet."""
-        row = super().take()
-        for array in (self.now, self.ring, self.times, self.lengths):
-            array[row] = 0.0
-        self.now[row, :, self._method.age_column] = np.inf
-        self.ring[row, :, :, _filters.AGE] = np.inf
-        return row
-
-    def make_room(self, steps: int, people: Iterable[_Person]) -> None:
-        """Let the ring hold so many steps of everybody, keeping those of ``people``."""
-        size = self.ring.shape[1]
-        if steps <= size:
-            return
-        while size < steps:
-            size *= 2
-        ring = np.zeros((len(self.ring), size, *self.ring.shape[2:]))
-        ring[..., _filters.AGE] = np.inf
-        times = np.zeros((len(self.times), size))
-        for person in people:
-            steps_kept = np.arange(max(person.first - 1, 0), person.n_steps)
-            old, new = steps_kept % self.ring.shape[1], steps_kept % size
-            ring[person.row, new] = self.ring[person.row, old]
-            times[person.row, new] = self.times[person.row, old]
-        self.ring, self.times = ring, times
+    part: Part
+    n_rows: int
+    people: list[tuple[int, _FilteredPerson, int]]
+    """Row in the frame, who, and the number of the step."""
+    sample_time: _SampleTime
 
 
-@dataclass(slots=True)
-class _Jobs:
-    """What the kernel is to do, one after the other."""
+class _FilterPlan:
+    """What the kernels are to do with a batch of frames."""
 
-    places: list[tuple[int, int, int, int, int]] = field(default_factory=list)
-    """Kind, row of the person's pose, row in the bank, step, step before which data end."""
-    numbers: list[tuple[float, float, float, float]] = field(default_factory=list)
-    """Time of the step and since the last one, s; tuning."""
-    done: list[Part] = field(default_factory=list)
-    log_times: list[int] = field(default_factory=list)
-    """Of the frames that are complete then."""
-    rows: int = 0
-    """People in these."""
+    def __init__(self) -> None:
+        self.done: list[Part] = []
+        """Frames whose look-ahead is complete."""
+        self.log_times: list[int] = []
+        """Of these frames, ns."""
+        self._n_rows = 0
+        self._updates: list[tuple[float, ...]] = []
+        self._estimates: list[tuple[float, ...]] = []
+        self._times: list[float] = []
+        self._first: dict[_FilteredPerson, int] = {}
+        """The first step of each person that is estimated in this batch or later."""
+
+    def update(
+        self, row: int, bank_row: int, person: _FilteredPerson, time: int, sample: _SampleTime
+    ) -> None:
+        """Add a step of a person, measured at ``time``, ns."""
+        self._first.setdefault(person, person.n_estimated)
+        self._times.append((time - person.start) * 1e-9)
+        step, person.stamp, person.n_steps = person.n_steps, time, person.n_steps + 1
+        self._updates.append((row, bank_row, step, step + 1, sample.tuning, sample.period))
+
+    def estimate(
+        self, row: int, bank_row: int, person: _FilteredPerson, step: int, sample: _SampleTime
+    ) -> None:
+        """Add the estimate of a step, with all the data of the person so far."""
+        self._first.setdefault(person, person.n_estimated)
+        person.n_estimated, row, end = step + 1, self._n_rows + row, person.n_steps
+        self._estimates.append((row, bank_row, step, end, sample.tuning, sample.period))
+
+    def finish(self, held: _HeldFrame, log_time: int) -> None:
+        """Add a frame whose estimates are all planned."""
+        self.done.append(held.part)
+        self.log_times.append(log_time)
+        self._n_rows += held.n_rows
+
+    def most_steps(self) -> int:
+        """Most steps of a person that the kernels need at once."""
+        return max((p.n_steps - first for p, first in self._first.items()), default=0)
+
+    def updates(self, past: FilterPast) -> FilterSteps:
+        """Return the steps to add, after writing their times into the ring."""
+        steps = _columns(self._updates)
+        past.times[steps.rows, steps.steps & (past.times.shape[1] - 1)] = self._times
+        return steps
+
+    def estimates(self) -> FilterSteps:
+        """Return the steps to estimate; rows of people are those of the joined frames."""
+        return _columns(self._estimates)
 
 
-class _Frames:
-    """A block, with what is asked for one by one as lists, which is faster."""
-
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        self.stamps, self.log_times = block.stamps.tolist(), block.log_times.tolist()
-        self.rows = block.rows.tolist()
-        self.ids, self.times = block.people.ids.tolist(), block.people.stamps.tolist()
-
-
-class _Run:
-    """One pass of the filter over a log."""
-
-    def __init__(self, model: SkeletonModel, params: FilterParams, events: Events) -> None:
-        self._params, self._events = params, events
-        self._method = _method(params)
-        self._bank = _Bank(model, self._method)
-        self._limbs = np.ascontiguousarray(model.links)
-        self._people: dict[tuple[str, int], _Person] = {}
-        self._leaving: list[_Person] = []
-        """Who gets no more steps but may be waited for."""
-        self._rhythms: dict[str, _Rhythm] = {}
-        self._waiting: deque[_Waiting] = deque()
-        self._patience = max(params.lookahead - _JITTER, 0.0) * 1e9
-        self._last: tuple[int, int] | None = None
-        """Stamp and log time of the last frame."""
-
-    def take(self, block: Block, places: Sequence[int]) -> Iterator[Block]:
-        """Update the filters with frames of a block; yield the frames that are complete."""
-        everybody = [*self._people.values(), *self._leaving]
-        held = max((p.n_steps - p.first for p in everybody), default=0)
-        frames = _Frames(block)
-        new = sum(most_often(frames.ids[slice(*frames.rows[i])]) for i in places)
-        # And the step before the first.
-        self._bank.make_room(held + new + 2, everybody)
-        jobs = _Jobs()
-        for i in places:
-            stamp, log_time = frames.stamps[i], frames.log_times[i]
-            if self._last and stamp - self._last[0] > self._params.max_gap * 1e9:
-                while self._waiting:
-                    self._finish(jobs, self._last[1])
-            self._waiting.append(self._push(jobs, frames, i))
-            while self._waiting and stamp - self._waiting[0].stamp >= self._patience:
-                self._finish(jobs, log_time)
-            self._last = stamp, log_time
-        yield from self._carry_out(jobs, block.people)
-
-    def rest(self) -> Iterator[Block]:
-        """Yield the frames that are left, now that nothing more comes."""
-        jobs = _Jobs()
-        if self._waiting and self._last:
-            people = self._waiting[0].part[0].people
-            while self._waiting:
-                self._finish(jobs, self._last[1])
-            yield from self._carry_out(jobs, people)
-
-    def _push(self, jobs: _Jobs, frames: _Frames, i: int) -> _Waiting:
-        """Plan the steps of the people of a frame."""
-        stamp, source = frames.stamps[i], frames.block.sources[i]
-        rhythm = self._rhythms.get(source)
-        if rhythm is None:
-            rhythm = self._rhythms[source] = _Rhythm(
-                self._params, self._method, self._events, source
-            )
-        rhythm.beat(stamp)
-        self._forget(stamp)
-        begin, end = frames.rows[i]
-        found = []
-        for row in range(end - begin):
-            identity, given = frames.ids[begin + row], frames.times[begin + row]
-            if identity == UNTRACKED:
-                continue
-            now = given or stamp
-            person = self._person((source, identity), now)
-            if person is None:
-                self._events.count("filter: time not increasing", source)
-                continue
-            before = person.stamp if person.n_steps else now - int(rhythm.period * 1e9)
-            step, person.stamp = person.n_steps, now
-            person.n_steps += 1
-            jobs.places.append((_filters.PUSH, begin + row, person.row, step, 0))
-            jobs.numbers.append(
-                ((now - person.start) * 1e-9, (now - before) * 1e-9, *rhythm.tuning)
-            )
-            found.append((row, person, step))
-        return _Waiting((frames.block, i), stamp, source, found)
-
-    def _forget(self, stamp: int) -> None:
-        limit = stamp - self._params.max_gap * 1e9
-        for key in [key for key, person in self._people.items() if person.stamp < limit]:
-            self._leaving.append(self._people.pop(key))
-
-    def _person(self, key: tuple[str, int], stamp: int) -> _Person | None:
-        """Return who goes on, or starts anew after a gap; None when time stands still."""
-        person = self._people.get(key)
-        if person is not None and stamp <= person.stamp:
-            return None
-        if person is not None and stamp - person.stamp > self._params.max_gap * 1e9:
-            self._leaving.append(person)
-            person = None
-        if person is None:
-            person = self._people[key] = _Person(self._bank.take(), stamp, stamp)
-        return person
-
-    def _finish(self, jobs: _Jobs, log_time: int) -> None:
-        """Plan to write the estimates of the frame that waits longest, with all the data so far."""
-        waiting = self._waiting.popleft()
-        tuning = self._rhythms[waiting.source].tuning
-        for row, person, step in waiting.people:
-            jobs.places.append((_filters.EMIT, jobs.rows + row, person.row, step, person.n_steps))
-            jobs.numbers.append((0.0, 0.0, *tuning))
-            person.first = step + 1
-        block, i = waiting.part
-        jobs.rows += int(block.rows[i, 1] - block.rows[i, 0])
-        jobs.done.append(waiting.part)
-        jobs.log_times.append(log_time)
-
-    def _carry_out(self, jobs: _Jobs, people: People) -> Iterator[Block]:
-        """Do as planned; ``people`` are those whose steps are."""
-        params, bank = self._params, self._bank
-        out = join(jobs.done) if jobs.done else None
-        into = people if out is None else out.people
-        self._method.run(
-            np.array(jobs.places, np.int64).reshape(-1, 5),
-            np.array(jobs.numbers, np.float64).reshape(-1, 4),
-            params.order,
-            np.array([
-                params.max_gap, params.bridge, params.length_time if params.keep_lengths else 0.0,
-                _SWEEPS, _TOLERANCE,
-            ]),
-            self._limbs, people.markers, people.links, people.marker_confidences,
-            people.link_confidences, bank.ring, bank.times, bank.now, bank.lengths, into.markers,
-            into.links, into.marker_confidences, into.link_confidences,
-        )  # fmt: skip
-        for person in self._leaving:
-            if person.first == person.n_steps:
-                bank.give_back(person.row)
-        self._leaving = [person for person in self._leaving if person.first < person.n_steps]
-        if out is not None:
-            yield replace(out, log_times=np.array(jobs.log_times, np.int64))
+def _columns(rows: list[tuple[float, ...]]) -> FilterSteps:
+    columns = np.array(rows, np.float64).reshape(-1, 6).T
+    return FilterSteps(*columns[:4].astype(np.int64, order="C"), *columns[4:].copy())

@@ -3,13 +3,16 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.kernels.filtering import restore_lengths
+from hiros_mcap.kernels.link_lengths import project
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.filter import FilterParams, filter_blocks, filter_frames
+from hiros_mcap.stages.filter import FilterParams, _SkeletonFilter, filter_blocks, filter_frames
 
 MODEL = SkeletonModel.of(["root", "hand"], [("arm", 0, 1)])
 METHODS = [("state_space", 2), ("state_space", 3)] + [("butterworth", n) for n in (1, 2, 3, 4, 8)]
@@ -189,7 +192,7 @@ def test_angular_velocity_is_in_the_fixed_frame(lookahead):
     z, w = turned(2 * times)[:, 2], turned(2 * times)[:, 3]
     turns = np.stack(
         [w * tilt[0], z * tilt[0], z * tilt[3], w * tilt[3]], axis=-1
-    )  # about the room's z after a tilt about x
+    )  # about the fixed z after a tilt about x
     out = list(filter_frames(along(times, times, turns), MODEL, params(lookahead=lookahead)))
     np.testing.assert_allclose(out[40].links[0, 0, 10:13], (0, 0, 2), atol=1e-3)
     np.testing.assert_allclose(out[40].links[0, 0, 16:19], 0, atol=1e-2)
@@ -363,7 +366,7 @@ def test_never_changes_its_input_and_repeats_itself():
         assert a.markers.tobytes() == b.markers.tobytes()
 
 
-def test_moving_the_room_moves_the_result():
+def test_shift_moves_the_result():
     rng = np.random.default_rng(11)
     points = rng.normal(size=(40, 3))
     here = [frame_at(k / 30, p, p + np.array((0, 0.3, 0))) for k, p in enumerate(points)]
@@ -392,7 +395,7 @@ def test_lengths_are_restored_on_a_graph_with_a_loop_and_missing_ends():
     markers = np.full((1, 4, 19), np.nan)
     markers[0, :3, :3] = [(0, 0, 0), (1.2, 0, 0), (0.5, 0.7, 0)]
     middle = markers[0, :3, :3].mean(axis=0)
-    restore_lengths(markers, 0, links, lengths, 100, 1e-9)
+    project(markers[0], links, lengths, 100, 1e-9)
     sides = markers[0, [1, 2, 0], :3] - markers[0, :3, :3]
     np.testing.assert_allclose(np.linalg.norm(sides, axis=1), 1, atol=1e-8)
     np.testing.assert_allclose(markers[0, :3, :3].mean(axis=0), middle, atol=1e-12)
@@ -427,3 +430,177 @@ def test_no_frames_and_empty_frames():
 def test_state_space_is_of_order_2_or_3(order):
     with pytest.raises(ValidationError, match="2 or 3"):
         FilterParams(method="state_space", order=order)
+
+
+@pytest.mark.parametrize("lookahead", LOOKAHEADS)
+@pytest.mark.parametrize(("method", "order"), METHODS)
+@pytest.mark.parametrize(("away", "restarts"), [(0.8, False), (1.2, True)])
+def test_marker_goes_on_after_a_gap_shorter_than_max_gap(method, order, lookahead, away, restarts):
+    times = np.arange(90) / 30
+    frames = along(times, times)
+    for f in frames:
+        if 1.0 < (f.stamp - START) * 1e-9 < 1.0 + away:
+            f.markers[0, 0] = np.nan
+    p = params(method, order, lookahead=lookahead, bridge=0.0)
+    back = int(30 * (1.0 + away) + 0.999)
+    velocity = [f.markers[0, 0, 7] for f in filter_frames(frames[: back + 1], MODEL, p)]
+    assert np.isnan(velocity[back - 1])
+    assert velocity[back] == pytest.approx(0.0 if restarts else 1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 8])
+def test_butterworth_does_not_ring_after_a_long_interval(order):
+    times = np.concatenate([np.arange(30) / 30, 1.8 + np.arange(30) / 30])
+    out = run(
+        along(times, np.where(times > 1.5, 1.0, 0.0)), params("butterworth", order, lookahead=0)
+    )
+    assert np.abs(out[30:] - 1.0).max() < 0.25
+
+
+@pytest.mark.parametrize("method", ["state_space", "butterworth"])
+def test_confidence_of_what_is_filled_in_is_half_of_the_last_and_others_keep_theirs(method):
+    frames = along(np.arange(30) / 30, np.zeros(30))
+    for f in frames:
+        f.marker_confidences[0] = 0.6, 0.9
+    frames[10].markers[0, 0], frames[10].marker_confidences[0, 0] = np.nan, np.nan
+    out = list(filter_frames(frames, MODEL, params(method)))
+    assert out[10].marker_confidences[0].tolist() == [0.3, 0.9]
+    assert out[11].marker_confidences[0].tolist() == [0.6, 0.9]
+
+
+@pytest.mark.parametrize("bridge", [0.1, 0.2])
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_gap_is_filled_in_if_and_only_if_it_is_no_longer_than_bridge(method, order, bridge):
+    """A gap of k frames at 30 Hz lasts (k + 1) / 30 s."""
+    for k in range(1, 8):
+        frames = along(np.arange(60) / 30, np.zeros(60))
+        for f in frames[20 : 20 + k]:
+            f.markers[0, 0] = np.nan
+        x = run(frames, params(method, order, bridge=bridge + 1e-6))
+        assert np.isnan(x).sum() == (0 if (k + 1) / 30 <= bridge + 1e-6 else k)
+
+
+@pytest.mark.parametrize(("method", "order"), METHODS)
+def test_gap_on_a_straight_line_is_filled_in_on_it(method, order):
+    times = np.arange(90) / 30
+    frames = along(times, times, turned(times))
+    for f in frames[50:54]:
+        f.markers[0, 0] = f.links[0, 0] = np.nan
+    out = list(filter_frames(frames, MODEL, params(method, order)))[50:54]
+    np.testing.assert_allclose([f.markers[0, 0, 0] for f in out], times[50:54], atol=0.02)
+    angles = [2 * np.arcsin(f.links[0, 0, 5]) for f in out]
+    np.testing.assert_allclose(angles, times[50:54], atol=0.02)
+    np.testing.assert_allclose([f.markers[0, 0, 7] for f in out], 1.0, atol=0.1)
+
+
+def test_lengths_follow_the_input_with_their_time_constant():
+    """A limb of .3 m that is .4 m from 5 s on: 1 - 1/e of the change after length_time."""
+    frames = [frame_at(k / 30, hand=(0.3 if k < 150 else 0.4, 0, 0)) for k in range(240)]
+    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0, length_time=1.0)))
+    lengths = [f.markers[0, 1, 0] - f.markers[0, 0, 0] for f in out]
+    assert lengths[149] == pytest.approx(0.3, abs=1e-6)
+    assert lengths[179] == pytest.approx(0.4 - 0.1 / math.e, abs=0.002)
+
+
+def test_first_lengths_are_the_plain_mean():
+    frames = [frame_at(k / 30, hand=(0.3 + 0.02 * (k % 2), 0, 0)) for k in range(40)]
+    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0)))
+    lengths = [f.markers[0, 1, 0] - f.markers[0, 0, 0] for f in out]
+    assert lengths[39] == pytest.approx(0.31, abs=0.0007)
+
+
+def test_people_who_left_are_forgotten():
+    skeletons = _SkeletonFilter(MODEL, FilterParams(), Events())
+    for k in range(600):
+        list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,))), [0]))
+    assert len(skeletons._people) == len(skeletons._bank.rows) <= 3
+    assert len(skeletons._bank.past.ring) == 8
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"method": "butterworth"}, {"cutoff": 6.0}, {"lookahead": 0.1}, {"order": 3},
+        {"bridge": 0.0}, {"max_gap": 0.2}, {"keep_lengths": False}, {"length_time": 0.2},
+    ],
+    ids=lambda change: next(iter(change)),
+)  # fmt: skip
+def test_every_parameter_changes_something(change):
+    points = np.random.default_rng(12).normal(size=(60, 3))
+    frames = [frame_at(k / 30, p, -p) for k, p in enumerate(points)]
+    for f in frames[20:24] + frames[40:50]:
+        f.markers[0, 0] = np.nan
+    some, others = (
+        [f.markers for f in filter_frames(frames, MODEL, p)]
+        for p in (FilterParams(), FilterParams.model_validate(change))
+    )
+    assert not np.array_equal(some, others, equal_nan=True)
+
+
+# Laws, for any method, sample times and noise.
+CHOICES = st.builds(
+    lambda method, lookahead: params(*method, lookahead=lookahead),
+    st.sampled_from(METHODS), st.sampled_from([0.0, 0.1, 0.3]),
+)  # fmt: skip
+INTERVALS = st.lists(st.floats(0.01, 0.3), min_size=25, max_size=40)
+COORDINATES = st.tuples(*[st.floats(-5, 5)] * 3)
+ROTATIONS = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(rng=seed))
+few = settings(max_examples=25, deadline=None)
+
+
+@few
+@given(CHOICES, INTERVALS, COORDINATES, ROTATIONS)
+def test_constant_pose_stays(p, intervals, place, rotation):
+    times = np.cumsum(intervals)
+    frames = [frame_at(t, place, place, rotation.as_quat()) for t in times]
+    for f in filter_frames(frames, MODEL, p):
+        np.testing.assert_allclose(f.markers[0, :, :3], [place, place], atol=1e-6)
+        assert abs(f.links[0, 0, 3:7] @ rotation.as_quat()) > 1 - 1e-12
+        np.testing.assert_allclose(f.markers[0, :, 7:10], 0, atol=1e-4)
+        np.testing.assert_allclose(f.links[0, 0, 10:13], 0, atol=1e-4)
+
+
+@few
+@given(CHOICES, COORDINATES, st.floats(0.01, 0.05))
+def test_straight_motion_has_its_velocity_and_no_acceleration(p, velocity, interval):
+    frames = [frame_at(k * interval, np.multiply(velocity, k * interval)) for k in range(150)]
+    middle = list(filter_frames(frames, MODEL, p))[100]
+    np.testing.assert_allclose(middle.markers[0, 0, 7:10], velocity, atol=0.01)
+    np.testing.assert_allclose(middle.markers[0, 0, 13:16], 0, atol=0.1)
+
+
+@few
+@given(CHOICES, INTERVALS, st.integers(-START, START), st.integers(0, 2**32 - 1))
+def test_shift_of_time_shifts_the_result(p, intervals, shift, seed):
+    points = np.random.default_rng(seed).normal(size=(len(intervals), 3))
+    frames = [frame_at(t, x) for t, x in zip(np.cumsum(intervals), points, strict=True)]
+    later = [
+        f.replace(stamp=f.stamp + shift, stamps=f.stamps + shift, log_time=f.log_time + shift)
+        for f in frames
+        if f.stamp + shift > 0
+    ]
+    found = filter_frames(later, MODEL, p)
+    for a, b in zip(filter_frames(frames, MODEL, p), found, strict=False):
+        np.testing.assert_array_equal(a.markers, b.markers)
+        assert (b.stamp, b.log_time) == (a.stamp + shift, a.log_time + shift)
+
+
+@few
+@given(CHOICES, ROTATIONS, COORDINATES, st.integers(0, 2**32 - 1))
+def test_rigid_motion_moves_the_result(p, rotation, shift, seed):
+    p = p.model_copy(update={"keep_lengths": True})
+    rng = np.random.default_rng(seed)
+    points, turns = rng.normal(size=(30, 2, 3)), Rotation.from_rotvec(rng.normal(size=(30, 3)))
+    here = [frame_at(k / 30, *points[k], turns[k].as_quat()) for k in range(30)]
+    moved = rotation.apply(points.reshape(-1, 3)).reshape(-1, 2, 3) + shift
+    there = [frame_at(k / 30, *moved[k], (rotation * turns[k]).as_quat()) for k in range(30)]
+    for a, b in zip(filter_frames(here, MODEL, p), filter_frames(there, MODEL, p), strict=True):
+        expected = rotation.apply(a.markers[0, :, :3]) + shift
+        np.testing.assert_allclose(b.markers[0, :, :3], expected, atol=1e-6)
+        for columns in (slice(7, 10), slice(13, 16)):
+            expected = rotation.apply(a.markers[0, :, columns])
+            np.testing.assert_allclose(b.markers[0, :, columns], expected, atol=1e-3)
+        expected = (rotation * Rotation.from_quat(a.links[0, 0, 3:7])).as_quat()
+        assert abs(b.links[0, 0, 3:7] @ expected) > 1 - 1e-9
+        expected = rotation.apply(a.links[0, 0, 10:13])
+        np.testing.assert_allclose(b.links[0, 0, 10:13], expected, atol=1e-3)
