@@ -19,7 +19,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import ArrayBank
-from hiros_mcap.stages.instants import Instant, Views, instants
+from hiros_mcap.stages.instants import Instant
 
 LEE_JOINTS = (
     "PELVIS", "SPINE_NAVEL", "NECK", "HEAD",

@@ -17,7 +17,7 @@ from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.merge import MergeParams, merge
 
 PLAIN = MergeParams(
-    robust_scale=0.0, confidence_power=1.0, past_votes=False, bias_time=0.0, bridge=0.0
+    robust_scale=0.0, confidence_power=1.0, past_votes=False, offset_time=0.0, bridge=0.0
 )
 
 
@@ -272,7 +272,7 @@ def test_untracked_people_are_left_out() -> None:
 
 def test_a_camera_with_an_offset_makes_no_jump_when_it_drops_out() -> None:
     poses = [[person(), person(0.06)] for _ in range(300)] + [[person()] for _ in range(5)]
-    with_bias, without = stream(poses, bias_time=5.0, cameras=2), stream(poses, cameras=2)
+    with_bias, without = stream(poses, offset_time=5.0, cameras=2), stream(poses, cameras=2)
     step = [
         abs(m[300].positions[0, 0, 0] - m[299].positions[0, 0, 0]) for m in (with_bias, without)
     ]
