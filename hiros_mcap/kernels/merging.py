@@ -95,7 +95,8 @@ class MergerPast(NamedTuple):
         """Return arrays with no rows."""
         m, n = n_markers, n_links
         shapes = (0,), (0, m, STATE), (0, m), (0, n, STATE), (0, n), (0, 4, m, 3)
-        return cls(*[np.zeros(0, np.int64)] * 3, *[np.zeros(shape) for shape in shapes])
+        never = np.zeros(0, np.int64)
+        return cls(never, never, never, *[np.zeros(shape) for shape in shapes])
 
 
 class Sides(NamedTuple):
@@ -196,7 +197,8 @@ def _merge_person(
 @kernel
 def _is_fresh(stamp: int, past: MergerPast, row: int) -> bool:
     """Whether the past pose is young enough to be carried on."""
-    return past.seen[row] > 0 and (stamp - past.seen[row]) * 1e-9 <= _HORIZON
+    fresh: bool = past.seen[row] > 0 and (stamp - past.seen[row]) * 1e-9 <= _HORIZON
+    return fresh
 
 
 @kernel
@@ -260,13 +262,14 @@ def _dot(a: Floats, i: int, b: Floats, j: int) -> float:
 
 @kernel
 def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
-    """Distance of two rows (N, 4): positions, m, or ``orientations`` (eq 10), rad; NaN = unknown."""
+    """Distance of two rows: positions, m, or ``orientations``, rad; NaN = unknown."""
     if orientations:
         dot = _dot(values, a, values, b)
-        return np.nan if math.isnan(dot) else angle_of(dot)  # eq 10
-    return norm3(
-        values[a, 0] - values[b, 0], values[a, 1] - values[b, 1], values[a, 2] - values[b, 2]
-    )
+        angle: float = np.nan if math.isnan(dot) else angle_of(dot)  # eq 10
+        return angle
+    x, y, z = values[a, 0] - values[b, 0], values[a, 1] - values[b, 1], values[a, 2] - values[b, 2]
+    distance: float = norm3(x, y, z)
+    return distance
 
 
 @kernel("int64(float64[:,::1], float64[::1], boolean, float64)")
@@ -375,9 +378,9 @@ def _correct_flips(
             _blank_view(views, k)
             counts[FLIPS, views.cameras[k]] += 1
         return _HELD
-    if has_past and holds and distances[best, n] >= limit:
-        if _votes(distances, n, limit) >= _votes(distances, best, limit):
-            best = n
+    contradicted = has_past and distances[best, n] >= limit
+    if contradicted and holds and _votes(distances, n, limit) >= _votes(distances, best, limit):
+        best = n
     any_right = False
     for k in range(n):
         right[k] = not distances[best, k] >= limit
@@ -548,22 +551,24 @@ def _merge_slots(
     Views nearer than ``limit``, m or rad, agree; 0 or less turns the vote off. A link that no view
     gives an orientation is averaged without a vote. The final weights are left in ``slots``.
     """
-    n = len(slots.states)
+    n, values, scale = len(cameras), work.values, settings.robust_scale
     present, weights = work.present[:n], work.weights[:n]
+    # Half of the limit, for _all_agree. The angle between quaternions is half the rotation's.
+    half = math.cos(0.25 * limit) if orientations else 0.25 * limit * limit
     _raise(slots.confidences, settings.confidence_power, slots.weights)
     for m in range(slots.states.shape[1]):
-        if not _load_values(slots, m, orientations, work):
+        if not _load_values(slots, m, orientations, values, present):
             continue
         has_past = limit > 0.0 and not math.isnan(slots.past[m, 0])
         centre = _first(present)
-        if limit > 0.0 and not _all_agree(n, orientations, has_past, limit, work):
+        if limit > 0.0 and not _all_agree(values, present, orientations, has_past, half):
             centre, has_past = _reject_outliers(
                 slots.weights, m, orientations, has_past, limit, settings.drop_ties, cameras,
                 counts, work,
             )  # fmt: skip
         _fill_weights(slots.weights, m, present, weights)
-        if settings.robust_scale > 0.0 and not orientations:
-            _reweight(n, has_past, settings.robust_scale, work)
+        if scale > 0.0 and not orientations:
+            _reweight(values, weights, work.robust[:n], has_past, scale)
         mean_state(  # eq 12
             slots.states, slots.confidences, m, weights, centre, slots.merged,
             slots.merged_confidences,
@@ -587,22 +592,22 @@ def _raise(confidences: Floats, power: float, out: Floats) -> None:
 
 
 @kernel
-def _load_values(slots: _Slots, m: int, orientations: bool, work: MergerWork) -> bool:
+def _load_values(slots: _Slots, m: int, orientations: bool, values: Floats, present: Flags) -> bool:
     """Load what views and past show of a slot; whether any view shows it at all."""
-    n, first = len(slots.states), ORIENTATION if orientations else POSITION
+    n, first = len(present), ORIENTATION if orientations else POSITION
     found = False
     for k in range(n):
-        work.present[k] = not math.isnan(slots.states[k, m, first])
-        found = found or work.present[k]
-        for c in range(4):
-            work.values[k, c] = slots.states[k, m, first + c]
+        present[k] = not math.isnan(slots.states[k, m, first])
+        found = found or present[k]
+        for c in range(slots.past.shape[1]):
+            values[k, c] = slots.states[k, m, first + c]
     for c in range(slots.past.shape[1]):
-        work.values[n, c] = slots.past[m, c]
+        values[n, c] = slots.past[m, c]
     if orientations and not found:
         for k in range(n):
             no_position = math.isnan(slots.states[k, m, POSITION])
-            work.present[k] = not (no_position and math.isnan(slots.confidences[k, m]))
-            found = found or work.present[k]
+            present[k] = not (no_position and math.isnan(slots.confidences[k, m]))
+            found = found or present[k]
     return found
 
 
@@ -615,25 +620,27 @@ def _first(present: Flags) -> int:
 
 
 @kernel
-def _all_agree(n: int, orientations: bool, has_past: bool, limit: float, work: MergerWork) -> bool:
-    """Whether all lie within half of ``limit`` of one of them: no vote would reject any.
+def _all_agree(
+    values: Floats, present: Flags, orientations: bool, has_past: bool, half: float
+) -> bool:
+    """Whether all lie within half of the limit of one of them: no vote would reject any.
 
-    Without the roots and arc cosines of :func:`_distance`.
+    ``half`` is the squared distance, m2, or the scalar product of two quaternions at that angle:
+    the roots and arc cosines of :func:`_distance` take longer.
     """
-    values = work.values
-    centre = n if has_past else _first(work.present)
-    least_dot = math.cos(0.25 * limit)  # of quaternions, whose angle is half the rotation's
+    n = len(present)
+    centre = n if has_past else _first(present)
     for k in range(n):
-        if not work.present[k]:
+        if not present[k]:
             continue
         if orientations:
-            if abs(_dot(values, k, values, centre)) <= least_dot:
+            if abs(_dot(values, k, values, centre)) <= half:
                 return False
         else:
             x = values[k, 0] - values[centre, 0]
             y = values[k, 1] - values[centre, 1]
             z = values[k, 2] - values[centre, 2]
-            if x * x + y * y + z * z >= 0.25 * limit * limit:
+            if x * x + y * y + z * z >= half:
                 return False
     return True
 
@@ -677,22 +684,24 @@ def _fill_weights(slot_weights: Floats, m: int, present: Flags, out: Floats) -> 
 
 
 @kernel
-def _reweight(n: int, has_past: bool, scale: float, work: MergerWork) -> None:
+def _reweight(
+    values: Floats, weights: Floats, robust: Floats, has_past: bool, scale: float
+) -> None:
     """Multiply the weights by Cauchy weights of ``scale`` m about the mean that they give.
 
     The start prefers no camera: it is the past, if that may vote, or the plain weighted mean.
     """
-    values, weights, robust = work.values, work.weights[:n], work.robust[:n]
+    n = len(weights)
     x, y, z = values[n, 0], values[n, 1], values[n, 2]
-    if not has_past:
-        x, y, z = _mean_position(values, weights)
-    for _ in range(_ROUNDS):
+    for k in range(n):
+        robust[k] = weights[k]
+    for i in range(_ROUNDS):
+        if i > 0 or not has_past:
+            x, y, z = _mean_position(values, robust)
         for k in range(n):
-            dx, dy, dz = values[k, 0] - x, values[k, 1] - y, values[k, 2] - z
-            robust[k] = 0.0
             if weights[k] > 0.0:
+                dx, dy, dz = values[k, 0] - x, values[k, 1] - y, values[k, 2] - z
                 robust[k] = weights[k] / (1.0 + (dx * dx + dy * dy + dz * dz) / (scale * scale))
-        x, y, z = _mean_position(values, robust)
     for k in range(n):
         weights[k] = robust[k]
 

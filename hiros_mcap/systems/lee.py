@@ -15,7 +15,7 @@ from hiros_mcap.systems.run import Run, Stages
 
 def lee(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
-    from hiros_mcap.stages.cluster import cluster
+    from hiros_mcap.stages.cluster import cluster_blocks
     from hiros_mcap.stages.predict import predict
     from hiros_mcap.stages.track import track_blocks
 
@@ -24,14 +24,12 @@ def lee(run: Run) -> Stages:
         "tracked": partial(
             track_blocks, model=model, params=config.track, events=events, cameras=run.cameras
         ),
-        "merged": by_block(
-            partial(
-                cluster,
-                model=model,
-                params=config.cluster,
-                events=events,
-                fixed_frame=run.fixed_frame,
-            )
+        "merged": partial(
+            cluster_blocks,
+            model=model,
+            params=config.cluster,
+            events=events,
+            fixed_frame=run.fixed_frame,
         ),
         "filtered": by_block(partial(predict, model=model, params=config.predict, events=events)),
     }
