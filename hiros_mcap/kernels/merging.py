@@ -566,6 +566,8 @@ def _merge_slots(
                 slots.weights, m, orientations, has_past, limit, settings.drop_ties, cameras,
                 counts, work,
             )  # fmt: skip
+        if centre < 0:
+            continue
         _fill_weights(slots.weights, m, present, weights)
         if scale > 0.0 and not orientations:
             _reweight(values, weights, work.robust[:n], has_past, scale)
@@ -653,7 +655,7 @@ def _reject_outliers(
     """Strike the views that are not in the largest group (section 3.2).
 
     With ``drop_ties``, all of them if another group is as large. Returns the centre of the group,
-    and whether the past is in it.
+    -1 if none is left, and whether the past is in it.
     """
     n = len(cameras)
     size = n + 1 if has_past else n
@@ -668,7 +670,7 @@ def _reject_outliers(
         if work.present[k] and (tied or not distances[best, k] < limit):
             work.present[k] = False
             counts[OUTLIERS, cameras[k]] += 1
-    return best, has_past and distances[best, n] < limit
+    return (-1 if tied else best), has_past and distances[best, n] < limit
 
 
 @kernel

@@ -317,11 +317,9 @@ def test_two_people_far_apart_are_two_single_runs() -> None:
             assert np.array_equal(one.markers[0], two.markers[person_id], equal_nan=True)
 
 
-@st.composite
-def faulty_views(draw: st.DrawFn) -> list[Frame]:
-    """A second of noisy views with flips, outliers, gaps and any confidences."""
-    rng = np.random.default_rng(draw(st.integers(0, 9999)))
-    cameras = draw(st.integers(1, 5))
+def faulty_views(seed: int, cameras: int) -> list[Frame]:
+    """Ten instants of noisy views with flips, outliers, gaps and any confidences."""
+    rng = np.random.default_rng(seed)
     frames = []
     for k, c in itertools.product(range(10), range(cameras)):
         pose = person(0.02 * k) + rng.normal(0, 0.03, (8, 3))
@@ -335,26 +333,28 @@ def faulty_views(draw: st.DrawFn) -> list[Frame]:
     return frames
 
 
-@settings(max_examples=30, deadline=None)
-@given(faulty_views(), st.permutations("abcde"))
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 9999), st.integers(1, 5), st.permutations("abcde"))
 def test_the_order_and_the_names_of_cameras_do_not_matter(
-    frames: list[Frame], names: list[str]
+    seed: int, cameras: int, names: list[str]
 ) -> None:
+    frames, params = faulty_views(seed, cameras), MergeParams(cameras=cameras)
     renamed = [frame.replace(source=names[int(frame.source[1])]) for frame in frames]
     renamed.sort(key=lambda frame: (frame.stamp, frame.source))
-    for one, other in zip(merge(frames, MODEL), merge(renamed, MODEL), strict=True):
+    for one, other in zip(merge(frames, MODEL, params), merge(renamed, MODEL, params), strict=True):
         assert other.markers == pytest.approx(one.markers, abs=1e-9, nan_ok=True)
 
 
-@settings(max_examples=30, deadline=None)
-@given(faulty_views(), st.integers(0, 99))
-def test_a_motion_of_the_world_moves_the_result_alike(frames: list[Frame], seed: int) -> None:
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 9999), st.integers(1, 5))
+def test_a_motion_of_the_world_moves_the_result_alike(seed: int, cameras: int) -> None:
     motion = Rotation.random(random_state=seed), np.array([3.0, -1.0, 0.5])
+    frames = faulty_views(seed, cameras)
     expected = moved(list(merge(frames, MODEL)), *motion)
     for one, other in zip(expected, merge(moved(frames, *motion), MODEL), strict=True):
         assert other.markers == pytest.approx(one.markers, abs=1e-6, nan_ok=True)
         dots = np.abs(np.sum(one.orientations * other.orientations, axis=-1))
-        assert dots == pytest.approx(1.0, abs=1e-9, nan_ok=True)
+        assert np.nanmin(dots, initial=1.0) == pytest.approx(1.0)
 
 
 def test_given_frames_are_not_changed() -> None:
@@ -679,7 +679,7 @@ def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest() ->
     last = list(merge(frames, MODEL, PLAIN.model_copy(update={"bridge": 1.0})))[-1]
     assert last.positions[0] == pytest.approx(person(0.2))
     assert last.orientations[0] == pytest.approx(np.tile([0.0, 0.0, 0.0, 1.0], (7, 1)))
-    assert (last.confidences[0], last.marker_confidences[0, 3]) == (0.7, 0.8)
+    assert (last.confidences[0], last.marker_confidences[0, 3]) == pytest.approx((0.7, 0.8))
 
 
 def test_without_bridging_nobody_is_made_up_at_a_time_that_comes_twice() -> None:
