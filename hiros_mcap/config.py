@@ -109,7 +109,7 @@ _PAPER: Table = {
         "compensate_motion": False,
         "confidence_power": 1.0,
         "robust_scale": 0.0,
-        "bias_time": 0.0,
+        "offset_time": 0.0,
         "bridge": 0.0,
     },
     "optimize": {
@@ -171,7 +171,7 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
             "max_orientation_delta": 0.0,
             "confidence_power": 0.0,
             "robust_scale": 0.0,
-            "bias_time": 0.0,
+            "offset_time": 0.0,
             "bridge": 0.0,
             "past_votes": False,
             "compensate_motion": False,

@@ -51,26 +51,26 @@ def upper_limbs(system: str, *overrides: str) -> float:
     return evaluate(frames, pair().truth, pair().model).parts["upper limbs"].mean
 
 
-def test_l18_five_variants_and_the_whole() -> None:
+def test_five_variants_and_the_whole() -> None:
     results = {name: after_tracking(name, tracked()) for name in (*VARIANTS, "lee")}
     for one, two in pairwise(VARIANTS):
         assert not all(map(same, results[one], results[two]))
     assert all(map(same, results["lee-a5"], results["lee"]))
 
 
-def test_l19_clustering_beats_averaging_on_the_upper_limbs() -> None:
+def test_clustering_beats_averaging_on_the_upper_limbs() -> None:
     a1, a2, a3, a4 = (upper_limbs(name) for name in VARIANTS[:4])
     assert a3 < 0.9 * a2 < 0.9 * a1
     assert a4 == pytest.approx(a3, rel=0.03)
 
 
-def test_l20_ten_centimetres_is_the_best_of_the_radii() -> None:
+def test_ten_centimetres_is_the_best_of_the_radii() -> None:
     errors = {r: upper_limbs("lee-a4", f"cluster.radius={r}") for r in (0.05, 0.1, 0.15, 0.2)}
     assert min(errors, key=lambda r: errors[r]) in (0.1, 0.15)
     assert errors[0.2] > errors[0.1] < errors[0.05]
 
 
-def test_l14_two_people_by_the_trackers_ids(crossing: Path, tmp_path: Path) -> None:
+def test_two_people_by_the_trackers_ids(crossing: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     summary = process(crossing, out, options=ProcessOptions(system="lee"))
     assert len(summary.people) == 2
@@ -78,7 +78,7 @@ def test_l14_two_people_by_the_trackers_ids(crossing: Path, tmp_path: Path) -> N
     assert {int(i) for frame in frames for i in frame.ids} == {0, 1}
 
 
-def test_l14_one_person_is_merged_as_in_the_paper(walking: Path, tmp_path: Path) -> None:
+def test_one_person_is_merged_as_in_the_paper(walking: Path, tmp_path: Path) -> None:
     """With one person there is one id, and each instant is one merge of all cameras."""
     out = tmp_path / "out.mcap"
     process(walking, out, options=ProcessOptions(system="lee-a4"))

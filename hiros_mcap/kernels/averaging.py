@@ -1,48 +1,74 @@
 """Kernels that every merger shares: views carried to one time, weighted means over views.
 
-A *view* is what one camera reports of one person. N views lie in arrays (N, M, 19), which may have
-room for more; ``members`` (K,) are the indices of one person's views, ``weights`` (K,) how much
-each counts.
+A *view* is what one camera shows of one person. The mergers take one person at a time, whose K
+views lie in arrays (K, ...).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import kernel
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, I2, kernel, named_tuple
 from hiros_mcap.kernels.quaternions import exponential, multiply
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.skeletons import STATE, Floats, People, Stamps
+
+# First columns of what a KinematicState holds (hiros_mcap.skeletons).
+POSITION, ORIENTATION, VELOCITY, ANGULAR_VELOCITY = 0, 3, 7, 10
+_VECTORS = (POSITION, VELOCITY, ANGULAR_VELOCITY, 13, 16)
+
+BEGIN, END, TIME, CAMERA = 0, 1, 2, 3
+"""Columns of ``Buffers.messages``."""
+
+
+class Buffers(NamedTuple):
+    """Q buffers of messages to merge, K messages in all, for P people in all."""
+
+    stamps: Stamps
+    """(Q,) mean time of each buffer's messages, ns."""
+    people_ends: Stamps
+    message_ends: Stamps
+    """(Q + 1,) first person and first message of each buffer; the last number is P, or K."""
+    messages: Stamps
+    """(K, 4) BEGIN and END of each message's people, its TIME in ns and the index of its CAMERA."""
+    past_rows: Stamps
+    """(P,) row of each person in what the merger remembers."""
+
+
+class Views(NamedTuple):
+    """K views of one person; coordinates as in People."""
+
+    cameras: Stamps
+    """(K,) index of the camera."""
+    stamps: Stamps
+    """(K,) time of the message, ns."""
+    confidences: Floats
+    """(K,)."""
+    markers: Floats
+    marker_confidences: Floats
+    """(K, M, 19) and (K, M)."""
+    links: Floats
+    link_confidences: Floats
+    """(K, L, 19) and (K, L)."""
+
+    @classmethod
+    def room(cls, views: int, n_markers: int, n_links: int) -> Views:
+        """Arrays whose contents are still to come."""
+        k, m, n = views, n_markers, n_links
+        shapes = (k,), (k, m, STATE), (k, m), (k, n, STATE), (k, n)
+        numbers = [np.empty(shape) for shape in shapes]
+        return cls(np.empty(k, np.int64), np.empty(k, np.int64), *numbers)
+
+
+BUFFERS = named_tuple(Buffers, I1, I1, I1, I2, I1)
+VIEWS = named_tuple(Views, I1, I1, F1, F3, F2, F3, F2)
 
 
 @kernel
-def compensate(view: int, dt: float, markers: Floats, links: Floats) -> None:
-    """Carry a view to the merged time by its own velocities, in place.
-
-    Cameras are not synchronised: at 3 m/s, views 16 ms apart disagree by 5 cm without this.
-    """
-    for m in range(markers.shape[1]):
-        if not math.isnan(markers[view, m, 7]):
-            for c in range(3):
-                markers[view, m, c] += dt * markers[view, m, 7 + c]
-    for m in range(links.shape[1]):
-        if not math.isnan(links[view, m, 7]):
-            for c in range(3):
-                links[view, m, c] += dt * links[view, m, 7 + c]
-        if not math.isnan(links[view, m, 10]) and not math.isnan(links[view, m, 3]):
-            step = exponential(
-                dt * links[view, m, 10], dt * links[view, m, 11], dt * links[view, m, 12]
-            )
-            q = (links[view, m, 3], links[view, m, 4], links[view, m, 5], links[view, m, 6])
-            q = multiply(step, q)
-            for c in range(4):
-                links[view, m, 3 + c] = q[c]
-
-
-@kernel
-def _copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
+def copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
     """Copy all of a row of the first axis."""
     size = 8
     for length in to.shape[1:]:
@@ -50,151 +76,163 @@ def _copy_row(to: Floats, at: int, source: Floats, row: int) -> None:
     copy(to, at * size, source, row * size, size)
 
 
-@kernel(
-    "int64(int64, int64, int64, int64, boolean, int32[::1], int32[::1], float64[::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], int64[:,::1],"
-    " float64[::1], float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1])",
-)
-def load_views(
-    at: int,
-    camera: int,
-    stamp: int,
-    merged: int,
-    carry: bool,
-    people: Ints,
-    ids: Ints,
-    trust: Floats,
-    markers: Floats,
-    confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    whose: Stamps,
-    to_trust: Floats,
-    to_markers: Floats,
-    to_confidences: Floats,
-    to_links: Floats,
-    to_link_confidences: Floats,
-) -> int:
-    """Copy a camera's views to where they are merged, carried to the merged time; the next index.
-
-    Parameters
-    ----------
-    at : index of the first view to write. camera : its number.
-    stamp, merged : time of the message and of the merged frame, ns.
-    carry : by the views' own velocities from the one time to the other.
-    people : (P,) ids of the output rows. ids : (K,) of the views; others are left out.
-    trust, markers, confidences, links, link_confidences : (K, ...) of the message.
-    whose : (3, N) output row, camera and time of each view; ``to_...`` (N, ...); written.
-    """
-    for k in range(len(ids)):
-        for p in range(len(people)):
-            if ids[k] == people[p]:
-                whose[0, at], whose[1, at], whose[2, at] = p, camera, stamp
-                to_trust[at] = trust[k]
-                _copy_row(to_markers, at, markers, k)
-                _copy_row(to_confidences, at, confidences, k)
-                _copy_row(to_links, at, links, k)
-                _copy_row(to_link_confidences, at, link_confidences, k)
-                if carry:
-                    compensate(at, (merged - stamp) * 1e-9, to_markers, to_links)
-                at += 1
-    return at
+@kernel
+def blank(states: Floats, confidences: Floats) -> None:
+    """Make the markers or links of one person absent."""
+    for m in range(states.shape[0]):
+        confidences[m] = np.nan
+        for c in range(states.shape[1]):
+            states[m, c] = np.nan
 
 
 @kernel
-def mean_columns(
-    views: Floats, members: Stamps, m: int, first: int, weights: Floats, out: Floats, p: int
-) -> None:
+def blank_person(people: People, p: int) -> None:
+    """Make all markers and links of row ``p`` absent."""
+    blank(people.markers[p], people.marker_confidences[p])
+    blank(people.links[p], people.link_confidences[p])
+
+
+@kernel
+def exchange(states: Floats, confidences: Floats, a: int, b: int) -> None:
+    """Exchange two slots of one person."""
+    for c in range(states.shape[1]):
+        states[a, c], states[b, c] = states[b, c], states[a, c]
+    confidences[a], confidences[b] = confidences[b], confidences[a]
+
+
+@kernel
+def _carry(states: Floats, dt: float) -> None:
+    """Carry the markers or links of one view on by their own velocities for ``dt`` seconds.
+
+    Cameras are not synchronised: at 3 m/s, views 16 ms apart disagree by 5 cm without this.
+    """
+    for m in range(states.shape[0]):
+        if not math.isnan(states[m, VELOCITY]):
+            for c in range(3):
+                states[m, c] += dt * states[m, VELOCITY + c]
+        if not math.isnan(states[m, ANGULAR_VELOCITY]) and not math.isnan(states[m, ORIENTATION]):
+            w = ANGULAR_VELOCITY
+            step = exponential(dt * states[m, w], dt * states[m, w + 1], dt * states[m, w + 2])
+            q = (states[m, 3], states[m, 4], states[m, 5], states[m, 6])
+            q = multiply(step, q)
+            for c in range(4):
+                states[m, ORIENTATION + c] = q[c]
+
+
+@kernel
+def load_views(
+    buffers: Buffers, q: int, people: People, person: int, carry: bool, room: Views
+) -> Views:
+    """Return the views that buffer ``q`` holds of a person, copied into ``room``.
+
+    ``people`` are those of all messages. With ``carry``, poses are carried to the mean time.
+    """
+    n = 0
+    for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
+        for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
+            if people.ids[i] != person:
+                continue
+            room.cameras[n] = buffers.messages[k, CAMERA]
+            room.stamps[n] = buffers.messages[k, TIME]
+            room.confidences[n] = people.confidences[i]
+            copy_row(room.markers, n, people.markers, i)
+            copy_row(room.marker_confidences, n, people.marker_confidences, i)
+            copy_row(room.links, n, people.links, i)
+            copy_row(room.link_confidences, n, people.link_confidences, i)
+            if carry:
+                dt = (buffers.stamps[q] - room.stamps[n]) * 1e-9
+                _carry(room.markers[n], dt)
+                _carry(room.links[n], dt)
+            n += 1
+    return Views(
+        room.cameras[:n], room.stamps[:n], room.confidences[:n], room.markers[:n],
+        room.marker_confidences[:n], room.links[:n], room.link_confidences[:n],
+    )  # fmt: skip
+
+
+@kernel
+def _mean_vector(states: Floats, m: int, first: int, weights: Floats, out: Floats) -> None:
     """Weighted mean of three columns over the views that have them; NaN where none has."""
     norm = x = y = z = 0.0
-    for k in range(len(members)):
-        v = members[k]
-        if weights[k] > 0.0 and not math.isnan(views[v, m, first]):
+    for k in range(len(states)):
+        if weights[k] > 0.0 and not math.isnan(states[k, m, first]):
             norm += weights[k]
-            x += weights[k] * views[v, m, first]
-            y += weights[k] * views[v, m, first + 1]
-            z += weights[k] * views[v, m, first + 2]
+            x += weights[k] * states[k, m, first]
+            y += weights[k] * states[k, m, first + 1]
+            z += weights[k] * states[k, m, first + 2]
     if norm > 0.0:
         x, y, z = x / norm, y / norm, z / norm
     else:
         x = y = z = np.nan
-    out[p, m, first], out[p, m, first + 1], out[p, m, first + 2] = x, y, z
+    out[m, first], out[m, first + 1], out[m, first + 2] = x, y, z
 
 
 @kernel
-def mean_turn(
-    views: Floats, members: Stamps, m: int, weights: Floats, reference: int, out: Floats, p: int
-) -> None:
-    """Weighted mean of the orientations, signs aligned with member ``reference``."""
-    v = members[reference]
-    qx, qy, qz, qw = views[v, m, 3], views[v, m, 4], views[v, m, 5], views[v, m, 6]
+def _mean_orientation(states: Floats, m: int, weights: Floats, reference: int, out: Floats) -> None:
+    """Weighted mean of the orientations, signs aligned with view ``reference``."""
+    qx, qy, qz, qw = (
+        states[reference, m, 3], states[reference, m, 4],
+        states[reference, m, 5], states[reference, m, 6],
+    )  # fmt: skip
     for _ in range(2):  # the second round aligns with the mean itself
         x = y = z = w = 0.0
-        for k in range(len(members)):
-            v = members[k]
-            if weights[k] <= 0.0 or math.isnan(views[v, m, 3]):
+        for k in range(len(states)):
+            if weights[k] <= 0.0 or math.isnan(states[k, m, ORIENTATION]):
                 continue
-            dot = (
-                views[v, m, 3] * qx
-                + views[v, m, 4] * qy
-                + views[v, m, 5] * qz
-                + views[v, m, 6] * qw
-            )
-            weight = weights[k] if dot >= 0.0 else -weights[k]
-            x += weight * views[v, m, 3]
-            y += weight * views[v, m, 4]
-            z += weight * views[v, m, 5]
-            w += weight * views[v, m, 6]
+            ax, ay, az, aw = states[k, m, 3], states[k, m, 4], states[k, m, 5], states[k, m, 6]
+            weight = weights[k] if ax * qx + ay * qy + az * qz + aw * qw >= 0.0 else -weights[k]
+            x, y, z, w = x + weight * ax, y + weight * ay, z + weight * az, w + weight * aw
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         qx, qy, qz, qw = x / norm, y / norm, z / norm, w / norm
-    out[p, m, 3], out[p, m, 4], out[p, m, 5], out[p, m, 6] = qx, qy, qz, qw
+    out[m, 3], out[m, 4], out[m, 5], out[m, 6] = qx, qy, qz, qw
 
 
 @kernel
-def mean_confidence(members: Stamps, confidences: Floats, m: int, weights: Floats) -> float:
+def _mean_confidence(confidences: Floats, m: int, weights: Floats) -> float:
     """Weighted mean of the confidences that are given; NaN if none is."""
     total = norm = 0.0
-    for k in range(len(members)):
-        c = confidences[members[k], m]
-        if weights[k] > 0.0 and not math.isnan(c):
-            total += weights[k] * c
+    for k in range(len(confidences)):
+        if weights[k] > 0.0 and not math.isnan(confidences[k, m]):
+            total += weights[k] * confidences[k, m]
             norm += weights[k]
     return total / norm if norm > 0.0 else np.nan
 
 
-@kernel(
-    "void(int64, int64[::1], int64[::1], float64[::1], boolean, int64[::1], float64[::1])",
-)
-def mean_people(
-    stamp: int,
-    person_of: Stamps,
-    stamps: Stamps,
-    trust: Floats,
-    carried: bool,
-    out_stamps: Stamps,
-    out_trust: Floats,
-) -> None:
-    """Fill in source time and confidence of each merged person: the means over the views.
+@kernel
+def mean_state(
+    states: Floats, confidences: Floats, m: int, weights: Floats, reference: int, out: Floats,
+    out_confidences: Floats,
+) -> None:  # fmt: skip
+    """Average slot ``m`` over the views whose weight is above 0 (Hi-ROS 2023, eq 12).
 
     Parameters
     ----------
-    stamp : merged time, ns.
-    person_of, stamps, trust : (N,) output row, source time (ns) and confidence of each view.
-    carried : every pose has been carried to the merged time, which so is the source time.
-    out_stamps, out_trust : (P,), rows without views untouched, nor confidences never given.
+    states, confidences : (K, M, 19) and (K, M) markers or links of the views.
+    weights : (K,). reference : view with whose orientation the others' signs are aligned; if it
+        has none, the mean has none.
+    out, out_confidences : (M, 19) and (M,), of which slot ``m`` is written.
     """
-    for p in range(len(out_stamps)):
-        late = total = 0.0
-        count = given = 0
-        for k in range(len(person_of)):
-            if person_of[k] != p:
-                continue
-            count += 1
-            late += stamps[k] - stamp
-            if not math.isnan(trust[k]):
-                given += 1
-                total += trust[k]
-        if given > 0:
-            out_trust[p] = total / given
-        if count > 0 and not carried:
-            out_stamps[p] = stamp + int(np.rint(late / count))
+    for first in _VECTORS:
+        _mean_vector(states, m, first, weights, out)
+    if not math.isnan(states[reference, m, ORIENTATION]):
+        _mean_orientation(states, m, weights, reference, out)
+    out_confidences[m] = _mean_confidence(confidences, m, weights)
+
+
+@kernel
+def mean_person(stamp: int, views: Views, carried: bool, out: People, p: int) -> None:
+    """Write source time and confidence of a merged person: the means over the views.
+
+    Poses that were ``carried`` to the merged time ``stamp``, ns, have that time.
+    """
+    late = total = 0.0
+    given = 0
+    for k in range(len(views.stamps)):
+        late += views.stamps[k] - stamp
+        if not math.isnan(views.confidences[k]):
+            given += 1
+            total += views.confidences[k]
+    if given > 0:
+        out.confidences[p] = total / given
+    if not carried:
+        out.stamps[p] = stamp + int(np.rint(late / len(views.stamps)))

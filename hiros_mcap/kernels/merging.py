@@ -1,170 +1,308 @@
-"""Kernels of the merger: votes and weighted means over cameras (Hi-ROS 2023, section 3.2).
-
-A *view* is what one camera reports of one person. N views of a buffer lie in arrays (N, ...);
-``members`` are the indices of one person's views. What is remembered of each person lies in a bank
-of arrays with one row per person:
-
-- ``positions``, ``velocities`` (S, M, 3), ``turns`` (S, L, 4): the last merged pose
-- ``bias`` (S, C, M, 3): slow offset of each camera's markers from the merged ones, m
-"""
+"""Kernels of the merger: votes and weighted means over cameras (Hi-ROS 2023, section 3.2)."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
 
 from hiros_mcap.kernels.averaging import (
+    BUFFERS,
+    ORIENTATION,
+    POSITION,
+    VELOCITY,
+    VIEWS,
+    Buffers,
+    Views,
+    blank,
+    blank_person,
+    copy_row,
+    exchange,
     load_views,
-    mean_columns,
-    mean_confidence,
-    mean_people,
-    mean_turn,
+    mean_person,
+    mean_state,
 )
-from hiros_mcap.kernels.compile import kernel, named_tuple
+from hiros_mcap.kernels.compile import (
+    B1,
+    F1,
+    F2,
+    F3,
+    F4,
+    I1,
+    I2,
+    J1,
+    J2,
+    PEOPLE,
+    kernel,
+    named_tuple,
+)
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.kernels.quaternions import angle_of
-from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_mcap.skeletons import STATE, Flags, Floats, Ints, People, Stamps
 
-_I1, _I2, _F1 = types.int64[::1], types.int64[:, ::1], types.float64[::1]
-_F2, _F3, _F4 = types.float64[:, ::1], types.float64[:, :, ::1], types.float64[:, :, :, ::1]
+OUTLIERS, FLIPS = 0, 1
+"""Rows of ``counts``: votes that a camera lost, and its views that faced the wrong way."""
 
-KEPT, FLIPPED, RELABELLED = 0, 1, 2
-AGREED, TURNED, HELD = 0, 1, 2
+# What the views say of the way a person faces: as before, the other way, or nothing, since the
+# past outvoted them.
+_CONFIRMED, _CHANGED, _HELD = 0, 1, 2
 
-# A way of facing that was seen for so long is held against others this many times as long.
-_TRUST = 3.0
+_HORIZON = 0.2  # s for which a past pose is carried on at constant velocity
+_HOLD_RATIO = 3.0  # the past outvotes views this many times as long as it was confirmed itself
+_CLEARLY = 0.75  # share of a view's distance to the past that exchanged sides must leave at most
+_ROUNDS = 3  # of reweighting
 
-# Against the past alone, swapping has to leave less than this share of a view's distance to it.
-_CLEARLY = 0.75
+
+class MergerSettings(NamedTuple):
+    """Parameters of stages/merge.py; m, rad and s."""
+
+    max_position_delta: float
+    max_orientation_delta: float
+    max_facing_delta: float
+    max_flip_time: float
+    confidence_power: float
+    robust_scale: float
+    offset_time: float
+    pelvis_link: int
+    """Slot; -1 = there is none."""
+    facing_by_sides: bool
+    relabel: bool
+    past_votes: bool
+    drop_ties: bool
+    compensate_motion: bool
 
 
-class Work(NamedTuple):
-    """Room for what is between input and output, for up to N views, K of them of one person.
+class MergerPast(NamedTuple):
+    """What is remembered of S people, a row each."""
 
-    It is the caller's: a kernel that makes arrays is twice as slow.
-    """
-
-    members: Stamps
-    """(K,)."""
-    verdicts: Stamps
-    outliers: Stamps
-    """(N,)."""
-    flags: Flags
-    weights: Floats
-    """(2, K)."""
-    powers: Floats
-    link_powers: Floats
-    """(N, M) and (N, L)."""
-    past: Floats
-    past_turn: Floats
-    reference: Floats
-    """(M, 3), (L, 4) and (M, 3)."""
-    points: Floats
-    """(2, 3)."""
-    places: Floats
-    turns: Floats
-    """(K + 1, 3) and (K + 1, 4)."""
-    apart: Floats
-    alone: Floats
-    """((K + 1)^2,) each, of which what is needed is taken as a square."""
+    seen: Stamps
+    """(S,) time of the last merged pose, ns; 0 = never."""
+    facing_seen: Stamps
+    facing_since: Stamps
+    """(S,) when views last confirmed the way the person faces, and when they first did, ns."""
+    confidences: Floats
+    markers: Floats
+    marker_confidences: Floats
+    links: Floats
+    link_confidences: Floats
+    """(S, ...) the last merged pose; coordinates as in People."""
+    camera_offsets: Floats
+    """(S, C, M, 3) slow offset of each camera's markers from the merged ones, m."""
 
     @classmethod
-    def of(cls, views: int, members: int, n_markers: int, n_links: int) -> Work:
+    def empty(cls, n_markers: int, n_links: int) -> MergerPast:
+        """Return arrays with no rows."""
+        m, n = n_markers, n_links
+        shapes = (0,), (0, m, STATE), (0, m), (0, n, STATE), (0, n), (0, 4, m, 3)
+        never = np.zeros(0, np.int64)
+        return cls(never, never, never, *[np.zeros(shape) for shape in shapes])
+
+
+class Sides(NamedTuple):
+    """Left and right, as in hiros_mcap.body.symmetry."""
+
+    mirror: Ints
+    """(M,)."""
+    lateral: Ints
+    """(K, 2)."""
+
+
+class MergerWork(NamedTuple):
+    """Scratch for up to K views of a person. A kernel that makes arrays is twice as slow."""
+
+    values: Floats
+    """(K + 1, 4) the positions or orientations of the views, then those of the past pose."""
+    sides: Floats
+    """(K + 1, 3) directions from left to right, in the same order."""
+    distances: Floats
+    """((K + 1)^2,) between them."""
+    present: Flags
+    """(K,) views that count."""
+    weights: Floats
+    robust: Floats
+    """(K,)."""
+    marker_weights: Floats
+    link_weights: Floats
+    """(K, M) and (K, L)."""
+    past_positions: Floats
+    past_orientations: Floats
+    reference: Floats
+    """(M, 3), (L, 4) and (M, 3)."""
+
+    @classmethod
+    def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
         """Make room."""
-        n, k, m, links = views, members, n_markers, n_links
-        shapes = (
-            (2, k), (n, m), (n, links), (m, 3), (links, 4), (m, 3), (2, 3), (k + 1, 3), (k + 1, 4),
+        k, m, n = views, n_markers, n_links
+        shapes = (k,), (k,), (k, m), (k, n), (m, 3), (n, 4), (m, 3)
+        return cls(
+            np.empty((k + 1, 4)), np.empty((k + 1, 3)), np.empty((k + 1) ** 2),
+            np.empty(k, np.bool_), *[np.empty(shape) for shape in shapes],
         )  # fmt: skip
-        numbers = [np.empty(shape) for shape in shapes]
-        verdicts, outliers = np.empty((2, n), np.int64)
-        flags, squares = np.empty((2, k), np.bool_), np.empty((2, (k + 1) ** 2))
-        return cls(np.empty(k, np.int64), verdicts, outliers, flags, *numbers, *squares)
 
 
-_WORK = named_tuple(Work, _I1, _I1, _I1, types.boolean[:, ::1], *[_F2] * 9, _F1, _F1)
+class _Slots(NamedTuple):
+    """The markers or the links of one person's views."""
+
+    states: Floats
+    """(K, M, 19)."""
+    confidences: Floats
+    weights: Floats
+    """(K, M)."""
+    past: Floats
+    """(M, 3) positions, or (M, 4) orientations, of the past pose; NaN = no vote."""
+    merged: Floats
+    merged_confidences: Floats
+    """(M, 19) and (M,), to be written."""
+
+
+_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 7, types.int64, *[types.boolean] * 5)
+_PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
+_SIDES = named_tuple(Sides, J1, J2)
+_WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5)
 
 
 @kernel
-def _dot4(a: Floats, i: int, b: Floats, j: int) -> float:
-    """Scalar product of rows of two (N, 4) arrays."""
-    dot: float = a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
+def _merge_person(
+    stamp: int, views: Views, past: MergerPast, row: int, settings: MergerSettings, sides: Sides,
+    out: People, p: int, counts: Stamps, work: MergerWork,
+) -> None:  # fmt: skip
+    """Merge the views of one person (section 3.2)."""
+    has_past = _predict(stamp, past, row, settings, work)  # the past pose votes like a camera
+    _settle_facing(stamp, views, past, row, has_past, settings, sides, counts, work)  # flips
+    offsets = past.camera_offsets[row]
+    _subtract_offsets(views, offsets)
+    blank_person(out, p)
+    _merge_slots(  # outliers by Euclidean distance, then eq 12
+        _Slots(
+            views.markers, views.marker_confidences, work.marker_weights, work.past_positions,
+            out.markers[p], out.marker_confidences[p],
+        ),
+        False, settings.max_position_delta, settings, views.cameras, counts, work,
+    )  # fmt: skip
+    _merge_slots(  # outliers by eq 10, then eq 12
+        _Slots(
+            views.links, views.link_confidences, work.link_weights, work.past_orientations,
+            out.links[p], out.link_confidences[p],
+        ),
+        True, settings.max_orientation_delta, settings, views.cameras, counts, work,
+    )  # fmt: skip
+    mean_person(stamp, views, settings.compensate_motion, out, p)
+    _learn_offsets(
+        views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
+    )
+    _remember(stamp, out, p, past, row)
+
+
+@kernel
+def _is_fresh(stamp: int, past: MergerPast, row: int) -> bool:
+    """Whether the past pose is young enough to be carried on."""
+    fresh: bool = past.seen[row] > 0 and (stamp - past.seen[row]) * 1e-9 <= _HORIZON
+    return fresh
+
+
+@kernel
+def _predict(
+    stamp: int, past: MergerPast, row: int, settings: MergerSettings, work: MergerWork
+) -> bool:
+    """Carry the past pose to ``stamp`` at constant velocity; whether it may vote.
+
+    The previous pose votes in the published code, not in the paper.
+    """
+    votes: bool = settings.past_votes and _is_fresh(stamp, past, row)
+    dt = max((stamp - past.seen[row]) * 1e-9, 0.0)
+    for m in range(past.markers.shape[1]):
+        for c in range(3):
+            v = past.markers[row, m, VELOCITY + c]
+            moved = past.markers[row, m, c] + dt * (0.0 if math.isnan(v) else v)
+            work.past_positions[m, c] = moved if votes else np.nan
+    for k in range(past.links.shape[1]):
+        for c in range(4):
+            work.past_orientations[k, c] = past.links[row, k, ORIENTATION + c] if votes else np.nan
+    return votes
+
+
+@kernel
+def _remember(stamp: int, people: People, p: int, past: MergerPast, row: int) -> None:
+    """Keep a merged pose."""
+    past.seen[row] = stamp
+    past.confidences[row] = people.confidences[p]
+    copy_row(past.markers, row, people.markers, p)
+    copy_row(past.marker_confidences, row, people.marker_confidences, p)
+    copy_row(past.links, row, people.links, p)
+    copy_row(past.link_confidences, row, people.link_confidences, p)
+
+
+@kernel
+def _bridge(stamp: int, past: MergerPast, row: int, out: People, p: int) -> None:
+    """Write the past pose, carried on at constant velocity."""
+    out.confidences[p] = past.confidences[row]
+    copy_row(out.markers, p, past.markers, row)
+    copy_row(out.marker_confidences, p, past.marker_confidences, row)
+    copy_row(out.links, p, past.links, row)
+    copy_row(out.link_confidences, p, past.link_confidences, row)
+    dt = min((stamp - past.seen[row]) * 1e-9, _HORIZON)
+    for m in range(out.markers.shape[1]):
+        for c in range(3):
+            v = out.markers[p, m, VELOCITY + c]
+            out.markers[p, m, c] += dt * (0.0 if math.isnan(v) else v)
+
+
+# Votes: on the way a person faces, on the position of a marker, on the orientation of a link.
+
+
+@kernel
+def _dot(a: Floats, i: int, b: Floats, j: int) -> float:
+    """Scalar product of rows of two arrays."""
+    dot: float = a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
+    if a.shape[1] == 4:
+        dot += a[i, 3] * b[j, 3]
     return dot
 
 
 @kernel
-def _lateral(poses: Floats, view: int, pairs: Ints, out: Floats, row: int) -> None:
-    """Write the direction from left to right, the mean over shoulders and hips; NaN if unknown."""
-    x = y = z = 0.0
-    for i in range(pairs.shape[0]):
-        a, b = pairs[i, 0], pairs[i, 1]
-        dx = poses[view, b, 0] - poses[view, a, 0]
-        dy = poses[view, b, 1] - poses[view, a, 1]
-        dz = poses[view, b, 2] - poses[view, a, 2]
-        length = norm3(dx, dy, dz)
-        if length > 1e-6:  # false for NaN
-            x += dx / length
-            y += dy / length
-            z += dz / length
-    length = norm3(x, y, z)
-    if length < 1e-6:
-        length = np.nan
-    out[row, 0], out[row, 1], out[row, 2] = x / length, y / length, z / length
-
-
-@kernel
-def _facing_angles(sides: Floats, pelvis: Floats, out: Floats) -> None:
-    """(N, N) angles, rad, between the facing directions of N poses; NaN = unknown.
-
-    ``sides`` (N, 3) are the directions from left to right, ``pelvis`` (N, 4) the orientations of
-    the pelvis (compared by eq 10), NaN where unknown. Where both are known the larger angle
-    counts, since a detector may flip either.
-    """
-    n = sides.shape[0]
-    for a in range(n):
-        for b in range(n):
-            d = np.nan
-            if not (math.isnan(pelvis[a, 0]) or math.isnan(pelvis[b, 0])):
-                d = angle_of(_dot4(pelvis, a, pelvis, b))
-            if not (math.isnan(sides[a, 0]) or math.isnan(sides[b, 0])):
-                dot = (
-                    sides[a, 0] * sides[b, 0]
-                    + sides[a, 1] * sides[b, 1]
-                    + sides[a, 2] * sides[b, 2]
-                )
-                angle = math.acos(min(1.0, max(-1.0, dot)))
-                d = angle if math.isnan(d) else max(d, angle)
-            out[a, b] = d
+def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
+    """Distance of two rows: positions, m, or ``orientations``, rad; NaN = unknown."""
+    if orientations:
+        dot = _dot(values, a, values, b)
+        angle: float = np.nan if math.isnan(dot) else angle_of(dot)  # eq 10
+        return angle
+    x, y, z = values[a, 0] - values[b, 0], values[a, 1] - values[b, 1], values[a, 2] - values[b, 2]
+    distance: float = norm3(x, y, z)
+    return distance
 
 
 @kernel("int64(float64[:,::1], float64[::1], boolean, float64)")
-def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) -> int:
-    """Index whose neighbours, at a distance below ``limit``, are the right views; -1 = no view.
+def largest_group(distances: Floats, weights: Floats, has_past: bool, limit: float) -> int:
+    """Return the view whose neighbours, nearer than ``limit``, are the right ones; -1 = no view.
 
-    ``apart`` (N, N) are distances, NaN on the diagonal for an absent view; with ``has_past`` the
-    last index is the previous merged pose, which has a vote like any camera but is not a view.
-    The largest group wins; of equal ones that nearest to the past, then that of most confidence,
-    then the tightest: never the order of the cameras.
+    The largest group wins (section 3.2); of equal ones the nearest to the past, then the most
+    confident, then the tightest. The order of the cameras never matters.
+
+    Parameters
+    ----------
+    distances : (N, N), NaN on the diagonal for an absent view. With ``has_past`` the last row is
+        the past pose, which votes like a camera but leads no group.
+    weights : confidence of each view.
     """
-    n = apart.shape[0]
+    n = distances.shape[0]
     views = n - 1 if has_past else n
     best = -1
-    best_votes, best_past, best_weight, best_spread = 0, 0.0, 0.0, 0.0
+    best_votes, best_past, best_weight, best_sum = 0, 0.0, 0.0, 0.0
     for k in range(views):
-        if math.isnan(apart[k, k]):
+        if math.isnan(distances[k, k]):
             continue
-        votes, weight, spread = 0, 0.0, 0.0
+        votes, weight, total = 0, 0.0, 0.0
         for j in range(n):
-            if apart[k, j] < limit:
+            if distances[k, j] < limit:
                 votes += 1
-                spread += apart[k, j]
+                total += distances[k, j]
                 if j < views:
                     weight += weights[j]
         past = 0.0
-        if has_past and not math.isnan(apart[k, n - 1]):
-            past = apart[k, n - 1]
+        if has_past and not math.isnan(distances[k, n - 1]):
+            past = distances[k, n - 1]
         better = votes > best_votes
         if votes == best_votes and best >= 0:
             if past != best_past:
@@ -172,34 +310,281 @@ def largest_group(apart: Floats, weights: Floats, has_past: bool, limit: float) 
             elif abs(weight - best_weight) > 1e-12:
                 better = weight > best_weight
             else:
-                better = spread < best_spread
+                better = total < best_sum
         if best < 0 or better:
-            best, best_votes, best_past, best_weight, best_spread = k, votes, past, weight, spread
+            best, best_votes, best_past, best_weight, best_sum = k, votes, past, weight, total
     return best
 
 
 @kernel
-def _is_tied(apart: Floats, best: int, limit: float) -> bool:
-    """Whether somebody not among those who agree with ``best`` has as many; the past included."""
-    n = apart.shape[0]
-    most = 0
-    for j in range(n):
-        most += int(apart[best, j] < limit)
-    for k in range(n):
-        if not math.isnan(apart[k, k]) and not apart[best, k] < limit:
-            votes = 0
-            for j in range(n):
-                votes += int(apart[k, j] < limit)
-            if votes >= most:
-                return True
-    return False
+def _votes(distances: Floats, k: int, limit: float) -> int:
+    """How many agree with ``k``, itself included."""
+    votes = 0
+    for j in range(distances.shape[0]):
+        votes += int(distances[k, j] < limit)
+    return votes
 
 
 @kernel
-def _raise(members: Stamps, confidences: Floats, power: float, out: Floats) -> None:
+def _is_tied(distances: Floats, best: int, limit: float) -> bool:
+    """Whether a group outside that of ``best`` is as large; the past may lead it."""
+    most = _votes(distances, best, limit)
+    for k in range(distances.shape[0]):
+        outside = not math.isnan(distances[k, k]) and not distances[best, k] < limit
+        if outside and _votes(distances, k, limit) >= most:
+            return True
+    return False
+
+
+# Flips.
+
+
+@kernel
+def _settle_facing(
+    stamp: int, views: Views, past: MergerPast, row: int, has_past: bool,
+    settings: MergerSettings, sides: Sides, counts: Stamps, work: MergerWork,
+) -> None:  # fmt: skip
+    """Correct flipped views, and remember since when the person faces this way."""
+    facing = _CONFIRMED
+    if settings.max_facing_delta > 0.0:
+        confirmed = (past.facing_seen[row] - past.facing_since[row]) * 1e-9
+        hold = min(settings.max_flip_time, _HOLD_RATIO * confirmed)
+        holds = (stamp - past.facing_seen[row]) * 1e-9 <= hold
+        facing = _correct_flips(views, has_past, holds, settings, sides, counts, work)
+    if facing == _CHANGED or past.seen[row] == 0:
+        past.facing_since[row] = stamp
+    if facing != _HELD:
+        past.facing_seen[row] = stamp
+
+
+@kernel
+def _correct_flips(
+    views: Views, has_past: bool, holds: bool, settings: MergerSettings, sides: Sides,
+    counts: Stamps, work: MergerWork,
+) -> int:  # fmt: skip
+    """Relabel or drop the views that do not face as the largest group does (section 3.2).
+
+    While the past ``holds``, it wins over views that all face the other way, unless they are more.
+    """
+    n, limit = len(views.stamps), settings.max_facing_delta
+    size = n + 1 if has_past else n
+    distances = work.distances[: size * size].reshape((size, size))
+    if size == 1 or not _compare_facing(views, settings, sides, distances, work):
+        return _CONFIRMED
+    confidences, right = work.weights[:n], work.present[:n]
+    _sum_confidences(views.marker_confidences, confidences)
+    best = largest_group(distances, confidences, has_past, limit)
+    if settings.drop_ties and _is_tied(distances, best, limit):
+        for k in range(n):
+            _blank_view(views, k)
+            counts[FLIPS, views.cameras[k]] += 1
+        return _HELD
+    contradicted = has_past and distances[best, n] >= limit
+    if contradicted and holds and _votes(distances, n, limit) >= _votes(distances, best, limit):
+        best = n
+    any_right = False
+    for k in range(n):
+        right[k] = not distances[best, k] >= limit
+        any_right = any_right or right[k]
+    if any_right:
+        _mean_positions(views.markers, right, work.reference)
+    reference = work.reference if any_right else work.past_positions
+    corrected = False
+    for k in range(n):
+        if not right[k] and _correct_view(
+            views, k, sides.mirror, reference, settings.relabel, any_right
+        ):
+            counts[FLIPS, views.cameras[k]] += 1
+            corrected = True
+    if not any_right:
+        return _HELD if corrected else _CHANGED
+    if has_past:
+        for k in range(n):
+            if right[k] and not distances[k, n] >= limit:
+                return _CONFIRMED
+        return _CHANGED
+    return _CONFIRMED
+
+
+@kernel
+def _compare_facing(
+    views: Views, settings: MergerSettings, sides: Sides, distances: Floats, work: MergerWork
+) -> bool:
+    """Write the angles between the ways the views face; whether two face opposite ways.
+
+    Where pelvis (eq 10) and sides are known, the larger angle counts: detectors flip either.
+    """
+    n, size, pelvis = len(views.stamps), len(distances), settings.pelvis_link
+    for k in range(size):
+        for c in range(4):
+            work.values[k, c] = np.nan
+            if pelvis >= 0:
+                past = work.past_orientations[pelvis, c]
+                work.values[k, c] = views.links[k, pelvis, ORIENTATION + c] if k < n else past
+        x = y = z = np.nan
+        if settings.facing_by_sides:
+            if k < n:
+                x, y, z = _left_to_right(views.markers[k], sides.lateral)
+            else:
+                x, y, z = _left_to_right(work.past_positions, sides.lateral)
+        work.sides[k, 0], work.sides[k, 1], work.sides[k, 2] = x, y, z
+    opposite = False
+    for a in range(size):
+        for b in range(size):
+            angle = _distance(work.values, a, b, True)  # eq 10
+            dot = _dot(work.sides, a, work.sides, b)
+            if not math.isnan(dot):
+                by_sides = math.acos(min(1.0, max(-1.0, dot)))
+                angle = by_sides if math.isnan(angle) else max(angle, by_sides)
+            if a == b and not math.isnan(angle):
+                angle = 0.0
+            distances[a, b] = angle
+            opposite = opposite or angle >= settings.max_facing_delta
+    return opposite
+
+
+@kernel
+def _left_to_right(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
+    """Direction from left to right, the mean over shoulders and hips; NaN if unknown."""
+    x = y = z = 0.0
+    for i in range(pairs.shape[0]):
+        a, b = pairs[i, 0], pairs[i, 1]
+        dx = positions[b, 0] - positions[a, 0]
+        dy = positions[b, 1] - positions[a, 1]
+        dz = positions[b, 2] - positions[a, 2]
+        length = norm3(dx, dy, dz)
+        if length > 1e-6:  # false for NaN
+            x, y, z = x + dx / length, y + dy / length, z + dz / length
+    length = norm3(x, y, z)
+    if length < 1e-6:
+        length = np.nan
+    return x / length, y / length, z / length
+
+
+@kernel
+def _sum_confidences(confidences: Floats, out: Floats) -> None:
+    """Sum each view's confidences; one that is not given counts 1."""
+    for k in range(len(confidences)):
+        out[k] = 0.0
+        for m in range(confidences.shape[1]):
+            out[k] += 1.0 if math.isnan(confidences[k, m]) else confidences[k, m]
+
+
+@kernel
+def _mean_positions(markers: Floats, chosen: Flags, out: Floats) -> None:
+    """Mean marker positions of the chosen views; NaN where none has the marker."""
+    for m in range(len(out)):
+        out[m, 0] = np.nan
+        count = x = y = z = 0.0
+        for k in range(len(markers)):
+            if chosen[k] and not math.isnan(markers[k, m, 0]):
+                count += 1.0
+                x, y, z = x + markers[k, m, 0], y + markers[k, m, 1], z + markers[k, m, 2]
+        if count > 0.0:
+            out[m, 0], out[m, 1], out[m, 2] = x / count, y / count, z / count
+
+
+@kernel
+def _correct_view(
+    views: Views, k: int, mirror: Ints, reference: Floats, relabel: bool, drop: bool
+) -> bool:
+    """Exchange the sides of a view if that brings it nearer to ``reference``, else drop it.
+
+    Without ``drop``, ``reference`` is only the past, which may be distorted: the sides are
+    exchanged if that brings the view clearly nearer, else it stays as it is. Whether it changed.
+    """
+    markers = views.markers[k]
+    share = 1.0 if drop else _CLEARLY
+    if relabel and _is_mirrored(markers, mirror, reference, share):
+        for m in range(len(mirror)):
+            if mirror[m] > m:
+                exchange(markers, views.marker_confidences[k], m, mirror[m])
+    elif drop:
+        for m in range(len(mirror)):
+            markers[m, POSITION] = np.nan
+    else:
+        return False
+    # A detector that flips a person flips the links' frames by a convention of its own: they are
+    # unknown now.
+    blank(views.links[k], views.link_confidences[k])
+    return True
+
+
+@kernel
+def _is_mirrored(markers: Floats, mirror: Ints, reference: Floats, share: float) -> bool:
+    """Whether exchanged sides leave less than ``share`` of the distance to ``reference``."""
+    as_is = mirrored = 0.0
+    for m in range(len(mirror)):
+        o = mirror[m]
+        d = norm3(
+            markers[m, 0] - reference[m, 0],
+            markers[m, 1] - reference[m, 1],
+            markers[m, 2] - reference[m, 2],
+        )
+        s = norm3(
+            markers[o, 0] - reference[m, 0],
+            markers[o, 1] - reference[m, 1],
+            markers[o, 2] - reference[m, 2],
+        )
+        if not math.isnan(d) and not math.isnan(s):
+            as_is += d
+            mirrored += s
+    return mirrored < share * as_is
+
+
+@kernel
+def _blank_view(views: Views, k: int) -> None:
+    """Make all markers and links of a view absent."""
+    blank(views.markers[k], views.marker_confidences[k])
+    blank(views.links[k], views.link_confidences[k])
+
+
+# Outliers and the mean.
+
+
+@kernel
+def _merge_slots(
+    slots: _Slots, orientations: bool, limit: float, settings: MergerSettings, cameras: Stamps,
+    counts: Stamps, work: MergerWork,
+) -> None:  # fmt: skip
+    """Merge each marker, or each link by its ``orientations``: outlier vote, then eq 12.
+
+    Views nearer than ``limit``, m or rad, agree; 0 or less turns the vote off. A link that no view
+    gives an orientation is averaged without a vote. The final weights are left in ``slots``.
+    """
+    n, values, scale = len(cameras), work.values, settings.robust_scale
+    present, weights = work.present[:n], work.weights[:n]
+    # Half of the limit, for _all_agree. The angle between quaternions is half the rotation's.
+    half = math.cos(0.25 * limit) if orientations else 0.25 * limit * limit
+    _raise(slots.confidences, settings.confidence_power, slots.weights)
+    for m in range(slots.states.shape[1]):
+        if not _load_values(slots, m, orientations, values, present):
+            continue
+        has_past = limit > 0.0 and not math.isnan(slots.past[m, 0])
+        centre = _first(present)
+        if limit > 0.0 and not _all_agree(values, present, orientations, has_past, half):
+            centre, has_past = _reject_outliers(
+                slots.weights, m, orientations, has_past, limit, settings.drop_ties, cameras,
+                counts, work,
+            )  # fmt: skip
+        if centre < 0:
+            continue
+        _fill_weights(slots.weights, m, present, weights)
+        if scale > 0.0 and not orientations:
+            _reweight(values, weights, work.robust[:n], has_past, scale)
+        mean_state(  # eq 12
+            slots.states, slots.confidences, m, weights, centre, slots.merged,
+            slots.merged_confidences,
+        )  # fmt: skip
+        for k in range(n):
+            slots.weights[k, m] = weights[k]
+
+
+@kernel
+def _raise(confidences: Floats, power: float, out: Floats) -> None:
     """Fill ``out`` with the weights of eq 12: confidences to a power, 1 where not given."""
-    for k in members:
-        for m in range(out.shape[1]):
+    for k in range(len(confidences)):
+        for m in range(confidences.shape[1]):
             c = confidences[k, m]
             if math.isnan(c):
                 out[k, m] = 1.0
@@ -210,603 +595,208 @@ def _raise(members: Stamps, confidences: Floats, power: float, out: Floats) -> N
 
 
 @kernel
-def _weigh(members: Stamps, powers: Floats, m: int, usable: Flags, out: Floats) -> None:
-    """Weight of each usable view; equal if all are zero."""
-    total = 0.0
-    for k in range(len(members)):
-        out[k] = powers[members[k], m] if usable[k] else 0.0
-        total += out[k]
-    if total <= 0.0:
-        for k in range(len(members)):
-            out[k] = 1.0 if usable[k] else 0.0
-
-
-@kernel
-def _plain_mean(here: Floats, weights: Floats, out: Floats) -> None:
-    """Weighted mean of the rows of ``here``: a start that prefers no camera."""
-    norm = x = y = z = 0.0
-    for k in range(len(weights)):
-        if weights[k] > 0.0:
-            norm += weights[k]
-            x += weights[k] * here[k, 0]
-            y += weights[k] * here[k, 1]
-            z += weights[k] * here[k, 2]
-    out[0], out[1], out[2] = x / norm, y / norm, z / norm
-
-
-@kernel
-def _robust_mean(
-    here: Floats, weights: Floats, robust: Floats, start: Floats, scale: float, out: Floats
-) -> None:
-    """Weighted mean (eq 12) of the rows of ``here``, by Cauchy weights of ``scale`` m.
-
-    The weights are multiplied by how much each row counts, so that velocities can use them.
-    """
-    for c in range(3):
-        out[c] = start[c]
-    for _ in range(3 if scale > 0.0 else 1):
-        norm = x = y = z = 0.0
-        for k in range(len(weights)):
-            robust[k] = weights[k]
-            if weights[k] <= 0.0:
-                continue
-            if scale > 0.0:
-                dx, dy, dz = here[k, 0] - out[0], here[k, 1] - out[1], here[k, 2] - out[2]
-                robust[k] /= 1.0 + (dx * dx + dy * dy + dz * dz) / (scale * scale)
-            norm += robust[k]
-            x += robust[k] * here[k, 0]
-            y += robust[k] * here[k, 1]
-            z += robust[k] * here[k, 2]
-        out[0], out[1], out[2] = x / norm, y / norm, z / norm
-    for k in range(len(weights)):
-        weights[k] = robust[k]
-
-
-@kernel
-def _vote(
-    apart: Floats, weights: Floats, voter: bool, limit: float, drop: bool, usable: Flags,
-    lost: Flags,
-) -> int:  # fmt: skip
-    """Strike out the views that are not in the largest group; return its centre.
-
-    With ``drop``, all of them if another group is as large.
-    """
-    n = len(usable)
-    best: int = largest_group(apart, weights, voter, limit)
-    none = drop and _is_tied(apart, best, limit)
+def _load_values(slots: _Slots, m: int, orientations: bool, values: Floats, present: Flags) -> bool:
+    """Load what views and past show of a slot; whether any view shows it at all."""
+    n, first = len(present), ORIENTATION if orientations else POSITION
+    found = False
     for k in range(n):
-        if usable[k] and (none or not apart[best, k] < limit):
-            usable[k] = False
-            lost[k] = True
-    return best
+        present[k] = not math.isnan(slots.states[k, m, first])
+        found = found or present[k]
+        for c in range(slots.past.shape[1]):
+            values[k, c] = slots.states[k, m, first + c]
+    for c in range(slots.past.shape[1]):
+        values[n, c] = slots.past[m, c]
+    if orientations and not found:
+        for k in range(n):
+            no_position = math.isnan(slots.states[k, m, POSITION])
+            present[k] = not (no_position and math.isnan(slots.confidences[k, m]))
+            found = found or present[k]
+    return found
 
 
 @kernel
-def _first(usable: Flags) -> int:
+def _first(present: Flags) -> int:
     k = 0
-    while not usable[k]:
+    while not present[k]:
         k += 1
     return k
 
 
 @kernel
-def _agree(here: Floats, usable: Flags, voter: bool, limit: float) -> bool:
-    """Whether all positions lie within ``limit`` of one of them, so that no vote is needed."""
-    n = len(usable)
-    centre = n if voter else _first(usable)
+def _all_agree(
+    values: Floats, present: Flags, orientations: bool, has_past: bool, half: float
+) -> bool:
+    """Whether all lie within half of the limit of one of them: no vote would reject any.
+
+    ``half`` is the squared distance, m2, or the scalar product of two quaternions at that angle:
+    the roots and arc cosines of :func:`_distance` take longer.
+    """
+    n = len(present)
+    centre = n if has_past else _first(present)
     for k in range(n):
-        if usable[k]:
-            dx = here[k, 0] - here[centre, 0]
-            dy = here[k, 1] - here[centre, 1]
-            dz = here[k, 2] - here[centre, 2]
-            if dx * dx + dy * dy + dz * dz >= limit * limit:
+        if not present[k]:
+            continue
+        if orientations:
+            if abs(_dot(values, k, values, centre)) <= half:
+                return False
+        else:
+            x = values[k, 0] - values[centre, 0]
+            y = values[k, 1] - values[centre, 1]
+            z = values[k, 2] - values[centre, 2]
+            if x * x + y * y + z * z >= half:
                 return False
     return True
 
 
 @kernel
-def _aligned(turns: Floats, usable: Flags, voter: bool, near: float) -> bool:
-    """Whether all orientations lie near one of them, so that no vote is needed."""
-    n = len(usable)
-    centre = n if voter else _first(usable)
-    for k in range(n):
-        if usable[k] and abs(_dot4(turns, k, turns, centre)) <= near:
-            return False
-    return True
+def _reject_outliers(
+    slot_weights: Floats, m: int, orientations: bool, has_past: bool, limit: float,
+    drop_ties: bool, cameras: Stamps, counts: Stamps, work: MergerWork,
+) -> tuple[int, bool]:  # fmt: skip
+    """Strike the views that are not in the largest group (section 3.2).
 
-
-@kernel
-def _merge_markers(
-    members: Stamps, views: Floats, confidences: Floats, bias: Floats, person: int,
-    cameras: Stamps, limit: float, drop: bool, scale: float, learning: float, work: Work, p: int,
-    out: Floats, out_confidences: Floats,
-) -> None:  # fmt: skip
-    """Merge the markers of one person's views (outlier vote, then eq 12).
-
-    Parameters
-    ----------
-    members : (K,) views of the person. views, confidences : (N, M, 19), (N, M).
-    bias, person, cameras : (S, C, M, 3), the person's row in it, (N,) the camera of each view.
-    limit : m, views closer than this agree; <= 0 turns the vote off. drop : on a tie, everything.
-    scale : m, of the robust mean; <= 0 = plain eq 12.
-    learning : fraction by which a camera's bias follows its offset; 0 = no bias.
-    work : whose ``powers`` are the confidences to a power, and ``past`` (M, 3) is the previous
-        pose, NaN = no vote. Votes lost are added to its ``outliers``.
-    p, out, out_confidences : row of the outputs (P, M, 19), (P, M) to fill.
+    With ``drop_ties``, all of them if another group is as large. Returns the centre of the group,
+    -1 if none is left, and whether the past is in it.
     """
-    n = len(members)
-    powers, past, here = work.powers, work.past, work.places
-    apart = work.apart[: (n + 1) * (n + 1)].reshape((n + 1, n + 1))
-    alone = work.alone[: n * n].reshape((n, n))
-    weights, robust = work.weights[0, :n], work.weights[1, :n]
-    usable, lost = work.flags[0, :n], work.flags[1, :n]
-    start, mean = work.points[0], work.points[1]
-    for m in range(views.shape[1]):
-        count = 0
-        for k in range(n):
-            v = members[k]
-            usable[k] = not math.isnan(views[v, m, 0])
-            lost[k] = False
-            count += int(usable[k])
-            for c in range(3):
-                here[k, c] = views[v, m, c] - bias[person, cameras[v], m, c]
-        if count == 0:
-            continue
-        voter = not math.isnan(past[m, 0])
-        for c in range(3):
-            here[n, c] = past[m, c]
-        _weigh(members, powers, m, usable, weights)
-        if limit > 0.0 and not _agree(here, usable, voter, 0.5 * limit):
-            for a in range(n + 1):
-                for b in range(n + 1):
-                    apart[a, b] = norm3(
-                        here[a, 0] - here[b, 0], here[a, 1] - here[b, 1], here[a, 2] - here[b, 2]
-                    )
-            if not voter:
-                for a in range(n):
-                    for b in range(n):
-                        alone[a, b] = apart[a, b]
-            best = _vote(apart if voter else alone, weights, voter, limit, drop, usable, lost)
-            _weigh(members, powers, m, usable, weights)
-            voter = voter and apart[best, n] < limit
-        else:
-            best = _first(usable)
-            voter = voter and limit > 0.0
-        if voter:
-            for c in range(3):
-                start[c] = here[n, c]
-        else:
-            _plain_mean(here, weights, start)
-        _robust_mean(here, weights, robust, start, scale, mean)
-        for c in range(3):
-            out[p, m, c] = mean[c]
-        if not math.isnan(views[members[best], m, 6]):
-            mean_turn(views, members, m, weights, best, out, p)
-        for first in (7, 10, 13, 16):
-            mean_columns(views, members, m, first, weights, out, p)
-        out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
-        heaviest = 0.0
-        for k in range(n):
-            heaviest = max(heaviest, weights[k])
-        for k in range(n):
-            work.outliers[members[k]] += int(lost[k])
-            if learning > 0.0 and weights[k] > 0.0:
-                # In proportion to the weight that the view has: a guess teaches little.
-                rate = learning * weights[k] / heaviest
-                for c in range(3):
-                    bias[person, cameras[members[k]], m, c] += rate * (here[k, c] - mean[c])
-
-
-@kernel
-def _merge_links(
-    members: Stamps, views: Floats, confidences: Floats, limit: float, drop: bool, work: Work,
-    p: int, out: Floats, out_confidences: Floats,
-) -> None:  # fmt: skip
-    """Merge the links of one person's views as :func:`_merge_markers` does, by orientation.
-
-    ``limit`` is in rad (eq 10). A link without orientation is averaged without a vote.
-    """
-    n = len(members)
-    powers, past, turns, weights = work.link_powers, work.past_turn, work.turns, work.weights[0, :n]
-    apart = work.apart[: (n + 1) * (n + 1)].reshape((n + 1, n + 1))
-    alone = work.alone[: n * n].reshape((n, n))
-    usable, lost = work.flags[0, :n], work.flags[1, :n]
-    near = math.cos(0.25 * max(limit, 0.0))  # of half the angle between two quaternions
-    for m in range(views.shape[1]):
-        turned = 0
-        for k in range(n):
-            v = members[k]
-            usable[k] = not math.isnan(views[v, m, 3])
-            lost[k] = False
-            turned += int(usable[k])
-            for c in range(4):
-                turns[k, c] = views[v, m, 3 + c]
-        if turned == 0:
-            for k in range(n):
-                v = members[k]
-                usable[k] = not (math.isnan(views[v, m, 0]) and math.isnan(confidences[v, m]))
-        _weigh(members, powers, m, usable, weights)
-        if turned > 0:
-            voter = not math.isnan(past[m, 0])
-            for c in range(4):
-                turns[n, c] = past[m, c]
-            best = _first(usable)
-            if limit > 0.0 and not _aligned(turns, usable, voter, near):
-                for a in range(n + 1):
-                    for b in range(a + 1):
-                        dot = _dot4(turns, a, turns, b)
-                        apart[a, b] = apart[b, a] = np.nan if math.isnan(dot) else angle_of(dot)
-                if not voter:
-                    for a in range(n):
-                        for b in range(n):
-                            alone[a, b] = apart[a, b]
-                best = _vote(apart if voter else alone, weights, voter, limit, drop, usable, lost)
-                _weigh(members, powers, m, usable, weights)
-            mean_turn(views, members, m, weights, best, out, p)
-        for first in (0, 7, 10, 13, 16):
-            mean_columns(views, members, m, first, weights, out, p)
-        out_confidences[p, m] = mean_confidence(members, confidences, m, weights)
-        for k in range(n):
-            work.outliers[members[k]] += int(lost[k])
-
-
-@kernel
-def _right_views(
-    apart: Floats, trust: Floats, has_past: bool, patient: bool, limit: float, right: Flags
-) -> bool:
-    """Mark the views that face as the largest group does; whether the past decided against all.
-
-    With ``patient``, the past wins over views that face the other way unless they are more than
-    those on its side (it counts as one).
-    """
-    n = len(trust)
-    best = largest_group(apart, trust, has_past, limit)
-    if has_past and patient and apart[best, n] >= limit:
-        with_best = with_past = 0
-        for k in range(n + 1):
-            with_best += int(apart[best, k] < limit)
-            with_past += int(apart[n, k] < limit)
-        if with_past >= with_best:
-            best = n
-    none = True
-    for k in range(n):
-        right[k] = not apart[best, k] >= limit
-        none = none and not right[k]
-    return none
-
-
-@kernel
-def _blank(states: Floats, confidences: Floats) -> None:
-    """Make states absent."""
-    for p in range(states.shape[0]):
-        for m in range(states.shape[1]):
-            confidences[p, m] = np.nan
-            for c in range(states.shape[2]):
-                states[p, m, c] = np.nan
-
-
-@kernel
-def _mend(
-    view: int, markers: Floats, confidences: Floats, links: Floats, link_confidences: Floats,
-    mirror: Ints, reference: Floats, relabel: bool, drop: bool,
-) -> int:  # fmt: skip
-    """Swap the sides of a view if that brings it near ``reference``; else drop it, or leave it.
-
-    Where it is not to be dropped, there is only the past to go by, which may be distorted: then
-    swapping has to bring the view clearly nearer.
-    """
-    as_is = swapped = 0.0
-    both = 0
-    n_markers = markers.shape[1]
-    for m in range(n_markers):
-        d = norm3(
-            markers[view, m, 0] - reference[m, 0],
-            markers[view, m, 1] - reference[m, 1],
-            markers[view, m, 2] - reference[m, 2],
-        )
-        s = norm3(
-            markers[view, mirror[m], 0] - reference[m, 0],
-            markers[view, mirror[m], 1] - reference[m, 1],
-            markers[view, mirror[m], 2] - reference[m, 2],
-        )
-        if not math.isnan(d) and not math.isnan(s):
-            as_is += d
-            swapped += s
-            both += 1
-    if relabel and both > 0 and swapped < (1.0 if drop else _CLEARLY) * as_is:
-        for m in range(n_markers):
-            other = mirror[m]
-            if other > m:
-                for c in range(markers.shape[2]):
-                    value = markers[view, m, c]
-                    markers[view, m, c] = markers[view, other, c]
-                    markers[view, other, c] = value
-                value = confidences[view, m]
-                confidences[view, m] = confidences[view, other]
-                confidences[view, other] = value
-        verdict = RELABELLED
-    elif drop:
-        for m in range(n_markers):
-            markers[view, m, 0] = np.nan
-        verdict = FLIPPED
-    else:
-        return KEPT
-    # A detector that turns a body round turns the links' frames, too, each by its own convention:
-    # they are unknown now.
-    _blank(links[view : view + 1], link_confidences[view : view + 1])
-    return verdict
-
-
-@kernel
-def _settle_flips(
-    members: Stamps, markers: Floats, confidences: Floats, links: Floats,
-    link_confidences: Floats, has_past: bool, patient: bool, mirror: Ints, pairs: Ints,
-    pelvis: int, limit: float, relabel: bool, drop: bool, work: Work,
-) -> int:  # fmt: skip
-    """Mend the views of one person that face the wrong way; with ``drop``, leave all out on a tie.
-
-    Returns AGREED if a view faces as the past does, TURNED if the views outvoted the past, HELD if
-    the past outvoted them.
-    """
-    n = len(members)
+    n = len(cameras)
     size = n + 1 if has_past else n
-    if size == 1:
-        return AGREED
-    past, verdicts = work.past, work.verdicts
-    sides, turns, trust = work.places[:size], work.turns[:size], work.weights[0, :n]
-    for k in range(n):
-        view = members[k]
-        _lateral(markers, view, pairs, sides, k)
-        for c in range(4):
-            turns[k, c] = links[view, pelvis, 3 + c] if pelvis >= 0 else np.nan
-        trust[k] = 0.0
-        for m in range(confidences.shape[1]):
-            trust[k] += 1.0 if math.isnan(confidences[view, m]) else confidences[view, m]
-    if has_past:
-        _lateral(past.reshape((1, past.shape[0], 3)), np.int64(0), pairs, sides, n)
-        for c in range(4):
-            turns[n, c] = work.past_turn[pelvis, c] if pelvis >= 0 else np.nan
-    apart = work.apart[: size * size].reshape((size, size))
-    _facing_angles(sides, turns, apart)
-    conflict = False
+    distances = work.distances[: size * size].reshape((size, size))
     for a in range(size):
-        for b in range(size):
-            conflict = conflict or apart[a, b] >= limit
-    if not conflict:
-        return AGREED
-    for k in range(size):
-        if not math.isnan(apart[k, k]):  # who faces nowhere known leads no group
-            apart[k, k] = 0.0
-    if drop and _is_tied(apart, largest_group(apart, trust, has_past, limit), limit):
-        for k in range(n):
-            v = members[k]
-            _blank(markers[v : v + 1], confidences[v : v + 1])
-            _blank(links[v : v + 1], link_confidences[v : v + 1])
-            verdicts[v] = FLIPPED
-        return HELD
-    right = work.flags[0, :n]
-    none = _right_views(apart, trust, has_past, patient, limit, right)
-    reference = past if none else work.reference
-    if not none:
-        for m in range(past.shape[0]):
-            reference[m, 0] = np.nan
-            count = x = y = z = 0.0
-            for k in range(n):
-                v = members[k]
-                if right[k] and not math.isnan(markers[v, m, 0]):
-                    count += 1.0
-                    x += markers[v, m, 0]
-                    y += markers[v, m, 1]
-                    z += markers[v, m, 2]
-            if count > 0.0:
-                reference[m, 0], reference[m, 1], reference[m, 2] = x / count, y / count, z / count
+        for b in range(a + 1):
+            distances[a, b] = distances[b, a] = _distance(work.values, a, b, orientations)
+    _fill_weights(slot_weights, m, work.present[:n], work.weights[:n])
+    best = largest_group(distances, work.weights[:n], has_past, limit)
+    tied = drop_ties and _is_tied(distances, best, limit)
     for k in range(n):
-        if not right[k]:
-            verdicts[members[k]] = _mend(
-                members[k], markers, confidences, links, link_confidences, mirror, reference,
-                relabel, not none,
-            )  # fmt: skip
-    if none:
-        for k in range(n):
-            if verdicts[members[k]] != KEPT:
-                return HELD
-        return TURNED
-    if has_past:
-        for k in range(n):
-            if right[k] and not apart[k, n] >= limit:
-                return AGREED
-        return TURNED
-    return AGREED
+        if work.present[k] and (tied or not distances[best, k] < limit):
+            work.present[k] = False
+            counts[OUTLIERS, cameras[k]] += 1
+    return (-1 if tied else best), has_past and distances[best, n] < limit
 
 
 @kernel
-def _fuse(
-    stamp: int,
-    n: int,
-    whose: Stamps,
-    trust: Floats,
-    markers: Floats,
-    confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    rows: Stamps,
-    seen: Stamps,
-    facing_seen: Stamps,
-    facing_since: Stamps,
-    positions: Floats,
-    velocities: Floats,
-    turns: Floats,
-    bias: Floats,
-    mirror: Ints,
-    pairs: Ints,
-    numbers: Floats,
-    out_stamps: Stamps,
-    out_trust: Floats,
-    out: Floats,
-    out_confidences: Floats,
-    out_links: Floats,
-    out_link_confidences: Floats,
-    counts: Stamps,
-    work: Work,
+def _fill_weights(slot_weights: Floats, m: int, present: Flags, out: Floats) -> None:
+    """Weight of each view that is present; equal if all are zero."""
+    total = 0.0
+    for k in range(len(out)):
+        out[k] = slot_weights[k, m] if present[k] else 0.0
+        total += out[k]
+    if total <= 0.0:
+        for k in range(len(out)):
+            out[k] = 1.0 if present[k] else 0.0
+
+
+@kernel
+def _reweight(
+    values: Floats, weights: Floats, robust: Floats, has_past: bool, scale: float
 ) -> None:
-    """Merge an instant: settle flips, vote, average (H25); see :func:`fuse`."""
-    person_of, cameras = whose[0, :n], whose[1, :n]
-    n_markers, n_links = markers.shape[1], links.shape[1]
-    past, past_turn = work.past, work.past_turn
+    """Multiply the weights by Cauchy weights of ``scale`` m about the mean that they give.
+
+    The start prefers no camera: it is the past, if that may vote, or the plain weighted mean.
+    """
+    n = len(weights)
+    x, y, z = values[n, 0], values[n, 1], values[n, 2]
     for k in range(n):
-        work.verdicts[k], work.outliers[k] = KEPT, 0
-    no_pairs = pairs[:0]
-    for p in range(len(rows)):
-        count = 0
+        robust[k] = weights[k]
+    for i in range(_ROUNDS):
+        if i > 0 or not has_past:
+            x, y, z = _mean_position(values, robust)
         for k in range(n):
-            if person_of[k] == p:
-                work.members[count] = k
-                count += 1
-        if count == 0:
-            continue
-        members = work.members[:count]
-        row = rows[p]
-        age = (stamp - seen[row]) * 1e-9
-        fresh = seen[row] > 0 and age <= numbers[0]
-        has_past = fresh and numbers[8] > 0.0
-        for m in range(n_markers):
-            for c in range(3):
-                past[m, c] = np.nan
-                if fresh:
-                    past[m, c] = positions[row, m, c] + max(age, 0.0) * velocities[row, m, c]
-        for k in range(n_links):
-            for c in range(4):
-                past_turn[k, c] = turns[row, k, c] if fresh else np.nan
-        facing = AGREED
-        if numbers[3] > 0.0:
-            # A facing that was seen for a moment only does not outvote others for long.
-            known = (facing_seen[row] - facing_since[row]) * 1e-9
-            patience = min(numbers[10], _TRUST * known)
-            patient = (stamp - facing_seen[row]) * 1e-9 <= patience
-            facing = _settle_flips(
-                members, markers, confidences, links, link_confidences, has_past, patient, mirror,
-                pairs if numbers[7] > 0.0 else no_pairs, int(numbers[6]), numbers[3],
-                numbers[9] > 0.0, numbers[13] > 0.0, work,
-            )  # fmt: skip
-        if facing == TURNED or seen[row] == 0:
-            facing_since[row] = stamp
-        if facing != HELD:
-            facing_seen[row] = stamp
-        if not has_past:
-            for m in range(n_markers):
-                past[m, 0] = np.nan
-            for k in range(n_links):
-                past_turn[k, 0] = np.nan
-        learning = 0.0
-        if numbers[12] > 0.0 and fresh:
-            learning = 1.0 - math.exp(-max(age, 0.0) / numbers[12])
-        _raise(members, confidences, numbers[4], work.powers)
-        _merge_markers(
-            members, markers, confidences, bias, row, cameras, numbers[1], numbers[13] > 0.0,
-            numbers[5], learning, work, p, out, out_confidences,
-        )  # fmt: skip
-        _raise(members, link_confidences, numbers[4], work.link_powers)
-        _merge_links(
-            members, links, link_confidences, numbers[2], numbers[13] > 0.0, work, p, out_links,
-            out_link_confidences,
-        )  # fmt: skip
-        seen[row] = stamp
-        for m in range(n_markers):
-            for c in range(3):
-                positions[row, m, c] = out[p, m, c]
-                v = out[p, m, 7 + c]
-                velocities[row, m, c] = 0.0 if math.isnan(v) else v
-        for k in range(n_links):
-            for c in range(4):
-                turns[row, k, c] = out_links[p, k, 3 + c]
+            if weights[k] > 0.0:
+                dx, dy, dz = values[k, 0] - x, values[k, 1] - y, values[k, 2] - z
+                robust[k] = weights[k] / (1.0 + (dx * dx + dy * dy + dz * dz) / (scale * scale))
     for k in range(n):
-        counts[0, cameras[k]] += work.outliers[k]
-        counts[1, cameras[k]] += work.verdicts[k] != KEPT
-    mean_people(stamp, person_of, whose[2, :n], trust[:n], numbers[11] > 0.0, out_stamps, out_trust)
+        weights[k] = robust[k]
 
 
-@kernel(
-    types.void(
-        _I1, _I2, _I2, types.int32[::1], _F1, _F3, _F2, _F3, _F2, _I2, _F1, _F3, _F2, _F3, _F2,
-        _I1, _I1, _I1, _I1, _F3, _F3, _F3, _F4, types.int32[::1], types.int32[:, ::1], _F1,
-        types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _I2, _WORK,
-    ),
-)  # fmt: skip
-def fuse(
-    stamps: Stamps,
-    ends: Stamps,
-    parts: Stamps,
-    ids: Ints,
-    trust: Floats,
-    markers: Floats,
-    confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    whose: Stamps,
-    view_trust: Floats,
-    view_markers: Floats,
-    view_confidences: Floats,
-    view_links: Floats,
-    view_link_confidences: Floats,
-    rows: Stamps,
-    seen: Stamps,
-    facing_seen: Stamps,
-    facing_since: Stamps,
-    positions: Floats,
-    velocities: Floats,
-    turns: Floats,
-    bias: Floats,
-    mirror: Ints,
-    pairs: Ints,
-    numbers: Floats,
-    out_ids: Ints,
-    out_stamps: Stamps,
-    out_trust: Floats,
-    out: Floats,
-    out_confidences: Floats,
-    out_links: Floats,
-    out_link_confidences: Floats,
-    counts: Stamps,
-    work: Work,
+@kernel
+def _mean_position(values: Floats, weights: Floats) -> tuple[float, float, float]:
+    """Weighted mean of the rows."""
+    norm = x = y = z = 0.0
+    for k in range(len(weights)):
+        if weights[k] > 0.0:
+            norm += weights[k]
+            x += weights[k] * values[k, 0]
+            y += weights[k] * values[k, 1]
+            z += weights[k] * values[k, 2]
+    return x / norm, y / norm, z / norm
+
+
+# The cameras' slow offsets.
+
+
+@kernel
+def _subtract_offsets(views: Views, offsets: Floats) -> None:
+    """Take each camera's slow offset (C, M, 3) off its markers."""
+    for k in range(len(views.cameras)):
+        for m in range(offsets.shape[1]):
+            for c in range(3):
+                views.markers[k, m, c] -= offsets[views.cameras[k], m, c]
+
+
+@kernel
+def _rate(stamp: int, past: MergerPast, row: int, settings: MergerSettings) -> float:
+    """Share by which an offset follows what is observed; 0 = not at all."""
+    if settings.offset_time <= 0.0 or not _is_fresh(stamp, past, row):
+        return 0.0
+    dt = max((stamp - past.seen[row]) * 1e-9, 0.0)
+    return 1.0 - math.exp(-dt / settings.offset_time)
+
+
+@kernel
+def _learn_offsets(
+    views: Views, weights: Floats, merged: Floats, rate: float, offsets: Floats
 ) -> None:
-    """Merge instant after instant: settle flips, vote, average (H25).
+    """Move each camera's offset towards the distance of its markers from the merged ones.
+
+    In proportion to the weight (K, M) that the view had: a guess says little.
+    """
+    if rate <= 0.0:
+        return
+    for m in range(len(merged)):
+        if math.isnan(merged[m, 0]):
+            continue
+        heaviest = 0.0
+        for k in range(len(views.cameras)):
+            heaviest = max(heaviest, weights[k, m])
+        for k in range(len(views.cameras)):
+            if weights[k, m] > 0.0:
+                share = rate * weights[k, m] / heaviest
+                for c in range(3):
+                    difference = views.markers[k, m, c] - merged[m, c]
+                    offsets[views.cameras[k], m, c] += share * difference
+
+
+@kernel(types.void(BUFFERS, PEOPLE, VIEWS, _PAST, _SETTINGS, _SIDES, PEOPLE, I2, _WORK))
+def merge_buffers(
+    buffers: Buffers,
+    people: People,
+    room: Views,
+    past: MergerPast,
+    settings: MergerSettings,
+    sides: Sides,
+    out: People,
+    counts: Stamps,
+    work: MergerWork,
+) -> None:
+    """Merge buffer after buffer.
 
     Parameters
     ----------
-    stamps, ends : (Q,) merged times, ns; (Q + 1, 2) output row and message before which each
-        instant ends, from (0, 0) on.
-    parts : (K, 4) of each message its people's first row, the one after the last, time and camera.
-    ids, trust, markers, confidences, links, link_confidences : (P, ...) the people.
-    whose, view_trust, ..., view_link_confidences : room for the views of any instant, as
-        :func:`hiros_mcap.kernels.averaging.load_views` fills it.
-    rows : bank row of each output row. The bank, by row: ``seen``, ``facing_seen`` and
-        ``facing_since`` (S,) stamps, 0 = never; ``positions``, ``velocities``, ``turns``,
-        ``bias``; brought to the last instant that shows the person.
-    mirror, pairs : of the skeleton's symmetry.
-    numbers : horizon, max_position_delta, max_orientation_delta, max_facing_delta, power, scale,
-        pelvis link, by sides, past votes, relabel, flip patience, compensate, bias time, drop
-        ties (as stages/merge.py packs them).
-    out_ids : says whom each output row is to show. ``out``, ..., ``out_link_confidences`` are
-        absent in rows without views, whose ``out_stamps`` and ``out_trust`` stay as they are.
-    counts : (2, C) votes lost and flips, by camera; added to.
-    work : with room for the views of any instant.
+    buffers, people : the messages, and the people that they show.
+    room : for the views of any person in a buffer; so is ``work``.
+    past : brought to the last buffer that shows the person.
+    out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times. Who
+        is in no message of a buffer is carried on from the past.
+    counts : (2, C) outliers and flips by camera; added to.
     """
-    carry = numbers[11] > 0.0
-    for q in range(len(stamps)):
-        a, b = ends[q, 0], ends[q + 1, 0]
-        _blank(out[a:b], out_confidences[a:b])
-        _blank(out_links[a:b], out_link_confidences[a:b])
-        n: Any = np.int64(0)  # a literal would make a second version of what it is given to
-        for k in range(ends[q, 1], ends[q + 1, 1]):
-            c, d = parts[k, 0], parts[k, 1]
-            n = load_views(
-                n, parts[k, 3], parts[k, 2], stamps[q], carry, out_ids[a:b], ids[c:d], trust[c:d],
-                markers[c:d], confidences[c:d], links[c:d], link_confidences[c:d], whose,
-                view_trust, view_markers, view_confidences, view_links, view_link_confidences,
-            )  # fmt: skip
-        _fuse(
-            stamps[q], n, whose, view_trust, view_markers, view_confidences, view_links,
-            view_link_confidences, rows[a:b], seen, facing_seen, facing_since, positions,
-            velocities, turns, bias, mirror, pairs, numbers, out_stamps[a:b], out_trust[a:b],
-            out[a:b], out_confidences[a:b], out_links[a:b], out_link_confidences[a:b], counts, work,
-        )  # fmt: skip
+    for q in range(len(buffers.stamps)):
+        for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
+            views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, room)
+            row = buffers.past_rows[p]
+            if len(views.stamps) == 0:
+                _bridge(buffers.stamps[q], past, row, out, p)
+                continue
+            _merge_person(
+                buffers.stamps[q], views, past, row, settings, sides, out, p, counts, work
+            )

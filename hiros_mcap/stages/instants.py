@@ -1,16 +1,18 @@
-"""What the cameras report at about the same time, gathered for a merger."""
+"""What the cameras show at about the same time, gathered and merged person by person."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.kernels.averaging import load_views
-from hiros_mcap.skeletons import STATE, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.frames import Block, Part, join, most_often
+from hiros_mcap.kernels.averaging import Buffers
+from hiros_mcap.skeletons import UNTRACKED, People, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
 
 T = TypeVar("T")
 
@@ -85,61 +87,159 @@ class Instants(Generic[T]):
         return Instant([message for _, message in messages], self._newest, log_time)
 
 
-def instants(
-    frames: Iterable[Frame], cameras: int, max_delta_time: float, events: Events
-) -> Iterator[Instant[Frame]]:
-    """Yield what :class:`Instants` gathers from frames of all cameras, roughly in time order."""
-    gathered: Instants[Frame] = Instants(cameras, max_delta_time, events)
-    for frame in frames:
-        yield from gathered.add(frame.stamp, frame.source, frame.log_time, frame)
-    yield from gathered.rest()
+MergeKernel = Callable[[Buffers, People, int, People, Stamps], None]
+"""Merges ``buffers`` of messages that show ``people``, at most so many views of one person, into
+the people whose ids a third argument holds, and adds to (2, C) counts by camera."""
 
 
-Room = tuple[Stamps, Floats, Floats, Floats, Floats, Floats]
-"""Of N views: (3, N) row in the output, camera and time, ns; confidences, markers, their
-confidences, links, their confidences."""
+class InstantMerger:
+    """Merges what the cameras show of each person at an instant; every merger is one.
+
+    Parameters
+    ----------
+    model, events, fixed_frame : see :func:`hiros_mcap.stages.merge.merge`.
+    kernel : merges the views of each person.
+    bank : what the kernel remembers of people; one row for each.
+    counted : names of what the kernel counts by camera.
+    bridge : s for which a person whom no message shows is handed to the kernel all the same.
+    """
+
+    # ns of instants that are merged at once. A row that the bank frees meanwhile may be another
+    # person's at once, for the bank waits longer.
+    _SPAN = 5_000_000_000
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        kernel: MergeKernel,
+        bank: Bank[Any],
+        events: Events,
+        fixed_frame: str,
+        counted: tuple[str, str],
+        bridge: float = 0.0,
+    ) -> None:
+        self._model, self._kernel, self._bank = model, kernel, bank
+        self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
+        self._bridge = bridge * 1e9 or -1.0
+        self._cameras: dict[str, int] = {}
+
+    def run(self, blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
+        """Yield the merged people of every instant; the parameters are those of Instants."""
+        gathered: Instants[Part] = Instants(cameras, max_delta_time, self._events)
+        for block in blocks:
+            ready: list[Instant[Part]] = []
+            for message in block.messages():
+                ready += gathered.add(*message)
+            yield from self._merge_all(ready)
+        yield from self._merge_all(gathered.rest())
+
+    def _merge_all(self, instants: Sequence[Instant[Part]]) -> Iterator[Block]:
+        """Merge in batches of a few seconds."""
+        batch: list[Instant[Part]] = []
+        for instant in instants:
+            if batch and instant.stamp - batch[0].stamp > self._SPAN:
+                yield self._merge(batch)
+                batch = []
+            batch.append(instant)
+        if batch:
+            yield self._merge(batch)
+
+    def _merge(self, instants: Sequence[Instant[Part]]) -> Block:
+        plans: list[_MergePlan] = []
+        for instant in instants:
+            block, places = _one_block(instant)
+            if not plans or block is not plans[-1].block:
+                plans.append(_MergePlan(block))
+            self._plan(plans[-1], instant.stamp, places)
+        stamps = np.array([instant.stamp for instant in instants], np.int64)
+        sizes = np.concatenate([np.diff(plan.people_ends) for plan in plans])
+        ends = np.concatenate([[0], np.cumsum(sizes)])
+        out = People.room(int(ends[-1]), self._model.n_markers, self._model.n_links)
+        out.stamps[:] = np.repeat(stamps, sizes)
+        out.confidences.fill(np.nan)
+        out.boxes.fill(np.nan)
+        counts = np.zeros((2, len(self._cameras)), np.int64)
+        first = 0
+        for plan in plans:
+            part = out.at(slice(first, first + len(plan.ids)))
+            part.ids[:] = plan.ids
+            self._kernel(plan.buffers(), plan.block.people, plan.max_views, part, counts)
+            first += len(plan.ids)
+        for kind, by_camera in zip(self._counted, counts.tolist(), strict=True):
+            for source, n in zip(self._cameras, by_camera, strict=True):
+                self._events.count(kind, source, n)
+        firsts = [instant.messages[0] for instant in instants]
+        names = [self._fixed_frame or block.frame_ids[i] for block, i in firsts]
+        log_times = np.array([instant.log_time for instant in instants], np.int64)
+        return Block(stamps, log_times, names, names, np.stack([ends[:-1], ends[1:]], 1), out)
+
+    def _plan(self, plan: _MergePlan, stamp: int, places: Sequence[int]) -> None:
+        """Add the messages at ``places`` of the plan's block, merged at ``stamp``."""
+        seen: set[int] = set()
+        views = 0
+        for i in places:
+            people = plan.add_message(
+                i, self._cameras.setdefault(plan.block.sources[i], len(self._cameras))
+            )
+            seen.update(people)
+            views += most_often([person for person in people if person != UNTRACKED])
+        seen.discard(UNTRACKED)
+        self._bank.expire(stamp)
+        last = self._bank.last_seen
+        bridged = {p for p in last if p not in seen and 0 <= stamp - last[p] <= self._bridge}
+        people = sorted(seen | bridged)
+        rows = [self._bank.row(p, stamp) if p in seen else self._bank.rows[p] for p in people]
+        plan.end_instant(stamp, people, rows, views)
+        self._events.count("bridged", n=len(bridged))
 
 
-class Views:
-    """The views of an instant in common arrays, which are reused, since new ones cost."""
+def _one_block(instant: Instant[Part]) -> tuple[Block, list[int]]:
+    """Return a block that holds the messages of an instant, and where."""
+    block, places = instant.messages[0][0], [i for _, i in instant.messages]
+    if all(other is block for other, _ in instant.messages):
+        return block, places
+    return join(instant.messages), list(range(len(places)))
 
-    def __init__(self, model: SkeletonModel) -> None:
-        self._model = model
-        self._room = self._make(16)
 
-    def _make(self, views: int) -> Room:
-        m, n = self._model.n_markers, self._model.n_links
-        return (
-            np.empty((3, views), np.int64), np.empty(views), np.empty((views, m, STATE)),
-            np.empty((views, m)), np.empty((views, n, STATE)), np.empty((views, n)),
-        )  # fmt: skip
+class _MergePlan:
+    """Instants whose messages lie in one block, written down for a kernel."""
 
-    def room(self, views: int) -> Room:
-        """Arrays for so many views or more; their contents are lost."""
-        if views > len(self._room[1]):
-            self._room = self._make(2 * views)
-        return self._room
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self.ids: list[int] = []
+        """Of each merged person."""
+        self.people_ends = [0]
+        self.max_views = 0
+        """Most views of one person at an instant."""
+        self._rows, self._ids = block.rows.tolist(), block.people.ids.tolist()
+        self._times = block.stamps.tolist()
+        self._past_rows: list[int] = []
+        self._stamps: list[int] = []
+        self._message_ends = [0]
+        self._messages: list[tuple[int, int, int, int]] = []
 
-    def load(
-        self, out: Frame, frames: Sequence[Frame], cameras: Sequence[int], *, carry: bool
-    ) -> tuple[int, Stamps, Floats, Floats, Floats, Floats, Floats]:
-        """Gather the views of the people of ``out``; valid until the next call.
+    def add_message(self, i: int, camera: int) -> list[int]:
+        """Add message ``i`` of the block; return the ids of its people."""
+        begin, end = self._rows[i]
+        self._messages.append((begin, end, self._times[i], camera))
+        people: list[int] = self._ids[begin:end]
+        return people
 
-        Parameters
-        ----------
-        out : says whom, and the merged time. frames, cameras : messages, and a number of each.
-        carry : the views to the merged time, by their velocities.
+    def end_instant(self, stamp: int, people: list[int], past_rows: list[int], views: int) -> None:
+        """Say whom the messages since the last instant make, and when."""
+        self._stamps.append(stamp)
+        self.ids += people
+        self._past_rows += past_rows
+        self.people_ends.append(len(self.ids))
+        self._message_ends.append(len(self._messages))
+        self.max_views = max(self.max_views, views)
 
-        Returns
-        -------
-        How many views, and arrays with room for them or more: (3, N) row in ``out``, camera and
-        time, ns, of each; confidences, markers, their confidences, links, their confidences.
-        """
-        room, n = self.room(sum(len(frame.ids) for frame in frames)), 0
-        for frame, camera in zip(frames, cameras, strict=True):
-            n = load_views(
-                n, camera, frame.stamp, out.stamp, carry, out.ids, frame.ids, frame.confidences,
-                frame.markers, frame.marker_confidences, frame.links, frame.link_confidences,
-                *room,
-            )  # fmt: skip
-        return n, *room
+    def buffers(self) -> Buffers:
+        """Return the plan as arrays."""
+        return Buffers(
+            np.array(self._stamps, np.int64),
+            np.array(self.people_ends, np.int64),
+            np.array(self._message_ends, np.int64),
+            np.array(self._messages, np.int64).reshape(-1, 4),
+            np.array(self._past_rows, np.int64),
+        )

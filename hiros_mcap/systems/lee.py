@@ -13,14 +13,14 @@ from hiros_mcap.systems.run import Run, Stages
 
 def lee(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
-    from hiros_mcap.stages.cluster import cluster
+    from hiros_mcap.stages.cluster import cluster_blocks
     from hiros_mcap.stages.predict import predict
     from hiros_mcap.stages.track import track_blocks
 
     config = run.config
-    merge = run.stage(cluster, config.cluster, fixed_frame=run.fixed_frame)
+    merge = run.stage(cluster_blocks, config.cluster, fixed_frame=run.fixed_frame)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
-        "merged": by_block(merge),  # 2.2.1, 2.2.2
+        "merged": merge,  # 2.2.1, 2.2.2
         "filtered": by_block(run.stage(predict, config.predict)),  # 2.2.3
     }
