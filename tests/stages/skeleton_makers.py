@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from hiros_mcap.kernels import optimizing as kernels
+from hiros_mcap.kernels.energy import Energy, exact_weights, paper_weights
 from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.stages.elimination import topology_of
 
 
 def random_model(rng, markers=20, loops=0):
@@ -24,21 +25,24 @@ def random_poses(model, count, rng, sd=0.02, missing=0.12):
     return start, np.ascontiguousarray(np.linalg.norm(bones, axis=2))
 
 
-def weights_of(model, start, nominal, stiffness=0.0, max_error=0.1):
-    """(P, L, 4) weights as the stage gives them to its solver."""
-    links = np.ascontiguousarray(model.links)
-    degree = np.bincount(links.ravel(), minlength=model.n_markers).astype(np.int32)
-    confidences = np.full(start.shape[:2], np.nan)
-    outlier = np.zeros(start.shape[:2], np.int32)
-    weights = np.empty((*nominal.shape, 4))
-    kernels.weigh(
-        start, nominal, confidences, links, degree, outlier, max_error, stiffness, 1e-3, weights
-    )
-    return weights
+def energy_of(model, start, nominal, exact=False, max_error=0.1):
+    """The energy of poses, with weights as the stage gives them to its solver."""
+    energy = Energy(start, nominal, np.empty((*nominal.shape, 4)))
+    topology, outlier = topology_of(model), np.zeros(start.shape[:2], np.int32)
+    if exact:
+        exact_weights(energy, topology, outlier, np.full(outlier.shape, np.nan))
+    else:
+        paper_weights(energy, topology, outlier, max_error)
+    return energy
 
 
-def energies(model, solved, start, nominal, weights):
-    """(P,) energy of each skeleton."""
-    links = np.ascontiguousarray(model.links)
-    rows = zip(solved, start, nominal, weights, strict=True)
-    return np.array([kernels.energy(x, x0, n, links, w) for x, x0, n, w in rows])
+def energies(model, poses, energy):
+    """(P,) eq 14 to 19 of ``poses``, written down once more."""
+    (p, d), w = model.links.T, np.moveaxis(energy.weights, -1, 0)
+    moved = np.sum((poses - energy.start) ** 2, axis=-1)
+    ways = poses[:, d] - poses[:, p], energy.start[:, d] - energy.start[:, p]
+    lengths = [np.linalg.norm(way, axis=-1) for way in ways]
+    sine = np.linalg.norm(np.cross(*ways), axis=-1)
+    phi = np.arctan2(sine, np.sum(ways[0] * ways[1], axis=-1))
+    terms = (lengths[0] - energy.nominal) ** 2, moved[:, p], moved[:, d], phi**2
+    return np.nansum([weight * term for weight, term in zip(w, terms, strict=True)], axis=(0, 2))

@@ -1,4 +1,4 @@
-"""Limb calibration: H31 to H33, H41, and the table of limbs."""
+"""Limb calibration (Hi-ROS 2023, section 3.3.1), and the table of limbs."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.limb_calibration import CalibrationParams, Moments, calibrate
+from hiros_mcap.stages.limb_calibration import CalibrationParams, Moments, calibrate_limbs
 from hiros_mcap.stages.optimize import OptimizeParams, optimize
 
 ARM = SkeletonModel.of(
@@ -42,8 +42,8 @@ def lengths(frames, row=0):
     return np.linalg.norm(np.diff(points, axis=1), axis=2)
 
 
-def test_rigid_arm_is_measured_within_the_error_of_the_mean():  # H31
-    limbs = calibrate(arm_frames(100), ARM).people[0]
+def test_rigid_arm_is_measured_within_the_error_of_the_mean():
+    limbs = calibrate_limbs(arm_frames(100), ARM).people[0]
     for name, truth in zip(ARM.link_names, LENGTHS, strict=True):
         limb = limbs[name]
         assert abs(limb.length - truth) < 2 * limb.deviation / np.sqrt(100)
@@ -64,19 +64,19 @@ def test_measurements_count_by_confidence():
     for frame in frames[60:]:
         frame.markers[0, 3, :3] += 0.01 * (frame.markers[0, 3, :3] - frame.markers[0, 2, :3])
         frame.marker_confidences[0, 3] = 0.0
-    assert calibrate(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=1e-9)
+    assert calibrate_limbs(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=1e-9)
 
 
 def test_a_few_wild_frames_do_not_matter():
     frames = list(arm_frames(100, sd=0.001))
     for frame in frames[::20]:
         frame.markers[0, 3, :3] += 1.0
-    assert calibrate(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=0.002)
+    assert calibrate_limbs(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=0.002)
 
 
-def test_noisy_forearm_is_rejected_by_name():  # H32
+def test_noisy_forearm_is_rejected_by_name():
     events = Events()
-    assert not calibrate(arm_frames(100, forearm_sd=0.4), ARM, events=events).people
+    assert not calibrate_limbs(arm_frames(100, forearm_sd=0.4), ARM, events=events).people
     (note,) = notes(events, "calibration rejected")
     assert (note.person, note.detail) == (0, "forearm varies too much")
 
@@ -130,7 +130,7 @@ def test_somebody_who_left_is_not_waited_for():
     assert pulled[-1] < 5e9
 
 
-def test_too_short_a_visit_passes_unchanged():  # H41
+def test_too_short_a_visit_passes_unchanged():
     frames, events = list(arm_frames(20)), Events()
     result = list(optimize(frames, ARM, events=events))
     assert all(
@@ -153,7 +153,7 @@ def test_windows_choose_the_frames():
     frames = [*arm_frames(60, sd=0.0), *arm_frames(60, sd=0.0, start=2.0)]
     frames[60:] = [frame.replace(markers=frame.markers * 1.1) for frame in frames[60:]]
     params = CalibrationParams(calibration_windows=((2.0, 5.0),))
-    assert calibrate(frames, ARM, params).people[0]["palm"].length == pytest.approx(0.22)
+    assert calibrate_limbs(frames, ARM, params).people[0]["palm"].length == pytest.approx(0.22)
 
 
 def test_two_passes_give_strictly_constant_lengths():
@@ -169,7 +169,7 @@ def test_off_leaves_everybody_alone():
         np.testing.assert_array_equal(before.markers, after.markers)
 
 
-def test_second_session_loads_and_gives_identical_output(tmp_path):  # H33
+def test_second_session_loads_and_gives_identical_output(tmp_path):
     frames, limbs = list(arm_frames(120)), LimbTable()
     first = list(optimize(frames, ARM, OptimizeParams(refine=False), limbs=limbs))
     limbs.save(tmp_path / "limbs.toml")
@@ -180,7 +180,7 @@ def test_second_session_loads_and_gives_identical_output(tmp_path):  # H33
 
 
 def test_loaded_limbs_follow_a_renamed_person():
-    limbs = calibrate(arm_frames(100), ARM).rename({0: 5})
+    limbs = calibrate_limbs(arm_frames(100), ARM).rename({0: 5})
     assert list(limbs.people) == [5]
     result = list(optimize(arm_frames(3, ids=(5,)), ARM, limbs=limbs))
     assert lengths(result)[0] == pytest.approx(limbs.lengths(5, ARM), abs=1e-4)
@@ -193,7 +193,7 @@ def test_symmetric_links_share_their_length():
     for frame in frames:
         frame.ids[:] = 0
         frame.markers[0, :, :3] = [[0, 0, 0], [0.2, 0, 0], [-0.22, 0, 0]]
-    limbs = calibrate(frames, model, CalibrationParams(symmetric=True)).people[0]
+    limbs = calibrate_limbs(frames, model, CalibrationParams(symmetric=True)).people[0]
     assert limbs["left"].length == pytest.approx(0.21) == limbs["right"].length
 
 
