@@ -1,6 +1,6 @@
-"""Limb lengths per person: what the calibration finds, a session saves and the next one loads.
+"""Limb lengths per person: the calibration finds them, a session saves and the next one loads them.
 
-The file is TOML, made to be read and edited by people::
+The file is TOML that people can read and edit::
 
     [person.0.THIGH_LEFT]
     length = 0.4213      # m
@@ -14,7 +14,7 @@ import math
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ class Limb:
     deviation: float = 0.0
     """Standard deviation of one measurement of it, m."""
     frames: int = 0
-    """How many measurements it rests on."""
+    """Number of measurements."""
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class LimbTable:
 
     people: dict[int, dict[str, Limb]] = field(default_factory=dict)
     origin: str = "limbs"
-    """Where the table comes from, for error messages: the file's name once loaded."""
+    """The file's name once loaded, for error messages."""
 
     def lengths(self, person: int, model: SkeletonModel) -> Floats:
         """(L,) nominal lengths of a person, m, NaN where a link has none.
@@ -86,20 +86,13 @@ class LimbTable:
         import tomli_w
 
         people = {
-            str(person): {
-                name: {
-                    "length": limb.length,
-                    "deviation": limb.deviation,
-                    "frames": limb.frames,
-                }
-                for name, limb in self.people[person].items()
-            }
-            for person in sorted(self.people)
+            str(person): {name: asdict(limb) for name, limb in limbs.items()}
+            for person, limbs in sorted(self.people.items())
         }
         return tomli_w.dumps({"person": people})
 
     def save(self, path: str | Path) -> None:
-        """Write the file; whole or not at all.
+        """Write the file, or nothing at all.
 
         Raises
         ------
@@ -118,7 +111,7 @@ class LimbTable:
         Raises
         ------
         ConfigError
-            Naming the file, and the person and link where one is at fault.
+            The message names the file, and the person and link if one is at fault.
         """
         try:
             text = Path(path).read_text(encoding="utf-8")
