@@ -69,7 +69,10 @@ NORMAL_EQUATIONS = named_tuple(NormalEquations, F3, F3, F3, F3, F2, F2)
 
 @kernel
 def solve_equations(topology: Topology, damping: float, equations: NormalEquations) -> None:
-    """Solve (Hessian + damping * its diagonal) step = -gradient; overwrites the equations."""
+    """Solve Hessian * step = -gradient; overwrites the equations.
+
+    ``damping`` raises the diagonal of every pivot by that share, which shortens the step.
+    """
     order, first, row = topology.order, topology.first, topology.row
     first_pair, target = topology.first_pair, topology.target
     diagonal, inverse, blocks, scaled, gradient, step = equations

@@ -15,7 +15,7 @@ two people, root mean square over all links: mean 5.9, median 5.4, this 3.0 mm).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -230,6 +230,11 @@ class Calibration:
         self._checked = 0
         for person in limbs.people:
             limbs.lengths(person, model)  # names a link that the model lacks
+
+    @property
+    def people(self) -> Collection[int]:
+        """Ids of the people who are remembered."""
+        return self._bank.rows.keys()
 
     def measure(self, people: People) -> tuple[Floats, Floats]:
         """Lengths (P, L), m, of everybody's links, NaN = not seen, and their weights."""

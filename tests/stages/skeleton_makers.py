@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.kernels.energy import Energy, exact_weights, paper_weights
-from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.elimination import topology_of
 
 
@@ -23,6 +24,21 @@ def random_poses(model, count, rng, sd=0.02, missing=0.12):
     start = truth + rng.normal(size=truth.shape) * sd
     start[rng.random(start.shape[:2]) < missing] = np.nan
     return start, np.ascontiguousarray(np.linalg.norm(bones, axis=2))
+
+
+def lengths_of(model, points):
+    """(..., L) lengths of the links."""
+    p, d = model.links.T
+    return np.linalg.norm(points[..., d, :] - points[..., p, :], axis=-1)
+
+
+def scene_of(model, points, nominal):
+    """A frame of everybody in ``points`` (P, M, 3), and the table of their lengths (P, L)."""
+    frame, limbs = Frame.empty(len(points), model), LimbTable()
+    frame.ids[:], frame.markers[:, :, :3] = range(len(points)), points
+    for person, lengths in enumerate(nominal.tolist()):
+        limbs.people[person] = dict(zip(model.link_names, map(Limb, lengths), strict=True))
+    return frame, limbs
 
 
 def energy_of(model, start, nominal, exact=False, max_error=0.1):

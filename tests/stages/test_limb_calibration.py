@@ -2,12 +2,20 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.limb_calibration import CalibrationParams, Moments, calibrate_limbs
+from hiros_mcap.stages.limb_calibration import (
+    Calibration,
+    CalibrationParams,
+    Moments,
+    calibrate_limbs,
+)
 from hiros_mcap.stages.optimize import OptimizeParams, optimize
 
 ARM = SkeletonModel.of(
@@ -67,6 +75,51 @@ def test_measurements_count_by_confidence():
     assert calibrate_limbs(frames, ARM).people[0]["palm"].length == pytest.approx(0.2, abs=1e-9)
 
 
+def test_a_link_counts_by_the_confidences_of_its_two_ends():
+    frame = next(arm_frames(1))
+    frame.marker_confidences[0] = [1.0, 0.25, np.nan, 0.0]
+    calibration = Calibration(ARM, CalibrationParams(), Events(), LimbTable())
+    _, weights = calibration.measure(Block.of(frame).people)
+    assert weights[0] == pytest.approx([0.4, 0.4, 0.0])
+
+
+def test_lengths_are_weighted_means():
+    moments = Moments.of(np.array([[0.20], [0.21]]), np.array([[1.0], [0.25]]))
+    assert moments.lengths(debias=False)[0] == pytest.approx(0.202, abs=1e-5)
+    assert moments.lengths(debias=False)[1] == pytest.approx(0.004, abs=1e-4)
+
+
+@given(st.integers(0, 10_000), st.floats(0.05, 2.0))
+@settings(max_examples=20, deadline=None)
+def test_rigid_limbs_are_measured_exactly(seed, scale):
+    frames = [f.replace(markers=scale * f.markers) for f in arm_frames(20, sd=0.0, seed=seed)]
+    limbs = calibrate_limbs(frames, ARM, CalibrationParams(calibration_frames=10)).people[0]
+    assert [limb.length for limb in limbs.values()] == pytest.approx(scale * LENGTHS)
+
+
+@pytest.mark.parametrize(("short_link", "calibrated"), [(0.15, True), (0.0, False)])
+def test_noise_of_a_joint_does_not_reject_a_short_link(short_link, calibrated):
+    """A hand of 5 cm with 1.4 cm of noise varies by 28 %: more than max_variation."""
+    frames = list(arm_frames(200, sd=0.01))
+    for frame in frames:
+        frame.markers[0, 3] = frame.markers[0, 2] + 0.25 * (
+            frame.markers[0, 3] - frame.markers[0, 2]
+        )
+        frame.markers[0, 3, 0] += 0.02 * (-1) ** (frame.stamp // 33_000_000)
+    params = CalibrationParams(short_link=short_link, max_free=0.0)
+    assert (0 in calibrate_limbs(frames, ARM, params).people) == calibrated
+
+
+@pytest.mark.parametrize(("max_free", "calibrated"), [(0.34, True), (0.32, False)])
+def test_a_share_of_the_links_may_fail_the_gate(max_free, calibrated):
+    params, events = CalibrationParams(max_free=max_free), Events()
+    limbs = calibrate_limbs(arm_frames(100, forearm_sd=0.4), ARM, params, events).people
+    assert (0 in limbs) == calibrated
+    if calibrated:
+        assert list(limbs[0]) == ["upper arm", "palm"]
+        assert events.counts == {("limbs left free", ""): 1}
+
+
 def test_a_few_wild_frames_do_not_matter():
     frames = list(arm_frames(100, sd=0.001))
     for frame in frames[::20]:
@@ -107,6 +160,41 @@ def test_refinement_moves_little_and_towards_the_truth():
     assert np.abs(np.diff(result, axis=0)).max() < 1e-3
 
 
+def test_refined_lengths_stay_within_one_per_cent():
+    """Whatever is measured later, 5 % here, lengths are constant within a person."""
+    early, late = arm_frames(100, sd=0.0), arm_frames(900, sd=0.0, start=4.0)
+    late = [frame.replace(markers=frame.markers * 1.05) for frame in late]
+    result = lengths(optimize([*early, *late], ARM, OptimizeParams(lookahead=3.4)))
+    assert result[-1] / LENGTHS == pytest.approx(1.01, abs=1e-3)
+
+
+def test_somebody_who_left_is_forgotten_but_keeps_their_lengths_in_the_table():
+    limbs, params = LimbTable(), OptimizeParams(lookahead=1.0)
+    calibration = Calibration(ARM, params, Events(), limbs)
+    for frame in [*arm_frames(120, sd=0.0), *arm_frames(130, ids=(1,), start=5.0, rate=2.0)]:
+        calibration.observe(
+            frame.stamp, frame.ids.tolist(), *calibration.measure(Block.of(frame).people)
+        )
+    assert (list(calibration.people), list(limbs.people)) == ([1], [0, 1])
+    assert calibration.nominal([0])[0] == pytest.approx(LENGTHS)
+
+
+def test_somebody_who_comes_back_keeps_their_lengths():
+    gone = [*arm_frames(120, sd=0.0), *arm_frames(130, ids=(1,), start=5.0, rate=2.0)]
+    back = [f.replace(markers=1.03 * f.markers) for f in arm_frames(400, sd=0.0, start=80.0)]
+    events = Events()
+    result = list(optimize([*gone, *back], ARM, OptimizeParams(lookahead=1.0), events))
+    assert lengths(result[-400:]) == pytest.approx(np.tile(LENGTHS, (400, 1)), abs=1e-3)
+    assert [note.person for note in notes(events, "limbs calibrated")] == [0, 1]
+
+
+def test_two_passes_settle_those_who_left_long_ago():
+    frames = [*arm_frames(40, sd=0.0), *arm_frames(150, ids=(1,), start=5.0, rate=2.0)]
+    events = Events()
+    assert list(calibrate_limbs(frames, ARM, events=events).people) == [0, 1]
+    assert notes(events, "limbs calibrated")[0].detail == "40 frames"
+
+
 @pytest.mark.parametrize("lookahead", [0.0, 1.0, 10.0])
 def test_no_frame_is_lost_or_overtaken(lookahead):
     frames = [*arm_frames(40), *arm_frames(40, ids=(0, 1), start=2.0), *arm_frames(9, ids=())]
@@ -128,6 +216,50 @@ def test_somebody_who_left_is_not_waited_for():
     stage = optimize((pulled.append(f.stamp) or f for f in frames), ARM)
     next(stage)
     assert pulled[-1] < 5e9
+
+
+ARMS = SkeletonModel.of(
+    ["chest", "elbow_left", "hand_left", "elbow_right", "hand_right"],
+    [("left", 0, 1), ("left arm", 1, 2), ("right", 0, 3), ("right arm", 3, 4)],
+)
+
+
+def result_of(changes):
+    """The last numbers of two swinging arms, one a little longer, with some displaced hands."""
+    rng = np.random.default_rng(0)
+    frames = [Frame.empty(1, ARMS, stamp=k * 33_333_333) for k in range(400)]
+    for k, frame in enumerate(frames):
+        ways = rng.normal(size=(4, 3))
+        ways *= (np.array([0.3, 0.1, 0.31, 0.2]) / np.linalg.norm(ways, axis=1))[:, None]
+        frame.ids[:], frame.links[0, :, 3:7] = 0, [0, 0, 0, 1]
+        frame.markers[0, :, :3] = 0.012 * rng.normal(size=(5, 3))
+        frame.markers[0, 1:, :3] += [ways[0], ways[0] + ways[1], ways[2], ways[2] + ways[3]]
+        frame.markers[0, 2, :3] += 0.3 * (k % 50 == 49)
+        frame.markers[0, 4, :3] += 0.02 * rng.normal(size=3) if k % 7 else 0.0
+    out = list(optimize(frames, ARMS, OptimizeParams(**changes)))
+    return b"".join(frame.markers.tobytes() + frame.links.tobytes() for frame in out[-200:])
+
+
+CHANGES = {
+    "calibration": "two-pass", "calibration_frames": 30, "lookahead": 1.0,
+    "calibration_windows": ((1.0, 5.0),), "max_variation": 0.05, "short_link": 0.01,
+    "max_free": 0.0, "debias": False, "symmetric": True, "refine": False, "max_refinement": 0.0,
+    "lengths": "paper", "max_length_error": 0.05, "outliers": "remove", "align_links": True,
+    "tolerance": 1e-3,
+}  # fmt: skip
+# Without these, nothing fails the quality gate, or nothing is left to refine.
+WITH = {
+    "max_free": {"max_variation": 0.1, "short_link": 0.2, "lookahead": 3.34},
+    "short_link": {"max_variation": 0.15},
+    "refine": {"lookahead": 3.0},
+    "max_refinement": {"lookahead": 3.0},
+}
+
+
+@pytest.mark.parametrize("name", [name for name in OptimizeParams.model_fields if name != "solver"])
+def test_each_parameter_changes_something(name):
+    others = WITH.get(name, {})
+    assert result_of({**others, name: CHANGES[name]}) != result_of(others)
 
 
 def test_too_short_a_visit_passes_unchanged():
@@ -220,6 +352,20 @@ def test_bad_limb_file_names_file_and_link(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message) as error:
         LimbTable.load(path)
     assert str(path) in str(error.value)
+
+
+@given(
+    st.dictionaries(
+        st.integers(0, 99),
+        st.dictionaries(
+            st.text("aZ_0 .]#='\"\\é", min_size=1),
+            st.builds(Limb, st.floats(0.001, 2), st.floats(0, 1), st.integers(0, 999)),
+        ),
+    )
+)
+@settings(max_examples=30, deadline=None)
+def test_a_table_is_read_as_it_was_written(people):
+    assert LimbTable.from_toml(LimbTable(people).to_toml(), "x").people == people
 
 
 def test_missing_limb_file_is_an_error_that_names_it(tmp_path):
