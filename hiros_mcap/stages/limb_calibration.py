@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
@@ -116,59 +115,37 @@ class CalibrationParams(Params):
         return self
 
 
-@dataclass(slots=True)
-class Moments:
-    """Weighted sums of squared lengths, per link, that further measurements add to."""
+# Rows of the moments (4, L) of each link's squared lengths, which further measurements add to.
+WEIGHT, SQUARES, FOURTHS, COUNT = range(4)
 
-    weight: Floats
-    """(L,) sum of the weights."""
-    first: Floats
-    """(L,) weighted sum of |d|^2."""
-    second: Floats
-    """(L,) weighted sum of |d|^4."""
-    count: npt.NDArray[np.int64]
-    """(L,) number of measurements."""
 
-    @classmethod
-    def none(cls, n_links: int) -> Moments:
-        """Nothing measured yet."""
-        zeros = np.zeros((3, n_links))
-        return cls(zeros[0], zeros[1], zeros[2], np.zeros(n_links, np.int64))
+def moments_of(lengths: Floats, weights: Floats) -> Floats:
+    """(4, L) sums over (K, L) measurements, NaN = not seen; outliers are clipped to 3 robust SD.
 
-    @classmethod
-    def of(cls, lengths: Floats, weights: Floats) -> Moments:
-        """Add up (K, L) measurements, NaN = not seen; outliers are clipped to 3 robust SD."""
-        seen = ~np.isnan(lengths) & (weights > 0.0)
-        squares = np.where(seen, lengths, np.nan) ** 2
-        centre = _median(squares)
-        limit = _CLIP * 1.4826 * _median(np.abs(squares - centre))
-        squares = np.clip(squares, centre - limit, centre + limit)
-        w = np.where(seen, weights, 0.0)
-        squares = np.where(seen, squares, 0.0)
-        return cls(
-            w.sum(axis=0), (w * squares).sum(axis=0), (w * squares**2).sum(axis=0), seen.sum(axis=0)
-        )
+    The sums of the weights, of the weighted |d|^2 and |d|^4, and the number of measurements.
+    """
+    seen = ~np.isnan(lengths) & (weights > 0.0)
+    squares = np.where(seen, lengths, np.nan) ** 2
+    centre = _median(squares)
+    limit = _CLIP * 1.4826 * _median(np.abs(squares - centre))
+    squares = np.where(seen, np.clip(squares, centre - limit, centre + limit), 0.0)
+    w = np.where(seen, weights, 0.0)
+    return np.stack([each.sum(axis=0) for each in (w, w * squares, w * squares**2, seen)])
 
-    def add(self, other: Moments, links: Flags) -> None:
-        """Add measurements of some links."""
-        self.weight += np.where(links, other.weight, 0.0)
-        self.first += np.where(links, other.first, 0.0)
-        self.second += np.where(links, other.second, 0.0)
-        self.count += np.where(links, other.count, 0)
 
-    def lengths(self, debias: bool) -> tuple[Floats, Floats]:
-        """(L,) lengths (eq 13) and their standard deviations, m; NaN where none was measured."""
-        weight = np.where(self.weight > 0.0, self.weight, np.nan)
-        mean = self.first / weight
-        variance = np.maximum(self.second / weight - mean**2, 0.0)
-        length = np.sqrt(mean)
-        deviation = np.sqrt(variance) / (2.0 * np.maximum(length, 1e-9))
-        if debias:
-            # Never below 7/10 of the mean: shorter than its own noise, a link's length is a guess.
-            length = np.maximum(mean**2 - 1.5 * variance, (0.5 * mean) ** 2) ** 0.25
-        else:
-            length = np.sqrt(np.maximum(mean - deviation**2, 0.0))  # E|d|^2 - var|d| = (E|d|)^2
-        return np.where(length > 1e-6, length, np.nan), deviation
+def mean_lengths(moments: Floats, debias: bool) -> tuple[Floats, Floats]:
+    """(L,) lengths (eq 13) and their standard deviations, m; NaN where none was measured."""
+    weight = np.where(moments[WEIGHT] > 0.0, moments[WEIGHT], np.nan)
+    mean = moments[SQUARES] / weight
+    variance = np.maximum(moments[FOURTHS] / weight - mean**2, 0.0)
+    length = np.sqrt(mean)
+    deviation = np.sqrt(variance) / (2.0 * np.maximum(length, 1e-9))
+    if debias:
+        # Never below 7/10 of the mean: shorter than its own noise, a link's length is a guess.
+        length = np.maximum(mean**2 - 1.5 * variance, (0.5 * mean) ** 2) ** 0.25
+    else:
+        length = np.sqrt(np.maximum(mean - deviation**2, 0.0))  # E|d|^2 - var|d| = (E|d|)^2
+    return np.where(length > 1e-6, length, np.nan), deviation
 
 
 def _median(values: Floats) -> Floats:
@@ -199,8 +176,8 @@ class _Measured:
     """First sighting, ns."""
     waiting: bool
     """Whether frames are held for this person's calibration."""
-    accepted: Moments
-    """Of the links that pass the quality gate."""
+    accepted: Floats
+    """(4, L) moments of the links that pass the quality gate."""
     tried: Flags
     buffer: list[tuple[Floats, Floats]] = field(default_factory=list)
     """Lengths and weights (L,) of each frame."""
@@ -314,7 +291,7 @@ class Calibration:
             lengths[row] = given
         if identity not in self.limbs.people and self._params.calibration != "off":
             waiting = self._params.lookahead > 0.0
-            self._people[identity] = _Measured(stamp, waiting, Moments.none(n), np.zeros(n, bool))
+            self._people[identity] = _Measured(stamp, waiting, np.zeros((4, n)), np.zeros(n, bool))
 
     def _buffer(
         self, identity: int, person: _Measured, stamp: int, lengths: Floats, weights: Floats
@@ -336,12 +313,12 @@ class Calibration:
 
     def _average(self, person: _Measured) -> None:
         """Average the buffer's lengths; keep those that pass the quality gate."""
-        buffer = Moments.of(*(np.array(column) for column in zip(*person.buffer, strict=True)))
+        buffer = moments_of(*(np.array(column) for column in zip(*person.buffer, strict=True)))
         person.buffer.clear()
-        length, deviation = buffer.lengths(self._params.debias)  # eq 13
+        length, deviation = mean_lengths(buffer, self._params.debias)  # eq 13
         limit = self._params.max_variation * np.maximum(length, self._params.short_link)
-        seen = ~np.isnan(length) & (buffer.count >= 2)
-        person.accepted.add(buffer, seen & (deviation <= limit))
+        seen = ~np.isnan(length) & (buffer[COUNT] >= 2)
+        person.accepted += np.where(seen & (deviation <= limit), buffer, 0.0)
         person.tried |= seen
 
     def _settle(self, identity: int, person: _Measured) -> None:
@@ -351,17 +328,17 @@ class Calibration:
             self._average(person)
         if not person.tried.any():
             return
-        bad = person.tried & (person.accepted.count == 0)
+        bad = person.tried & (person.accepted[COUNT] == 0)
         names = ", ".join(key for key, fault in zip(self._keys, bad, strict=True) if fault)
         if bad.sum() > self._params.max_free * person.tried.sum():
             self._reject(identity, f"{names} varies too much")
-            person.accepted, person.tried = Moments.none(len(bad)), np.zeros(len(bad), bool)
+            person.accepted[:], person.tried[:] = 0.0, False
             return
         person.calibrated = True
         for lengths in self._bank.past:
             lengths[self._bank.rows[identity]] = self._estimate(person)
         self._record(identity, person)
-        frames = int(person.accepted.count.max())
+        frames = int(person.accepted[COUNT].max())
         free = f", {names} left free" if names else ""
         self._note(identity, "limbs calibrated", f"{frames} frames{free}")
         self._events.count("limbs left free", n=int(bad.sum()))
@@ -391,10 +368,10 @@ class Calibration:
 
     def _estimate(self, person: _Measured) -> Floats:
         """(L,) best lengths so far, with the common mean of both sides if they are symmetric."""
-        length, _ = person.accepted.lengths(self._params.debias)
+        length, _ = mean_lengths(person.accepted, self._params.debias)
         if not self._params.symmetric:
             return length
-        other, n = length[self._mirror], person.accepted.weight
+        other, n = length[self._mirror], person.accepted[WEIGHT]
         both = (n * np.nan_to_num(length) + n[self._mirror] * np.nan_to_num(other)) / np.maximum(
             n + n[self._mirror], 1e-12
         )
@@ -402,8 +379,9 @@ class Calibration:
 
     def _record(self, identity: int, person: _Measured) -> None:
         """Write a person's lengths to the table."""
-        _, deviation = person.accepted.lengths(self._params.debias)
-        columns = self._estimate(person), np.nan_to_num(deviation), person.accepted.count
+        _, deviation = mean_lengths(person.accepted, self._params.debias)
+        count = person.accepted[COUNT].astype(np.int64)
+        columns = self._estimate(person), np.nan_to_num(deviation), count
         rows = zip(self._keys, *(column.tolist() for column in columns), strict=True)
         self.limbs.people[identity] = {
             key: Limb(*limb) for key, *limb in rows if not math.isnan(limb[0])
