@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import F2, F3, I1, J2, PEOPLE, kernel
+from hiros_mcap.kernels.compile import F2, F3, J2, PEOPLE, kernel
 from hiros_mcap.kernels.energy import (
     ENERGY,
     SCRATCH,
@@ -25,7 +25,7 @@ from hiros_mcap.kernels.energy import (
     minimize_one,
 )
 from hiros_mcap.kernels.normal_equations import TOPOLOGY, Topology
-from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
 
 # The search for outliers: displacements, m, that count a quarter of their weight, round by round
 # of reweighting and solving. With the narrow scales alone, chance decides which marker loses its
@@ -67,23 +67,6 @@ def measure_lengths(
             b = 1.0 if np.isnan(b) else b
             lengths[i, k] = length
             weights[i, k] = 2.0 * a * b / (a + b) if a > 0.0 and b > 0.0 else 0.0
-
-
-@kernel(types.void(F2, F2, I1, types.int64, F2))
-def advance_lengths(
-    target: Floats, current: Floats, rows: Stamps, frames: int, nominal: Floats
-) -> None:
-    """Move the current lengths of people, by row, towards their target and write them.
-
-    ``frames`` is the time constant. Row -1 stands for somebody without lengths: NaN.
-    """
-    for i in range(rows.shape[0]):
-        for k in range(target.shape[1]):
-            if rows[i] < 0:
-                nominal[i, k] = np.nan
-            else:
-                current[rows[i], k] += (target[rows[i], k] - current[rows[i], k]) / frames
-                nominal[i, k] = current[rows[i], k]
 
 
 # Section 3.3.2: outliers

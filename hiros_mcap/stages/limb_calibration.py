@@ -26,7 +26,7 @@ from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
-from hiros_mcap.kernels.optimizing import advance_lengths, measure_lengths
+from hiros_mcap.kernels.optimizing import measure_lengths
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import Flags, Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
@@ -250,13 +250,15 @@ class Calibration:
 
     def nominal(self, ids: list[int]) -> Floats:
         """(P, L) lengths to use in a frame, m, NaN where there are none; advances them."""
-        for identity in ids:
-            if identity not in self._bank.rows and identity in self.limbs.people:
+        nominal = np.full((len(ids), self._model.n_links), np.nan)
+        for k, identity in enumerate(ids):
+            if identity not in self._bank.rows:
+                if identity not in self.limbs.people:
+                    continue
                 self._meet(identity, self._checked)
-        rows = np.array([self._bank.rows.get(identity, -1) for identity in ids], np.int64)
-        nominal = np.empty((len(ids), self._model.n_links))
-        _, target, current = self._bank.past
-        advance_lengths(target, current, rows, self._params.calibration_frames, nominal)
+            (_, target, current), row = self._bank.past, self._bank.rows[identity]
+            current[row] += (target[row] - current[row]) / self._params.calibration_frames
+            nominal[k] = current[row]
         return nominal
 
     def finish(self) -> None:

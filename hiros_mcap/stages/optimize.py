@@ -249,11 +249,10 @@ class _Optimizer:
         return outlier
 
     def _write_weights(self, energy: Energy, outlier: Ints, confidences: Floats) -> None:
-        if self._params.lengths == "exact":
+        if self._params.lengths == "paper":
+            paper_weights(energy, self._topology, outlier, self._params.max_length_error)
+        elif self._params.outliers == "remove" or outlier.any():  # else the search has written them
             exact_weights(energy, self._topology, outlier, confidences)
-        else:
-            limit = self._params.max_length_error
-            paper_weights(energy, self._topology, outlier, limit)
 
 
 def _solver(model: SkeletonModel, params: OptimizeParams) -> Solver:

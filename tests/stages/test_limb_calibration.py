@@ -211,6 +211,29 @@ def test_frames_are_held_back_no_longer_than_the_lookahead():
     assert pulled[-1] - first.stamp == pytest.approx(2e9, abs=1e9 / 30)
 
 
+def test_held_frames_are_logged_when_they_are_released():
+    frames = [f.replace(log_time=f.stamp + 5 - 9 * (k % 2)) for k, f in enumerate(arm_frames(90))]
+    result = list(optimize(frames, ARM, OptimizeParams(lookahead=1.0)))
+    assert {frame.log_time for frame in result[:30]} == {frames[30].log_time}
+    log_times = [frame.log_time for frame in result]
+    assert log_times == sorted(log_times)
+
+
+def test_a_buffer_takes_three_seconds_at_least():
+    frames = list(arm_frames(400, rate=100.0))
+    result = optimize(frames, ARM, OptimizeParams(lookahead=0.0))
+    same = [np.array_equal(a.positions, b.positions) for a, b in zip(frames, result, strict=True)]
+    assert same.index(False) in (300, 301)
+
+
+def test_a_link_that_is_seen_later_gets_its_length_then():
+    frames = list(arm_frames(500, sd=0.01))
+    for frame in frames[:120]:
+        frame.markers[0, 3] = np.nan
+    result = lengths(optimize(frames, ARM, OptimizeParams(lookahead=3.0)))
+    assert np.std(result[-200:, 2]) < 1e-3 < np.std(result[130:180, 2])
+
+
 def test_somebody_who_left_is_not_waited_for():
     frames = [*arm_frames(60, ids=(7,)), *arm_frames(300, ids=(), start=2.0)]
     pulled = []
