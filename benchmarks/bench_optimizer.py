@@ -13,7 +13,7 @@ import numpy as np
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.limb_calibration import calibrate
+from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.stages.optimize import OptimizeParams, optimize
 
 MARKERS, FRAMES, NOISE = 32, 450, 0.012
@@ -64,7 +64,7 @@ def main() -> None:
     }
     print(f"{'CPU ms per frame':24s}" + "".join(f"{n:3d} people" for n in (1, 4, 10)))
     made = {people: make(people, rng) for people in (1, 4, 10)}
-    tables = {people: calibrate(frames, model) for people, (model, _, frames) in made.items()}
+    tables = {people: calibrate_limbs(frames, model) for people, (model, _, frames) in made.items()}
     for name, params in variants.items():
         row = [
             cpu_per_frame(lambda p=params, n=n: run(made[n], p, tables[n]), 1 + 2 * (n < 10))

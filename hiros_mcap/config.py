@@ -120,7 +120,7 @@ _PAPER: Table = {
         "lengths": "paper",
         "max_length_error": 0.1,
         "outliers": "remove",
-        "turn_links": True,
+        "align_links": True,
     },
     # Causal, at the low end of the 6 to 10 Hz that section 3.4 names.
     "filter": {"cutoff": 6.0, "lookahead": 0.0, "bridge": 0.0, "keep_lengths": False},

@@ -8,7 +8,7 @@ from hiros_mcap.body.rotations import conjugate, multiply
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
-# Markers of a joint's limbs, towards the extremity; two of them are compared with the trunk.
+# Markers of a joint's limbs, towards the extremity; chains of two are compared with the trunk.
 _CHAINS = (
     ("shoulder", "elbow"),
     ("shoulder", "elbow", "wrist"),
@@ -26,8 +26,8 @@ ANGLES = tuple(f"{side} {joint}" for side in ("left", "right") for joint in JOIN
 def flexions(model: SkeletonModel, positions: Floats) -> Floats:
     """(..., 8) flexion angles, rad: left then right shoulder, elbow, hip, knee.
 
-    ``positions`` (..., M, 3). The angle between a limb's bone and the next one towards the trunk,
-    or the trunk itself, from the marker positions: 0 is straight. It needs no convention of link
+    ``positions`` is (..., M, 3), m. A flexion is the angle between a link and the next one towards
+    the trunk, or the trunk itself: 0 is straight. Marker positions need no convention of link
     frames, in which detectors differ. NaN where a marker is missing.
     """
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
@@ -47,7 +47,7 @@ def flexions(model: SkeletonModel, positions: Floats) -> Floats:
 
 
 def _between(u: Floats, v: Floats) -> Floats:
-    """Angle between vectors, rad; by its tangent, which is exact for small angles, too."""
+    """Angle between vectors, rad; by its tangent, which is exact for small angles."""
     cross = np.linalg.norm(np.cross(u, v), axis=-1)
     angle: Floats = np.arctan2(cross, np.sum(u * v, axis=-1))
     return angle
@@ -58,7 +58,8 @@ def euler_zxy(xyzw: Floats) -> Floats:
 
     The sequence of the ISB recommendation that Hi-ROS follows (section 4): z is flexion and
     extension, x abduction and adduction, y internal and external rotation. z and y lie in
-    -pi..pi, x in -pi/2..pi/2; at the ends of x, z and y turn about the same axis.
+    -pi..pi, x in -pi/2..pi/2; at the ends of x, the axes of z and y coincide. NaN gives NaN, which
+    scipy's Rotation refuses.
     """
     x, y, z, w = np.moveaxis(np.asarray(xyzw, np.float64), -1, 0)
     return np.stack(
@@ -72,15 +73,15 @@ def euler_zxy(xyzw: Floats) -> Floats:
 
 
 def wrapped(angles: Floats) -> Floats:
-    """Angles, rad, brought to -pi..pi: the difference of 179 and -179 degrees is 2."""
+    """Angles, rad, wrapped to -pi..pi: the difference of 179 and -179 degrees becomes -2."""
     return np.asarray((np.asarray(angles) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     """(proximal, distal) link slots of each of :data:`ANGLES`, -1 where the model lacks one.
 
-    A limb's link is the one between two of its markers; the trunk's is the one that ends at the
-    neck for the shoulders, and the first one that leaves the pelvis upwards for the hips.
+    A limb's link joins two of its markers. The trunk's link is the one that ends at the neck for
+    the shoulders, and the first one that leaves the pelvis upwards for the hips.
     """
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
     ends = list(zip(model.link_parents, model.link_children, strict=True))
@@ -107,17 +108,18 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     return tuple(pairs)
 
 
-def link_flexions(model: SkeletonModel, turns: Floats) -> Floats:
-    """(..., 8) Flexion angles, rad, of link orientations ``turns`` (..., L, 4) x y z w.
+def link_flexions(model: SkeletonModel, orientations: Floats) -> Floats:
+    """(..., 8) Flexion angles, rad, of link ``orientations`` (..., L, 4) x y z w.
 
-    Equation 21 of Hi-ROS: the z angle of the distal link seen from the proximal one. It depends on
-    how a detector lays axes into its links; NaN where a link or its orientation is missing.
+    Hi-ROS eq 21: the z angle of the distal link in the frame of the proximal one. It depends on a
+    detector's convention of link frames. NaN where a link or its orientation is missing.
     """
     angles = []
     for proximal, distal in joint_links(model):
         if min(proximal, distal) < 0:
-            angles.append(np.full(turns.shape[:-2], np.nan))
+            angles.append(np.full(orientations.shape[:-2], np.nan))
             continue
-        relative = multiply(conjugate(turns[..., proximal, :]), turns[..., distal, :])
+        back = conjugate(orientations[..., proximal, :])
+        relative = multiply(back, orientations[..., distal, :])  # eq 21
         angles.append(euler_zxy(relative)[..., 0])
     return np.stack(angles, axis=-1)

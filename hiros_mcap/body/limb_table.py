@@ -1,6 +1,6 @@
-"""Limb lengths per person: what the calibration finds, a session saves and the next one loads.
+"""Limb lengths per person: the calibration finds them, a session saves and the next one loads them.
 
-The file is TOML, made to be read and edited by people::
+The file is TOML that people can read and edit::
 
     [person.0.THIGH_LEFT]
     length = 0.4213      # m
@@ -14,27 +14,34 @@ import math
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.outputs import LIMBS_MARK, write_text
+from hiros_mcap.params import Params, explain
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 
-@dataclass(frozen=True, slots=True)
+@pydantic_dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class Limb:
-    """Length of one link of one person (Hi-ROS 2023, eq. 13)."""
+    """Length of one link of one person (Hi-ROS 2023, eq 13)."""
 
-    length: float
+    length: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
     """Nominal length, m."""
-    deviation: float = 0.0
+    deviation: Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)] = 0.0
     """Standard deviation of one measurement of it, m."""
-    frames: int = 0
-    """How many measurements it rests on."""
+    frames: Annotated[int, Field(ge=0, strict=True)] = 0
+    """Number of measurements."""
+
+
+class _LimbFile(Params):
+    person: dict[Annotated[int, Field(ge=0)], dict[str, Limb]]
 
 
 @dataclass(slots=True)
@@ -43,7 +50,7 @@ class LimbTable:
 
     people: dict[int, dict[str, Limb]] = field(default_factory=dict)
     origin: str = "limbs"
-    """Where the table comes from, for error messages: the file's name once loaded."""
+    """The file's name once loaded, for error messages."""
 
     def lengths(self, person: int, model: SkeletonModel) -> Floats:
         """(L,) nominal lengths of a person, m, NaN where a link has none.
@@ -86,20 +93,13 @@ class LimbTable:
         import tomli_w
 
         people = {
-            str(person): {
-                name: {
-                    "length": limb.length,
-                    "deviation": limb.deviation,
-                    "frames": limb.frames,
-                }
-                for name, limb in self.people[person].items()
-            }
-            for person in sorted(self.people)
+            str(person): {name: asdict(limb) for name, limb in limbs.items()}
+            for person, limbs in sorted(self.people.items())
         }
         return tomli_w.dumps({"person": people})
 
     def save(self, path: str | Path) -> None:
-        """Write the file; whole or not at all.
+        """Write the file, or nothing at all.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class LimbTable:
         Raises
         ------
         ConfigError
-            Naming the file, and the person and link where one is at fault.
+            The message names the file, and the person and link if one is at fault.
         """
         try:
             text = Path(path).read_text(encoding="utf-8")
@@ -138,15 +138,14 @@ class LimbTable:
             As :meth:`load` does.
         """
         try:
-            content = tomllib.loads(text)
+            people = _LimbFile.model_validate(tomllib.loads(text)).person
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{origin}: not a TOML file: {error}") from error
-        people = content.get("person")
-        if not isinstance(people, dict) or len(content) != 1:
-            raise ConfigError(f"{origin}: expects tables [person.ID.LINK] and nothing else")
-        return cls(
-            {_person(origin, key): _limbs(origin, key, people[key]) for key in people}, origin
-        )
+        except ValidationError as error:
+            where, what = explain(error)
+            names = [name for name in where if name != "[key]"]
+            raise ConfigError(f"{origin}: {'.'.join(names)} {what}") from error
+        return cls(people, origin)
 
 
 def link_keys(model: SkeletonModel) -> tuple[str, ...]:
@@ -160,30 +159,3 @@ def link_keys(model: SkeletonModel) -> tuple[str, ...]:
 
 def _some(names: tuple[str, ...]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-
-
-def _person(path: str | Path, key: str) -> int:
-    if not key.isdecimal():
-        raise ConfigError(f"{path}: person {key!r} is not an id (0, 1, 2, ...)")
-    return int(key)
-
-
-def _limbs(path: str | Path, person: str, table: Any) -> dict[str, Limb]:
-    if not isinstance(table, dict):
-        raise ConfigError(f"{path}: person {person}: expects a table per link")
-    return {name: _limb(f"{path}: person {person}: {name}", row) for name, row in table.items()}
-
-
-def _limb(where: str, row: Any) -> Limb:
-    known = {"length", "deviation", "frames"}
-    if not isinstance(row, dict) or not row.keys() <= known or "length" not in row:
-        raise ConfigError(f"{where}: expects length, deviation and frames")
-    limb = Limb(row["length"], row.get("deviation", 0.0), row.get("frames", 0))
-    numbers = (limb.length, limb.deviation, limb.frames)
-    if not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
-        raise ConfigError(f"{where}: expects numbers")
-    if not (math.isfinite(limb.length) and limb.length > 0.0):
-        raise ConfigError(f"{where}: length {limb.length} m is not positive")
-    if not (limb.deviation >= 0.0 and limb.frames >= 0):
-        raise ConfigError(f"{where}: deviation and frames cannot be negative")
-    return limb

@@ -1,7 +1,7 @@
 """Left and right of a skeleton, read from the names of its markers.
 
-Detectors swap the two sides of a body; to notice, one has to know which marker mirrors which, and
-which markers span the body sideways (shoulders and hips).
+Detectors swap the two sides of a person. To detect that, the tracker and the merger need to know
+which marker mirrors which, and which markers are the shoulders and hips.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from hiros_mcap.skeletons import Ints, SkeletonModel
 
 # "SHOULDER_LEFT", "ShoulderLeft", "left_shoulder", "LShoulder", "lhip", "Shoulder.L". An initial
-# is taken generously ("Lumbar" too): a side counts only if the other side exists.
+# may match too much ("Lumbar"): a side counts only if the other side exists.
 _SIDE = re.compile(
     r"left|right|(?<![A-Za-z])[lr](?=[A-Za-z_.\s-])|(?<=[_.\s-])[lr]$", re.IGNORECASE
 )
@@ -25,15 +25,15 @@ class Symmetry:
     """The two sides of a skeleton model."""
 
     mirror: Ints
-    """(M,) slot of the marker on the other side; a marker without a counterpart is its own."""
+    """(M,) slot of the marker on the other side; its own for a marker without a counterpart."""
     link_mirror: Ints
     """(L,) the same for links, by the markers that they join."""
     lateral: Ints
-    """(K, 2) (left, right) slots of shoulders and hips; empty when the names do not tell."""
+    """(K, 2) (left, right) slots of shoulders and hips; empty if no names match."""
 
     @property
     def known(self) -> bool:
-        """Whether the names tell left from right at all."""
+        """Whether any marker has a counterpart."""
         return bool((self.mirror != np.arange(len(self.mirror))).any())
 
 
@@ -61,18 +61,9 @@ def symmetry_of(model: SkeletonModel) -> Symmetry:
             mirror[slot] = other
             if side == "left" and part in {"shoulder", "hip", "upleg", "upperarm"}:
                 lateral.append((slot, other))
-    ends = {
-        (parent, child): link
-        for link, (parent, child) in enumerate(
-            zip(model.link_parents, model.link_children, strict=True)
-        )
-    }
+    ends = {(parent, child): link for link, (parent, child) in enumerate(model.links.tolist())}
     link_mirror = np.arange(model.n_links, dtype=np.int32)
     for (parent, child), link in ends.items():
         if parent >= 0 and child >= 0:
             link_mirror[link] = ends.get((int(mirror[parent]), int(mirror[child])), link)
-    return Symmetry(
-        mirror=mirror,
-        link_mirror=link_mirror,
-        lateral=np.array(lateral, dtype=np.int32).reshape(-1, 2),
-    )
+    return Symmetry(mirror, link_mirror, np.array(lateral, np.int32).reshape(-1, 2))

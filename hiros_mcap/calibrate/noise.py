@@ -12,7 +12,7 @@ from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What a log of people who stand still says about the detectors."""
+    """Noise of the detectors, from a log of people who stand still."""
 
     deviation: float
     """m: SD per axis of a joint, mean over joints, cameras and people; NaN without data."""
@@ -26,13 +26,14 @@ class Noise:
 def measure_noise(frames: Iterable[Frame], model: SkeletonModel) -> Noise:
     """Measure how much each joint scatters about its mean, camera by camera.
 
-    The paper averages the standard deviations of all detections together; by camera the error of
-    the extrinsics, which is the same in every frame, does not count as noise. The variance that
-    the filter wants is the square of the mean (its text takes the mean itself).
+    The paper takes the standard deviations of all cameras' detections together. Camera by camera,
+    the error of the extrinsics does not count as noise: it is the same in every frame. The filter's
+    variance is the square of the mean (the paper's text takes the mean itself).
 
     Parameters
     ----------
-    frames : with ids, in the fixed frame; nobody moves. model : of the frames.
+    frames : with ids, in the fixed frame; nobody moves.
+    model : of the frames.
     """
     poses: dict[tuple[str, int], list[Floats]] = {}
     for frame in frames:
@@ -42,8 +43,8 @@ def measure_noise(frames: Iterable[Frame], model: SkeletonModel) -> Noise:
     table = {key: _scatter(np.stack(each)) for key, each in poses.items() if len(each) > 1}
     every = np.stack(list(table.values())) if table else np.full((1, model.n_markers), np.nan)
     cameras: dict[str, list[Floats]] = {}
-    for (camera, _), row_ in table.items():
-        cameras.setdefault(camera, []).append(row_)
+    for (camera, _), deviations in table.items():
+        cameras.setdefault(camera, []).append(deviations)
     return Noise(
         deviation=_mean(every),
         joints={
@@ -59,10 +60,9 @@ def measure_noise(frames: Iterable[Frame], model: SkeletonModel) -> Noise:
 def _scatter(poses: Floats) -> Floats:
     """(M,) SD per axis of each joint, m; NaN for joints seen less than twice."""
     seen = (~np.isnan(poses[:, :, 0])).sum(axis=0) > 1
-    result = np.full(poses.shape[1], np.nan)
-    variances = np.nanvar(poses[:, seen], axis=0, ddof=1)
-    result[seen] = np.sqrt(variances.mean(axis=-1))
-    return result
+    deviations = np.full(poses.shape[1], np.nan)
+    deviations[seen] = np.sqrt(np.nanvar(poses[:, seen], axis=0, ddof=1).mean(axis=-1))
+    return deviations
 
 
 def _mean(values: Floats) -> float:

@@ -1,9 +1,10 @@
 """Where the cameras stand, by a ball and a board that they see (Lee et al. 2022, 2.1).
 
-A ball is carried through the room. Its centre in each sensor's frames (:func:`fit_sphere`), where
-all sensors saw it (:func:`common_frames`), gives corresponding points, and these the transform from
-sensor to sensor (:func:`rigid_fit`); a board gives the room's axes (:func:`board_frame`). Nothing
-here reads images: the points of the ball and the centres of the markers come from elsewhere.
+Somebody carries a ball around. :func:`fit_sphere` finds its centre in each sensor's frames, and
+:func:`common_frames` keeps the instants at which all sensors saw it. These corresponding points
+give the transform from sensor to sensor (:func:`rigid_fit`). A board defines the axes of the fixed
+frame (:func:`board_frame`). Nothing here reads images: the points of the ball and the centres of
+the markers are the input.
 """
 
 from __future__ import annotations
@@ -13,20 +14,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 
 _FLAT = 1e-9
-"""Least spread across the main direction, over the spread along it, that is no line."""
-_JUDGES = 400
-"""Points that the candidates for a sphere are compared on; all points are used for the fit."""
+"""Points lie on a line below this ratio of their second to their first singular value."""
+_SAMPLE = 400
+"""Points on which the candidates for a sphere are compared; the fit uses all points."""
 _ROUNDS = 30
-"""Rounds after which inliers that still change are taken as they are; few clouds need ten."""
+"""Rounds after which inliers may still change; few clouds need ten."""
 
 
 class SphereFit(NamedTuple):
-    """A sphere of known radius that was found among points."""
+    """A sphere of known radius among points."""
 
     centre: Floats
     """(3,) m."""
@@ -56,10 +57,10 @@ def fit_sphere(
 ) -> SphereFit:
     """Find the sphere of a known radius that most points lie on (Lee, 2.1.1).
 
-    RANSAC (Fischler and Bolles 1981): three points and the radius leave two spheres; the best of
-    all is that of the least truncated squared distances (MSAC, Torr and Zisserman 2000). Its
-    inliers' squared distances from the surface are then minimised by Gauss-Newton steps with the
-    radius fixed, and the inliers chosen anew, until they stay. The side of the ball that faces the
+    RANSAC (Fischler and Bolles 1981): three points and the radius leave two candidates. The best
+    of all candidates has the least truncated squared distances (MSAC, Torr and Zisserman 2000).
+    Gauss-Newton steps then minimise the squared distances of its inliers from the surface. The
+    inliers are chosen anew after each step, until they stay. The side of the ball that faces the
     sensor is enough.
 
     Parameters
@@ -67,10 +68,10 @@ def fit_sphere(
     points : (N, 3) points of the ball and outliers, m; points with NaN are left out.
     radius : m; 0.24 in the paper.
     tolerance : m: inliers are at most this far from the surface; two to three times the noise.
-    least_share : of the points that have to be inliers. A frame that is lost for a high share
-        costs little, a wrong centre spoils the registration.
-    trials : triples of points that are tried. With half of the points outliers, one in eight is
-        free of them.
+    least_share : smallest share of inliers. A lost frame costs little; a wrong centre spoils the
+        registration.
+    trials : number of triples of points. If half of the points are outliers, one triple in eight
+        has none.
     seed : of the random triples; the same seed gives the same result.
 
     Raises
@@ -79,6 +80,8 @@ def fit_sphere(
         The shape is wrong, ``tolerance`` is not within 0 and ``radius``, fewer than four points
         are known, or fewer than ``least_share`` of them lie on a sphere.
     """
+    from scipy.spatial.distance import cdist
+
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise RegistrationError(f"points of shape (N, 3) needed, got {points.shape}")
@@ -91,9 +94,9 @@ def fit_sphere(
     here = points[known] - middle
     rng = np.random.default_rng(seed)
     centres = _spheres_through(here[rng.integers(0, len(here), (trials, 3))], radius)
-    judges = here if len(here) <= _JUDGES else rng.choice(here, _JUDGES, replace=False)
-    off = np.abs(_distances(centres, judges) - radius)
-    costs = np.sum(np.minimum(off, tolerance) ** 2, axis=1)
+    sample = here if len(here) <= _SAMPLE else rng.choice(here, _SAMPLE, replace=False)
+    errors = np.abs(cdist(centres, sample) - radius)
+    costs = np.sum(np.minimum(errors, tolerance) ** 2, axis=1)
     inliers = np.zeros(len(here), np.bool_)
     centre = np.full(3, np.nan)
     if len(costs):
@@ -103,10 +106,10 @@ def fit_sphere(
             f"no sphere of radius {radius:g} m: {inliers.mean():.0%} of {len(here)} points lie on "
             f"the best one, {least_share:.0%} needed"
         )
-    rest = np.linalg.norm(here[inliers] - centre, axis=1) - radius
+    residuals = np.linalg.norm(here[inliers] - centre, axis=1) - radius
     on_sphere = np.zeros(len(points), np.bool_)
     on_sphere[known] = inliers
-    return SphereFit(centre + middle, on_sphere, float(np.sqrt(np.mean(rest**2))))
+    return SphereFit(centre + middle, on_sphere, float(np.sqrt(np.mean(residuals**2))))
 
 
 def _spheres_through(triples: Floats, radius: float) -> Floats:
@@ -129,22 +132,16 @@ def _spheres_through(triples: Floats, radius: float) -> Floats:
     return np.concatenate([circle + up, circle - up])
 
 
-def _distances(centres: Floats, points: Floats) -> Floats:
-    """(K, N) distances between (K, 3) and (N, 3), as a matrix product: there are many."""
-    square = np.sum(centres**2, axis=1)[:, None] + np.sum(points**2, axis=1)
-    return np.asarray(np.sqrt(np.maximum(square - 2.0 * centres @ points.T, 0.0)))
-
-
 def _refine(
     points: Floats, centre: Floats, radius: float, tolerance: float
 ) -> tuple[Floats, Flags]:
-    """Fit the sphere to its inliers until these stay; (3,) centre and (N,) inliers of it."""
+    """Fit the sphere to its inliers until they stay; return its centre (3,) and inliers (N,)."""
     before = np.zeros(len(points), np.bool_)
     for _ in range(_ROUNDS):
-        ways = points - centre
-        lengths = np.linalg.norm(ways, axis=1)
+        rays = points - centre
+        lengths = np.linalg.norm(rays, axis=1)
         inliers = np.abs(lengths - radius) <= tolerance
-        directions = ways[inliers] / lengths[inliers, None]
+        directions = rays[inliers] / lengths[inliers, None]
         step = np.linalg.lstsq(directions, lengths[inliers] - radius, rcond=None)[0]
         if (inliers == before).all() and np.linalg.norm(step) < 1e-9 * radius:
             break
@@ -157,17 +154,16 @@ def common_frames(
 ) -> CommonFrames:
     """Keep the frames in which all sensors saw an object, as corresponding points (Lee, 2.1.1).
 
-    A frame of each sensor is paired with the nearest in time of the first sensor, if that has no
-    nearer one itself: each is used once. The paper's sensors are synchronised by wire; others see
-    a moving ball at different places, which a ball held still, or a smaller ``max_delta_time``,
-    avoids.
+    Each frame of a sensor is paired with the nearest frame in time of the first sensor, if each is
+    the other's nearest. The paper's sensors are synchronised by wire. Others see a moving ball at
+    different places: hold the ball still, or choose a smaller ``max_delta_time``.
 
     Parameters
     ----------
     stamps : (N_s,) times, ns, of each sensor's frames, in any order.
     centres : (N_s, 3) where each sensor saw the object, m; NaN = it did not.
-    max_delta_time : s between the oldest and the newest of the frames of an instant; half a period
-        of a 30 Hz camera.
+    max_delta_time : s between the oldest and the newest frame of an instant; half a period of a
+        30 Hz camera.
 
     Returns
     -------
@@ -218,10 +214,9 @@ def _nearest(times: Stamps, others: Stamps) -> Stamps:
 def rigid_fit(source: Floats, target: Floats) -> Rigid:
     """Return the rigid transform that brings ``source`` nearest to ``target`` (Lee, 2.1.1).
 
-    It minimises the sum of squared distances ``|target - (R source + T)|`` by the singular value
-    decomposition of the covariance ``U S V'`` (Arun et al. 1987; Kabsch 1976). As printed, the
-    paper's ``R = U V'`` is the inverse rotation, may be a reflection, and its T lacks R: here
-    ``R = V diag(1, 1, det) U'``, ``T = mean(target) - R mean(source)``.
+    It minimises the sum of squared distances ``|target - (R source + T)|`` (Kabsch 1976). As
+    printed, the paper's ``R = U V'`` is the inverse rotation, may be a reflection, and its T lacks
+    R: here ``R = V diag(1, 1, det) U'`` and ``T = mean(target) - R mean(source)``.
 
     Parameters
     ----------
@@ -233,6 +228,8 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
     RegistrationError
         The shapes differ, fewer than three pairs are known, or all lie on a line.
     """
+    from scipy.spatial.transform import Rotation
+
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise RegistrationError(
@@ -243,23 +240,21 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
         raise RegistrationError(f"at least 3 corresponding points needed, got {known.sum()}")
     source, target = source[known], target[known]
     start, goal = source.mean(axis=0), target.mean(axis=0)
-    for points, centre in ((source, start), (target, goal)):
-        spread = np.linalg.svd(points - centre, compute_uv=False)
-        if spread[1] <= _FLAT * spread[0]:
+    for points in (source - start, target - goal):
+        singular = np.linalg.svd(points, compute_uv=False)
+        if singular[1] <= _FLAT * singular[0]:
             raise RegistrationError(
-                "the points lie on a line: they do not tell the rotation about it"
+                "the points lie on a line: they do not determine the rotation about it"
             )
-    u, _, vt = np.linalg.svd((source - start).T @ (target - goal))
-    handed = np.sign(np.linalg.det(vt.T @ u.T))
-    turn = from_matrix(vt.T @ np.diag([1.0, 1.0, handed]) @ u.T)
-    return Rigid(turn, goal - rotate(turn, start))
+    rotation, _ = Rotation.align_vectors(target - goal, source - start)
+    return Rigid(rotation.as_quat(canonical=True), goal - rotation.apply(start))
 
 
 def board_frame(centres: Floats) -> Rigid:
     """Return the pose of a board of four markers in the sensor's frame (Lee, 2.1.2).
 
-    The origin is the centre of marker 1, x points from it to marker 2, y towards marker 0, z is
-    their cross product. Measured x and y are not quite orthogonal: x is kept, y is straightened.
+    The origin is the centre of marker 1. x points from it to marker 2, y towards marker 0, and z is
+    their cross product. Measured x and y are not quite orthogonal: x stays, y is corrected.
 
     Parameters
     ----------
@@ -270,6 +265,8 @@ def board_frame(centres: Floats) -> Rigid:
     RegistrationError
         A centre is missing, or the three lie on a line.
     """
+    from scipy.spatial.transform import Rotation
+
     centres = np.asarray(centres, np.float64)
     if centres.ndim != 2 or centres.shape[0] < 3 or not np.isfinite(centres[:3]).all():
         raise RegistrationError("the centres of markers 0, 1 and 2 are needed")
@@ -277,7 +274,7 @@ def board_frame(centres: Floats) -> Rigid:
     x, y = centres[2] - origin, centres[0] - origin
     z = np.cross(x, y)
     if np.linalg.norm(z) <= _FLAT * np.linalg.norm(x) * np.linalg.norm(y):
-        raise RegistrationError("the markers lie on a line: they do not span a board")
+        raise RegistrationError("the markers lie on a line: they do not define a plane")
     axes = [x, np.cross(z, x), z]
     matrix = np.stack([axis / np.linalg.norm(axis) for axis in axes], axis=1)
-    return Rigid(from_matrix(matrix), origin)
+    return Rigid(Rotation.from_matrix(matrix).as_quat(canonical=True), origin)

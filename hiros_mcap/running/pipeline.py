@@ -30,7 +30,7 @@ from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.outputs import check_outputs
 from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.limb_calibration import calibrate
+from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, hiros, merging_order, system
 
@@ -237,7 +237,7 @@ def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> LimbTable:
     blocks = log.blocks()
     for stage in _stages(blind, chain[: chain.index("optimized")]).values():
         blocks = stage(blocks)
-    return calibrate(frames_of(blocks), run.model, run.config.optimize, run.events)
+    return calibrate_limbs(frames_of(blocks), run.model, run.config.optimize, run.events)
 
 
 def _consume(blocks: Iterator[Block], log: Log, progress: Progress | None) -> None:

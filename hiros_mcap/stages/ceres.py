@@ -1,41 +1,26 @@
 """The optimizer's energy minimized by Ceres Solver, as the paper does (section 3.3.3).
 
-One cost function per skeleton with an analytic Jacobian, and one Problem for the whole run: the
-numbers of each skeleton are written into its arrays. A cost function per link costs ten times
-more, all of it in crossing from C++ to Python.
+There is one cost function per skeleton, with an analytic Jacobian, and one Problem for the whole
+run. Each skeleton's numbers are written into its arrays. A cost function per link is ten times
+slower: all that time goes into calls from C++ to Python.
 """
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.kernels.energy import W_DISTAL, W_LENGTH, W_ORIENTATION, W_PROXIMAL, Energy
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
-_ROWS = 10  # residuals of a link: 1 length, 3 + 3 positions of its ends, 3 orientation
-
-
-def import_pyceres() -> ModuleType:
-    """Return the module.
-
-    Raises
-    ------
-    ConfigError
-        With the command that installs it.
-    """
-    try:
-        import pyceres
-    except ImportError as error:
-        raise ConfigError("solver ceres needs pyceres: pip install 'hiros-mcap[ceres]'") from error
-    module: ModuleType = pyceres
-    return module
+# Residuals of a link: length, positions of its two ends, orientation.
+_LENGTH, _PROXIMAL, _DISTAL, _ORIENTATION = 0, slice(1, 4), slice(4, 7), slice(7, 10)
+_ROWS = 10
 
 
 class Residuals:
-    """Residuals of one skeleton, half whose squared norm is half the energy, and their Jacobian.
+    """Residuals of one skeleton, whose squares add up to the energy, and their Jacobian.
 
     The unknowns are the displacements (M, 3) of the markers from the start, m. The angle between
     two directions enters as the rotation vector from one to the other, whose norm it is: three
@@ -43,45 +28,39 @@ class Residuals:
     """
 
     def __init__(self, model: SkeletonModel) -> None:
-        self.parents, self.children = model.links[:, 0], model.links[:, 1]
-        self._columns = 3 * model.n_markers
+        self.links = model.links
         self.start = np.zeros((model.n_markers, 3))
         self.nominal = np.zeros(model.n_links)
         self.roots = np.zeros((model.n_links, 4))
 
     def load(self, start: Floats, nominal: Floats, weights: Floats) -> None:
         """Set the skeleton: start (M, 3), nominal (L,), weights (L, 4); absent is NaN or 0."""
-        used = weights.any(axis=1)
         self.start[:] = np.nan_to_num(start)
-        self.nominal[:] = np.where(used, nominal, 0.0)
+        self.nominal[:] = np.where(weights.any(axis=1), nominal, 0.0)
         self.roots[:] = np.sqrt(weights)
 
     def __call__(self, moved: Floats) -> tuple[Floats, Floats]:
         """Residuals (10 L,) and Jacobian (10 L, 3 M) at displacements ``moved`` (M, 3)."""
-        p, c, root = self.parents, self.children, self.roots
-        d0, change = self.start[c] - self.start[p], moved[c] - moved[p]
-        length, u = _direction(d0 + change)
-        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) / length[:, None, None]
-        turn, turn_by_u = _rotation_vector(u, _direction(d0)[1])
+        (p, d), root = self.links.T, self.roots[:, :, None]
+        start = self.start[d] - self.start[p]
+        length, u = _direction(start + moved[d] - moved[p])
+        phi, phi_by_u = _rotation_vector(u, _direction(start)[1])
         residuals = np.empty((len(p), _ROWS))
-        residuals[:, 0] = root[:, 0] * (length - self.nominal)
-        residuals[:, 1:4] = root[:, 1, None] * moved[p]
-        residuals[:, 4:7] = root[:, 2, None] * moved[c]
-        residuals[:, 7:] = root[:, 3, None] * turn
+        residuals[:, _LENGTH] = root[:, W_LENGTH, 0] * (length - self.nominal)  # eq 14
+        residuals[:, _PROXIMAL] = root[:, W_PROXIMAL] * moved[p]  # eq 15
+        residuals[:, _DISTAL] = root[:, W_DISTAL] * moved[d]  # eq 15
+        residuals[:, _ORIENTATION] = root[:, W_ORIENTATION] * phi  # eq 16
+        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) / length[:, None, None]
         by_d = np.zeros((len(p), _ROWS, 3))
-        by_d[:, 0] = root[:, 0, None] * u
-        by_d[:, 7:] = root[:, 3, None, None] * (turn_by_u @ across)
-        by_p, by_c = -by_d, by_d
-        by_p[:, 1:4] += root[:, 1, None, None] * np.eye(3)
-        by_c[:, 4:7] += root[:, 2, None, None] * np.eye(3)
-        return residuals.ravel(), self._scatter(by_p, by_c)
-
-    def _scatter(self, by_p: Floats, by_c: Floats) -> Floats:
-        jacobian = np.zeros((len(by_p), _ROWS, self._columns // 3, 3))
-        rows = np.arange(len(by_p))
-        jacobian[rows, :, self.parents] += by_p
-        jacobian[rows, :, self.children] += by_c
-        return jacobian.reshape(-1, self._columns)
+        by_d[:, _LENGTH] = root[:, W_LENGTH] * u
+        by_d[:, _ORIENTATION] = root[:, W_ORIENTATION, None] * (phi_by_u @ across)
+        by_p = -by_d
+        by_p[:, _PROXIMAL] += root[:, W_PROXIMAL, None] * np.eye(3)
+        by_d[:, _DISTAL] += root[:, W_DISTAL, None] * np.eye(3)
+        jacobian, rows = np.zeros((len(p), _ROWS, *moved.shape)), np.arange(len(p))
+        jacobian[rows, :, p] += by_p
+        jacobian[rows, :, d] += by_d
+        return residuals.ravel(), jacobian.reshape(residuals.size, moved.size)
 
 
 def _direction(d: Floats) -> tuple[Floats, Floats]:
@@ -98,50 +77,43 @@ def _rotation_vector(u: Floats, u0: Floats) -> tuple[Floats, Floats]:
     small = sine < 1e-4
     safe = np.where(small, 1.0, sine)
     stretch = np.where(small, 1.0 + phi**2 / 6.0, phi / safe)
-    bend = np.where(small, 1.0 / 3.0 + phi**2 / 5.0, (sine - phi * cosine) / safe**3)
+    decrease = np.where(small, 1.0 / 3.0 + phi**2 / 5.0, (sine - phi * cosine) / safe**3)
     cross = np.cross(np.eye(3), u0[:, None, :]).transpose(0, 2, 1)  # column i: e_i x u0
-    derivative = stretch[:, None, None] * cross - bend[:, None, None] * (
+    derivative = stretch[:, None, None] * cross - decrease[:, None, None] * (
         axis[:, :, None] * u0[:, None, :]
     )
     return stretch[:, None] * axis, derivative
 
 
 class CeresSolver:
-    """Callable like the compiled solver: (start, nominal, weights) -> (solution, failures).
-
-    Raises
-    ------
-    ConfigError
-        If pyceres is not installed.
-    """
+    """Callable like the compiled solver: energy -> (solution (P, M, 3), how many failed)."""
 
     def __init__(self, model: SkeletonModel, tolerance: float) -> None:
-        self._ceres = import_pyceres()
+        import pyceres
+
+        self._ceres: Any = pyceres
         self._residuals = Residuals(model)
-        self._moved = np.zeros((model.n_markers, 3))
-        # Ceres takes the address of whatever it is given: it would write over the neighbours of
-        # a strided array.
-        if not self._moved.flags.c_contiguous:
-            raise ValueError("the parameter array must be C-contiguous")
-        self._problem = self._ceres.Problem()
+        # Ceres takes the address of whatever it is given and ignores strides.
+        self._moved = np.zeros(3 * model.n_markers)
+        self._problem = pyceres.Problem()
         # The Problem does not keep Python's half of the cost alive.
         self._cost = _cost_function(self._ceres, self._residuals, model)
         if model.n_links:
-            self._problem.add_residual_block(self._cost, None, [self._moved.reshape(-1)])
+            self._problem.add_residual_block(self._cost, None, [self._moved])
         self._options = _options(self._ceres, tolerance)
 
-    def __call__(self, start: Floats, nominal: Floats, weights: Floats) -> tuple[Floats, int]:
-        """Minimize the energy of each person; see :func:`hiros_mcap.kernels.optimizing.solve`."""
-        solved, failed = start.copy(), 0
-        for i in range(len(start)):
-            if not weights[i].any():
+    def __call__(self, energy: Energy) -> tuple[Floats, int]:
+        """Minimize each skeleton's energy, as :func:`hiros_mcap.kernels.energy.minimize` does."""
+        solved, failed = energy.start.copy(), 0
+        for i, (start, nominal, weights) in enumerate(zip(*energy, strict=True)):
+            if not weights.any():
                 continue
-            self._residuals.load(start[i], nominal[i], weights[i])
+            self._residuals.load(start, nominal, weights)
             self._moved[:] = 0.0
             summary = self._ceres.SolverSummary()
             self._ceres.solve(self._options, self._problem, summary)
             failed += summary.termination_type != self._ceres.TerminationType.CONVERGENCE
-            solved[i] += self._moved
+            solved[i] += self._moved.reshape(-1, 3)
         return solved, failed
 
 
@@ -159,7 +131,7 @@ def _options(ceres: Any, tolerance: float) -> Any:
 
 
 def _cost_function(ceres: Any, residuals_of: Residuals, model: SkeletonModel) -> Any:
-    class Skeleton(ceres.CostFunction):  # type: ignore[misc] # a class of the optional pyceres
+    class Skeleton(ceres.CostFunction):  # type: ignore[misc] # pyceres has no types
         def __init__(self) -> None:
             super().__init__()
             self.set_num_residuals(_ROWS * model.n_links)

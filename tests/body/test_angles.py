@@ -11,7 +11,7 @@ from hiros_mcap.simulate.body import MODEL
 from hiros_mcap.skeletons import SkeletonModel
 
 
-def test_h55_known_rotations_are_recovered() -> None:
+def test_known_rotations_are_recovered() -> None:
     rng = np.random.default_rng(0)
     angles = rng.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (1000, 3))
     xyzw = Rotation.from_euler("ZXY", angles).as_quat()
@@ -19,13 +19,13 @@ def test_h55_known_rotations_are_recovered() -> None:
     assert np.abs(euler_zxy(-xyzw) - angles).max() < 1e-9
 
 
-def test_h55_angles_wrap_at_half_a_turn() -> None:
+def test_angles_wrap_at_half_a_turn() -> None:
     assert np.degrees(wrapped(np.radians([179.0 - -179.0, -358.0, 10.0, 180.0]))) == pytest.approx(
         [-2, 2, 10, -180]
     )
 
 
-def test_h56_exactly_eight_angles() -> None:
+def test_exactly_eight_angles() -> None:
     joints = ("shoulder", "elbow", "hip", "knee")
     assert tuple(f"{side} {joint}" for side in ("left", "right") for joint in joints) == ANGLES
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.body.rotations import from_matrix, rotate, to_matrix
+from hiros_mcap.body.rotations import rotate, to_matrix
 from hiros_mcap.calibrate.registration import board_frame, common_frames, fit_sphere, rigid_fit
 from hiros_mcap.errors import HirosError, RegistrationError
 from hiros_mcap.skeletons import Floats, Stamps
@@ -21,7 +21,7 @@ RADIUS = 0.24  # m, the paper's ball
 
 
 def ball(n: int, seed: int = 1) -> Floats:
-    """Where a ball was carried through a room."""
+    """Where somebody carried a ball."""
     return np.random.default_rng(seed).uniform([-1.5, -1.5, 0.2], [1.5, 1.5, 2.0], (n, 3))
 
 
@@ -44,7 +44,7 @@ def seen_ball(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_l01_partial_sphere_with_outliers(seed: int) -> None:
+def test_partial_sphere_with_outliers(seed: int) -> None:
     """One side only, 30 % outliers, 4 mm of noise: the centre within 3 mm."""
     rng = np.random.default_rng(seed)
     centre = rng.uniform([-1.0, -1.0, 1.5], [1.0, 1.0, 4.0])
@@ -55,7 +55,7 @@ def test_l01_partial_sphere_with_outliers(seed: int) -> None:
     assert 0.003 < fit.rms < 0.005
 
 
-def test_l01_outliers_of_one_kind() -> None:
+def test_outliers_of_one_kind() -> None:
     """A wall behind the ball, the arm that holds it, and half of the ball hidden by somebody."""
     rng = np.random.default_rng(7)
     centre = np.array([0.3, -0.2, 2.5])
@@ -67,7 +67,7 @@ def test_l01_outliers_of_one_kind() -> None:
     assert np.linalg.norm(fit.centre - centre) < 0.003
 
 
-def test_l01_without_noise_it_is_exact() -> None:
+def test_without_noise_it_is_exact() -> None:
     """Far from the origin as well, and absent points are no inliers."""
     rng = np.random.default_rng(3)
     centre = np.array([20.0, -30.0, 40.0])
@@ -80,7 +80,7 @@ def test_l01_without_noise_it_is_exact() -> None:
     assert fit.rms < 1e-9
 
 
-def test_l01_no_centre_fits_the_inliers_better() -> None:
+def test_no_centre_fits_the_inliers_better() -> None:
     rng = np.random.default_rng(4)
     points = seen_ball(np.array([0.1, 0.4, 2.0]), rng)
     fit = fit_sphere(points, RADIUS)
@@ -94,14 +94,14 @@ def test_l01_no_centre_fits_the_inliers_better() -> None:
         assert cost(fit.centre + rng.normal(0, 0.0005, 3)) > fit.rms
 
 
-def test_l01_the_same_seed_gives_the_same_centre() -> None:
+def test_the_same_seed_gives_the_same_centre() -> None:
     points = seen_ball(np.array([0.0, 0.0, 2.0]), np.random.default_rng(5))
     first, again, other = (fit_sphere(points, RADIUS, seed=seed) for seed in (1, 1, 2))
     assert (first.centre == again.centre).all()
     assert other.centre == pytest.approx(first.centre, abs=1e-4)
 
 
-def test_l01_the_sphere_moves_with_the_room() -> None:
+def test_the_sphere_moves_with_the_points() -> None:
     points = seen_ball(np.array([0.0, 0.0, 2.0]), np.random.default_rng(6))
     moved = fit_sphere(TURN.apply(points) + SHIFT, RADIUS)
     assert moved.centre == pytest.approx(
@@ -123,7 +123,7 @@ def test_l01_the_sphere_moves_with_the_room() -> None:
         (np.outer(np.arange(9.0), [1.0, 2.0, 3.0]), {}, "no sphere"),
     ],
 )
-def test_l01_no_sphere(points: Floats, options: dict[str, Any], fault: str) -> None:
+def test_no_sphere(points: Floats, options: dict[str, Any], fault: str) -> None:
     with pytest.raises(RegistrationError, match=fault):
         fit_sphere(points, RADIUS, **options)
     assert issubclass(RegistrationError, HirosError)
@@ -138,7 +138,7 @@ def marked(stamps: Stamps, sensor: int) -> Floats:
     return np.stack([np.full(len(stamps), float(sensor)), np.arange(len(stamps)), stamps * 0], 1)
 
 
-def test_l02_only_frames_seen_by_all_sensors() -> None:
+def test_only_frames_seen_by_all_sensors() -> None:
     """Three sensors a few ms apart; one misses the ball, one a message, one starts late."""
     stamps = [
         stamps_of(0, 33, 67, 100, 133, 167),
@@ -153,7 +153,7 @@ def test_l02_only_frames_seen_by_all_sensors() -> None:
     assert (common.stamps - stamps_of(0)).tolist() == [99_666_667, 166_666_667]
 
 
-def test_l02_the_order_of_frames_and_sensors_does_not_matter() -> None:
+def test_the_order_of_frames_and_sensors_does_not_matter() -> None:
     rng = np.random.default_rng(8)
     stamps = [stamps_of(*np.sort(33.3 * rng.permutation(50)[:40] + 2.0 * s)) for s in range(3)]
     centres = [marked(times, sensor) for sensor, times in enumerate(stamps)]
@@ -171,7 +171,7 @@ def test_l02_the_order_of_frames_and_sensors_does_not_matter() -> None:
     assert (turned.stamps == common.stamps).all()
 
 
-def test_l02_each_frame_is_used_once() -> None:
+def test_each_frame_is_used_once() -> None:
     """A sensor of twice the rate, and one that repeats a time stamp."""
     stamps = [stamps_of(0, 16, 33, 50, 67), stamps_of(1, 34, 34, 68)]
     for order in (slice(None), slice(None, None, -1)):
@@ -182,7 +182,7 @@ def test_l02_each_frame_is_used_once() -> None:
         assert slow[:, 1].tolist() == [0.0, 1.0, 3.0]
 
 
-def test_l02_the_span_of_an_instant_is_bounded() -> None:
+def test_the_span_of_an_instant_is_bounded() -> None:
     """Each of two sensors is near enough to the first, but not to each other."""
     stamps = [stamps_of(10), stamps_of(0), stamps_of(20)]
     centres = [marked(times, sensor) for sensor, times in enumerate(stamps)]
@@ -190,7 +190,7 @@ def test_l02_the_span_of_an_instant_is_bounded() -> None:
     assert common_frames(stamps, centres, max_delta_time=0.02).centres.shape == (3, 1, 3)
 
 
-def test_l02_nothing_in_common() -> None:
+def test_nothing_in_common() -> None:
     stamps = [stamps_of(0, 33), stamps_of(), stamps_of(0, 33)]
     common = common_frames(stamps, [marked(times, 0) for times in stamps])
     assert common.stamps.shape == (0,)
@@ -207,14 +207,14 @@ def test_l02_nothing_in_common() -> None:
         ([stamps_of(0)] * 2, [np.zeros((1, 3)), np.zeros((2, 3))], "stamps"),
     ],
 )
-def test_l02_stamps_and_centres_must_fit(
+def test_stamps_and_centres_must_fit(
     stamps: list[Stamps], centres: list[Floats], fault: str
 ) -> None:
     with pytest.raises(RegistrationError, match=fault):
         common_frames(stamps, centres)
 
 
-def test_l01_to_l04_from_clouds_to_poses() -> None:
+def test_from_clouds_to_poses() -> None:
     """A ball held at 40 places in front of three sensors, hidden from one of them now and then.
 
     Each sensor's pose in the first one's frame: rotation within 0.1 degrees, translation within
@@ -248,7 +248,7 @@ def test_l01_to_l04_from_clouds_to_poses() -> None:
         assert np.linalg.norm(pose.translation - shift) < 0.003
 
 
-def test_l03_thousand_noisy_points() -> None:
+def test_thousand_noisy_points() -> None:
     """1000 points with 5 mm of noise: rotation within 0.1 degrees, translation within 2 mm."""
     points = ball(1000)
     noise = np.random.default_rng(2).normal(0, 0.005, points.shape)
@@ -268,12 +268,12 @@ def test_l03_thousand_noisy_points() -> None:
         (ball(4)[:, :2], "shape"),
     ],
 )
-def test_l03_too_few_or_collinear_points(points: Floats, fault: str) -> None:
+def test_too_few_or_collinear_points(points: Floats, fault: str) -> None:
     with pytest.raises(RegistrationError, match=fault):
         rigid_fit(points, points)
 
 
-def test_l03_pairs_that_one_sensor_missed_are_left_out() -> None:
+def test_pairs_that_one_sensor_missed_are_left_out() -> None:
     points = ball(10)
     goal = TURN.apply(points) + SHIFT
     goal[4] = np.nan
@@ -281,8 +281,8 @@ def test_l03_pairs_that_one_sensor_missed_are_left_out() -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_l04_never_a_reflection(seed: int) -> None:
-    """Flat points with noise, and mirrored ones, tempt the decomposition to mirror the room."""
+def test_never_a_reflection(seed: int) -> None:
+    """Flat points with noise, and mirrored ones, tempt the decomposition to a reflection."""
     rng = np.random.default_rng(seed)
     flat = rng.normal(0, [1.0, 1.0, 1e-6], (5, 3))
     for goal in (flat + rng.normal(0, 0.01, flat.shape), ball(5, seed) * [1, 1, -1]):
@@ -291,7 +291,7 @@ def test_l04_never_a_reflection(seed: int) -> None:
         assert matrix @ matrix.T == pytest.approx(np.eye(3))
 
 
-def test_x03_not_the_printed_formula() -> None:
+def test_not_the_printed_formula() -> None:
     """The printed R is the inverse rotation, and the printed T lacks R."""
     points = ball(20)
     pose = rigid_fit(points, TURN.apply(points) + SHIFT)
@@ -314,7 +314,7 @@ def test_no_rigid_transform_fits_better() -> None:
         assert cost(turn, pose.translation + rng.normal(0, 0.01, 3)) > best
 
 
-def test_l05_board_pose() -> None:
+def test_board_pose() -> None:
     """Markers 0, 1, 2 of a board that lies on the floor, seen from a camera; y a little askew."""
     board = np.array([[0.02, 0.3, 0.0], [0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.3, 0.0]])
     pose = board_frame(TURN.apply(board) + SHIFT)
@@ -328,15 +328,6 @@ def test_l05_board_pose() -> None:
 @pytest.mark.parametrize(
     "centres", [np.eye(3)[:2], np.full((4, 3), np.nan), np.outer([1, 2, 3], [1, 1, 0])]
 )
-def test_l05_not_a_board(centres: Floats) -> None:
+def test_not_a_board(centres: Floats) -> None:
     with pytest.raises(RegistrationError, match="markers"):
         board_frame(centres)
-
-
-@given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.01))
-def test_quaternion_of_a_matrix(q: tuple[float, ...]) -> None:
-    matrix = Rotation.from_quat(q).as_matrix()
-    xyzw = from_matrix(matrix)
-    assert to_matrix(xyzw) == pytest.approx(matrix, abs=1e-12)
-    assert np.linalg.norm(xyzw) == pytest.approx(1.0)
-    assert xyzw[3] >= 0.0

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from hiros_mcap.kernels import optimizing as kernels
-from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.body.limb_table import Limb, LimbTable
+from hiros_mcap.kernels.energy import Energy, exact_weights, paper_weights
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.stages.elimination import topology_of
 
 
 def random_model(rng, markers=20, loops=0):
@@ -24,21 +26,39 @@ def random_poses(model, count, rng, sd=0.02, missing=0.12):
     return start, np.ascontiguousarray(np.linalg.norm(bones, axis=2))
 
 
-def weights_of(model, start, nominal, stiffness=0.0, max_error=0.1):
-    """(P, L, 4) weights as the stage gives them to its solver."""
-    links = np.ascontiguousarray(model.links)
-    degree = np.bincount(links.ravel(), minlength=model.n_markers).astype(np.int32)
-    confidences = np.full(start.shape[:2], np.nan)
-    outlier = np.zeros(start.shape[:2], np.int32)
-    weights = np.empty((*nominal.shape, 4))
-    kernels.weigh(
-        start, nominal, confidences, links, degree, outlier, max_error, stiffness, 1e-3, weights
-    )
-    return weights
+def lengths_of(model, points):
+    """(..., L) lengths of the links."""
+    p, d = model.links.T
+    return np.linalg.norm(points[..., d, :] - points[..., p, :], axis=-1)
 
 
-def energies(model, solved, start, nominal, weights):
-    """(P,) energy of each skeleton."""
-    links = np.ascontiguousarray(model.links)
-    rows = zip(solved, start, nominal, weights, strict=True)
-    return np.array([kernels.energy(x, x0, n, links, w) for x, x0, n, w in rows])
+def scene_of(model, points, nominal):
+    """A frame of everybody in ``points`` (P, M, 3), and the table of their lengths (P, L)."""
+    frame, limbs = Frame.empty(len(points), model), LimbTable()
+    frame.ids[:], frame.markers[:, :, :3] = range(len(points)), points
+    for person, lengths in enumerate(nominal.tolist()):
+        limbs.people[person] = dict(zip(model.link_names, map(Limb, lengths), strict=True))
+    return frame, limbs
+
+
+def energy_of(model, start, nominal, exact=False, max_error=0.1):
+    """The energy of poses, with weights as the stage gives them to its solver."""
+    energy = Energy(start, nominal, np.empty((*nominal.shape, 4)))
+    topology, outlier = topology_of(model), np.zeros(start.shape[:2], np.int32)
+    if exact:
+        exact_weights(energy, topology, outlier, np.full(outlier.shape, np.nan))
+    else:
+        paper_weights(energy, topology, outlier, max_error)
+    return energy
+
+
+def energies(model, poses, energy):
+    """(P,) eq 14 to 19 of ``poses``, written down once more."""
+    (p, d), w = model.links.T, np.moveaxis(energy.weights, -1, 0)
+    moved = np.sum((poses - energy.start) ** 2, axis=-1)
+    ways = poses[:, d] - poses[:, p], energy.start[:, d] - energy.start[:, p]
+    lengths = [np.linalg.norm(way, axis=-1) for way in ways]
+    sine = np.linalg.norm(np.cross(*ways), axis=-1)
+    phi = np.arctan2(sine, np.sum(ways[0] * ways[1], axis=-1))
+    terms = (lengths[0] - energy.nominal) ** 2, moved[:, p], moved[:, d], phi**2
+    return np.nansum([weight * term for weight, term in zip(w, terms, strict=True)], axis=(0, 2))

@@ -1,0 +1,144 @@
+"""Normal equations of a skeleton: 3x3 blocks on the graph of its links, solved by block LDL^T."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.kernels.compile import F2, F3, J1, J2, kernel, named_tuple
+from hiros_mcap.skeletons import Floats, Ints
+
+
+class Topology(NamedTuple):
+    """Links of a model and the order in which its markers are eliminated.
+
+    Step ``k`` eliminates marker ``order[k]``. Its neighbours that are still there have the blocks
+    ``first[k]`` up to ``first[k + 1]``: block ``s`` couples marker ``row[s]``, which is eliminated
+    later, to ``order[k]``. Every pair ``s < t`` of these blocks updates block ``target[j]``, where
+    ``j`` counts the pairs from ``first_pair[k]`` on.
+    """
+
+    links: Ints
+    """(L, 2) proximal and distal marker slot, -1 = absent."""
+    degree: Ints
+    """(M,) number of links that end in each marker."""
+    outward: Ints
+    """(up to L,) links from the roots outwards."""
+    order: Ints
+    """(M,) marker slots."""
+    first: Ints
+    """(M + 1,) first block of each step."""
+    row: Ints
+    """(S,) marker slot of each block's row."""
+    first_pair: Ints
+    """(M + 1,) first pair of each step."""
+    target: Ints
+    """(number of pairs,) block that a pair updates."""
+    link_block: Ints
+    """(L,) block of each link, -1 for a link that couples nothing."""
+
+
+class NormalEquations(NamedTuple):
+    """Hessian * step = -gradient, for M markers and S blocks off the diagonal."""
+
+    diagonal: Floats
+    """(M, 3, 3) of the Hessian."""
+    inverse: Floats
+    """(M, 3, 3) of the diagonal blocks, when they are eliminated."""
+    blocks: Floats
+    """(S, 3, 3) of the Hessian, off the diagonal."""
+    scaled: Floats
+    """(S, 3, 3) blocks times the inverse."""
+    gradient: Floats
+    """(M, 3)."""
+    step: Floats
+    """(M, 3)."""
+
+    @classmethod
+    def of(cls, topology: Topology) -> NormalEquations:
+        """Allocate the arrays."""
+        m, s = len(topology.order), len(topology.row)
+        shapes = (m, 3, 3), (m, 3, 3), (s, 3, 3), (s, 3, 3), (m, 3), (m, 3)
+        return cls(*map(np.empty, shapes))
+
+
+TOPOLOGY = named_tuple(Topology, J2, *[J1] * 8)
+NORMAL_EQUATIONS = named_tuple(NormalEquations, F3, F3, F3, F3, F2, F2)
+
+
+@kernel
+def solve_equations(topology: Topology, damping: float, equations: NormalEquations) -> None:
+    """Solve Hessian * step = -gradient; overwrites the equations.
+
+    ``damping`` raises the diagonal of every pivot by that share, which shortens the step.
+    """
+    order, first, row = topology.order, topology.first, topology.row
+    first_pair, target = topology.first_pair, topology.target
+    diagonal, inverse, blocks, scaled, gradient, step = equations
+    for k in range(order.shape[0]):
+        m = order[k]
+        _invert(diagonal, m, damping, inverse)
+        pair = first_pair[k]
+        for s in range(first[k], first[k + 1]):
+            _scale(blocks, inverse, s, m, scaled)
+        for s in range(first[k], first[k + 1]):
+            r = row[s]
+            _subtract(scaled, blocks, s, s, diagonal, r)
+            for t in range(s + 1, first[k + 1]):
+                _subtract(scaled, blocks, t, s, blocks, target[pair])
+                pair += 1
+            for i in range(3):
+                for j in range(3):
+                    gradient[r, i] -= scaled[s, i, j] * gradient[m, j]
+    for k in range(order.shape[0] - 1, -1, -1):
+        m = order[k]
+        for s in range(first[k], first[k + 1]):
+            r = row[s]
+            for i in range(3):
+                for j in range(3):
+                    gradient[m, i] += blocks[s, j, i] * step[r, j]
+        for i in range(3):
+            step[m, i] = 0.0
+            for j in range(3):
+                step[m, i] -= inverse[m, i, j] * gradient[m, j]
+
+
+@kernel
+def _invert(a: Floats, m: int, damping: float, out: Floats) -> None:
+    """Invert the symmetric block ``m``, (1 + damping) on its diagonal; identity for zeros."""
+    scale = a[m, 0, 0] + a[m, 1, 1] + a[m, 2, 2]
+    floor = 1e-14 * scale if scale > 0.0 else 1.0
+    d0 = a[m, 0, 0] * (1.0 + damping) + floor
+    d1 = a[m, 1, 1] * (1.0 + damping) + floor
+    d2 = a[m, 2, 2] * (1.0 + damping) + floor
+    xy, xz, yz = a[m, 0, 1], a[m, 0, 2], a[m, 1, 2]
+    c00, c01, c02 = d1 * d2 - yz * yz, xz * yz - xy * d2, xy * yz - xz * d1
+    c11, c12, c22 = d0 * d2 - xz * xz, xy * xz - d0 * yz, d0 * d1 - xy * xy
+    share = 1.0 / (d0 * c00 + xy * c01 + xz * c02)
+    out[m, 0, 0], out[m, 1, 1], out[m, 2, 2] = c00 * share, c11 * share, c22 * share
+    out[m, 0, 1] = out[m, 1, 0] = c01 * share
+    out[m, 0, 2] = out[m, 2, 0] = c02 * share
+    out[m, 1, 2] = out[m, 2, 1] = c12 * share
+
+
+@kernel
+def _scale(blocks: Floats, inverse: Floats, s: int, m: int, out: Floats) -> None:
+    """``out[s] = blocks[s] inverse[m]``, 3x3."""
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for n in range(3):
+                total += blocks[s, i, n] * inverse[m, n, j]
+            out[s, i, j] = total
+
+
+@kernel
+def _subtract(a: Floats, b: Floats, s: int, t: int, out: Floats, r: int) -> None:
+    """``out[r] -= a[s] b[t]^T``, 3x3."""
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for n in range(3):
+                total += a[s, i, n] * b[t, j, n]
+            out[r, i, j] -= total
