@@ -13,7 +13,7 @@ import tomllib
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,9 +23,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.kernels.transforming import move
+from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.params import explain
-from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.skeletons import Frame
 
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
@@ -343,7 +343,7 @@ class Mover:
     def __init__(self, tree: TransformTree, fixed_frame: str) -> None:
         self._tree = tree
         self._fixed = fixed_frame
-        self._prepared: dict[str, tuple[Rigid, Floats]] = {}
+        self._prepared: dict[str, tuple[Rigid, PoseArrays]] = {}
 
     def __call__(self, frame: Frame) -> Frame:
         """Return the frame in the fixed frame, itself if it already is."""
@@ -353,22 +353,15 @@ class Mover:
         pose = self._tree.lookup(name, self._fixed, frame.stamp)
         known = self._prepared.get(name)
         if known is None or known[0] is not pose:
-            known = self._prepared[name] = (pose, np.ascontiguousarray(to_matrix(pose.xyzw)))
-        return _moved(frame, pose, known[1], self._fixed)
+            known = self._prepared[name] = (pose, pose_arrays([pose]))
+        people = frame.people.copy()
+        move(known[1], 0, people)
+        return frame.replace(frame_id=self._fixed, people=people)
 
 
-def _moved(frame: Frame, pose: Rigid, matrix: Floats, fixed_frame: str) -> Frame:
-    markers, links = np.empty_like(frame.markers), np.empty_like(frame.links)
-    boxes = np.empty_like(frame.boxes)
-    move(
-        pose.xyzw,
-        matrix,
-        pose.translation,
-        frame.markers,
-        frame.links,
-        frame.boxes,
-        markers,
-        links,
-        boxes,
-    )
-    return frame.replace(frame_id=fixed_frame, markers=markers, links=links, boxes=boxes)
+def pose_arrays(poses: Sequence[Rigid]) -> PoseArrays:
+    """Return K poses as the kernels take them."""
+    xyzw = np.array([pose.xyzw for pose in poses], np.float64).reshape(-1, 4)
+    matrices = np.array([to_matrix(pose.xyzw) for pose in poses], np.float64).reshape(-1, 3, 3)
+    shifts = np.array([pose.translation for pose in poses], np.float64).reshape(-1, 3)
+    return PoseArrays(xyzw, matrices, shifts)

@@ -334,7 +334,7 @@ class _Merger:
         rows = np.stack([ends[:-1, 0], ends[1:, 0]], axis=1)
         bank_rows, room = np.array(plan.bank_rows, np.int64), self.views.room(plan.views)
         work = self._work(plan)
-        out = People.room(len(plan.people), self.model.n_markers, self.model.n_links)
+        out = People.allocate(len(plan.people), self.model.n_markers, self.model.n_links)
         out.ids[:] = plan.people
         out.confidences.fill(np.nan)
         out.boxes.fill(np.nan)

@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -84,8 +84,6 @@ class Message(NamedTuple):
     data: memoryview
     publish_time: int
     sequence: int
-    note: Any = None
-    """What the reader was asked to find out about it (see McapReader.messages)."""
 
 
 @dataclass(frozen=True, slots=True)
