@@ -241,13 +241,16 @@ class Log:
                 break
         if rows:
             topics, stamps, log_times, sources, frame_ids, begins, ends = zip(*rows, strict=True)
-            yield topics, Block(
-                np.array(stamps, np.int64),
-                np.array(log_times, np.int64),
-                sources,
-                frame_ids,
-                np.array([begins, ends], np.int64).T.copy(),
-                decoded.people,
+            yield (
+                topics,
+                Block(
+                    np.array(stamps, np.int64),
+                    np.array(log_times, np.int64),
+                    sources,
+                    frame_ids,
+                    np.array([begins, ends], np.int64).T.copy(),
+                    decoded.people,
+                ),
             )
         if fault is not None:
             raise fault

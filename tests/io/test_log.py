@@ -3,8 +3,7 @@ import itertools
 import numpy as np
 import pytest
 from generators import generic_writer, same
-from mcap_logs import write_log
-from test_transforms import tf_bytes
+from mcap_logs import tf_bytes, write_log
 
 import hiros_schemas
 from hiros_mcap.body.transforms import transform_to_fixed

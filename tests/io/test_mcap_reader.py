@@ -215,7 +215,7 @@ FAULTS = {
     ),
     "reserved opcode": ([r.record(0x20, b"")], "no place here"),
     "opcode 0": ([r.record(0, b"")], "no place here"),
-    "footer too early": ([r.record(r.FOOTER_OP, bytes(20))], "no place here"),
+    "footer too early": ([r.record(r.Opcode.FOOTER, bytes(20))], "no place here"),
     "not UTF-8": ([channel(topic="/a").replace(b"/a", b"\xff\xff")], "not UTF-8"),
     "schema missing": ([channel().replace(b"\1\0\0\0", b"\1\0\7\0")], "no schema 7"),
 }

@@ -2,11 +2,10 @@
 
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.reader import Batch, McapReader, Records
-from hiros_mcap.io.container.records import Attachment, Channel, Chunk, Message, Schema
+from hiros_mcap.io.container.records import Channel, Chunk, Message, Schema
 from hiros_mcap.io.container.writer import ChunkCopier, McapWriter
 
 __all__ = [
-    "Attachment",
     "Batch",
     "Channel",
     "Chunk",

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from types import TracebackType
-from typing import NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,8 @@ from hiros_mcap.io.container.compression import decompress
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.records import (
-    Attachment,
+    HEAD,
+    AttachmentIndex,
     Bytes,
     Channel,
     Chunk,
@@ -58,6 +59,7 @@ _FAULTS = {
     FORBIDDEN: "a record that has no place in a chunk",
 }
 _COLUMNS = [LOG_TIME, START]
+_ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
 
 Table = npt.NDArray[np.uint64]
 T = TypeVar("T")
@@ -83,7 +85,8 @@ class Records(NamedTuple):
         """Yield some messages; their data are views, which are valid as long as they are held."""
         view = memoryview(self.data)
         for channel, sequence, logged, published, start, stop in self.messages[rows].tolist():
-            yield Message(channel, logged, view[start:stop], published, sequence)
+            data: Any = view[start:stop]
+            yield Message(channel, logged, data, published, sequence)
 
 
 class Batch(NamedTuple):
@@ -157,9 +160,11 @@ class McapReader:
         """Message definition of a channel, None if it has none."""
         return self._contents.schemas.get(channel.schema_id)
 
-    def attachment(self, attachment: Attachment) -> bytes:
+    def attachment(self, index: AttachmentIndex) -> bytes:
         """Bytes of an attachment, which the walk has checked."""
-        return self._file.read(attachment.data_offset, attachment.data_size)
+        names = len(index.name.encode()) + len(index.media_type.encode())
+        start = index.offset + HEAD.size + _ATTACHMENT_FIXED + names
+        return self._file.read(start, index.data_size)
 
     def raw(self, chunk: Chunk) -> bytes:
         """Chunk record and its message index records as they are in the file."""
@@ -322,9 +327,9 @@ class McapReader:
         for chunk in self._contents.chunks:
             counts.update(chunk.counts or {})
         stats, total = self._contents.statistics, sum(counts.values())
-        if stats is not None and stats.messages != total:
+        if stats is not None and stats.message_count != total:
             raise LogError(
-                f"damaged: the statistics claim {stats.messages} messages, there are {total}",
+                f"damaged: the statistics claim {stats.message_count} messages, there are {total}",
                 path=self.path,
             )
         return dict(counts)

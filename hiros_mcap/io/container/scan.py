@@ -16,7 +16,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
 from hiros_mcap.io.container.compression import MAX_CHUNK
 from hiros_mcap.io.container.file import LogFile
-from hiros_mcap.io.container.records import FormatError
+from hiros_mcap.io.container.records import FormatError, Opcode
 
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
@@ -37,14 +37,14 @@ class Contents:
     schemas: dict[int, r.Schema] = field(default_factory=dict)
     channels: dict[int, r.Channel] = field(default_factory=dict)
     chunks: list[r.Chunk] = field(default_factory=list)
-    attachments: list[r.Attachment] = field(default_factory=list)
+    attachments: list[r.AttachmentIndex] = field(default_factory=list)
     metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     statistics: r.Statistics | None = None
     has_data_crc: bool = False
 
     def define(self, opcode: int, content: r.Bytes) -> int:
         """Note a schema or channel, return its id; raises FormatError if it had another meaning."""
-        if opcode == r.SCHEMA_OP:
+        if opcode == Opcode.SCHEMA:
             schema = r.parse_schema(content)
             # The format asks readers to ignore a schema with the id that means "none".
             return _put(self.schemas, schema, "schema") if schema.id else 0
@@ -66,7 +66,7 @@ def scan(file: LogFile, *, checksum: bool = True) -> Contents:
 
 
 @dataclass(slots=True)
-class _Run:
+class _LooseMessages:
     """Consecutive messages outside of chunks, to be read as one chunk."""
 
     offset: int
@@ -103,7 +103,7 @@ class _Scan:
         self.at = 0
         self._ahead = b""
         self._ahead_at = 0
-        self._run: _Run | None = None
+        self._run: _LooseMessages | None = None
         self._chunk_indexes: list[r.ChunkIndex] = []
         self._index: dict[int, int] | None = None  # counts by channel, right after a chunk only
         self._index_end = 0
@@ -133,24 +133,28 @@ class _Scan:
     def _sections(self) -> None:
         """Walk header, data section, summary and footer."""
         opcode, body, stop = self._next()
-        if opcode != r.HEADER_OP:
+        if opcode != Opcode.HEADER:
             raise FormatError(f"a header is expected, not a {r.name_of(opcode)} record")
         at = r.Cursor(self._content(body, stop))
         self.found.profile, self.found.library = at.string(), at.string()
         self.at = stop
-        self._section(self._data_records(), r.DATA_END_OP)
+        self._section(self._data_records(), Opcode.DATA_END)
         self._data_end()
         start = self.at
-        self._section(self._summary_records(), r.FOOTER_OP)
+        self._section(self._summary_records(), Opcode.FOOTER)
         self._footer(start)
 
     def _section(self, known: dict[int, Callable[[int, int], None]], last: int) -> None:
         """Hand every record to its reader until the record that ends the section."""
         while True:
             opcode, body, stop = self._next()
-            if self._run is not None and opcode not in (r.SCHEMA_OP, r.CHANNEL_OP, r.MESSAGE_OP):
+            if self._run is not None and opcode not in (
+                Opcode.SCHEMA,
+                Opcode.CHANNEL,
+                Opcode.MESSAGE,
+            ):
                 self._end_run()
-            if self._index is not None and opcode != r.MESSAGE_INDEX_OP:
+            if self._index is not None and opcode != Opcode.MESSAGE_INDEX:
                 self._end_index()
             if opcode == last:
                 return
@@ -162,24 +166,24 @@ class _Scan:
 
     def _data_records(self) -> dict[int, Callable[[int, int], None]]:
         return {
-            r.SCHEMA_OP: self._loose_definition,
-            r.CHANNEL_OP: self._loose_definition,
-            r.MESSAGE_OP: self._loose_message,
-            r.CHUNK_OP: self._chunk,
-            r.MESSAGE_INDEX_OP: self._message_index,
-            r.ATTACHMENT_OP: self._attachment,
-            r.METADATA_OP: self._metadata,
+            Opcode.SCHEMA: self._loose_definition,
+            Opcode.CHANNEL: self._loose_definition,
+            Opcode.MESSAGE: self._loose_message,
+            Opcode.CHUNK: self._chunk,
+            Opcode.MESSAGE_INDEX: self._message_index,
+            Opcode.ATTACHMENT: self._attachment,
+            Opcode.METADATA: self._metadata,
         }
 
     def _summary_records(self) -> dict[int, Callable[[int, int], None]]:
         return {
-            r.SCHEMA_OP: self._definition,
-            r.CHANNEL_OP: self._definition,
-            r.STATISTICS_OP: self._statistics,
-            r.CHUNK_INDEX_OP: self._chunk_index,
-            r.ATTACHMENT_INDEX_OP: self._skip,
-            r.METADATA_INDEX_OP: self._skip,
-            r.SUMMARY_OFFSET_OP: self._skip,
+            Opcode.SCHEMA: self._definition,
+            Opcode.CHANNEL: self._definition,
+            Opcode.STATISTICS: self._statistics,
+            Opcode.CHUNK_INDEX: self._chunk_index,
+            Opcode.ATTACHMENT_INDEX: self._skip,
+            Opcode.METADATA_INDEX: self._skip,
+            Opcode.SUMMARY_OFFSET: self._skip,
         }
 
     # -- bytes ---------------------------------------------------------------------------------
@@ -254,7 +258,7 @@ class _Scan:
         if self._run is not None and stop - self._run.offset > _RUN:
             self._end_run()
         if self._run is None:
-            self._run = _Run(self.at, stop, time, time)
+            self._run = _LooseMessages(self.at, stop, time, time)
         run = self._run
         run.end, run.first, run.final = stop, min(run.first, time), max(run.final, time)
         run.counts[channel] += 1
@@ -311,7 +315,15 @@ class _Scan:
         if crc and crc != self.file.crc(body, data + size):
             raise FormatError(f"the checksum of the attachment {name!r} is wrong")
         self.found.attachments.append(
-            r.Attachment(name, media_type, log_time, create_time, data, size)
+            r.AttachmentIndex(
+                offset=self.at,
+                length=stop - self.at,
+                log_time=log_time,
+                create_time=create_time,
+                data_size=size,
+                name=name,
+                media_type=media_type,
+            )
         )
 
     def _metadata(self, body: int, stop: int) -> None:
@@ -358,7 +370,10 @@ class _Scan:
     def _agreement(self) -> None:
         """Compare what the summary claims to exist with what the walk found."""
         chunks = [chunk for chunk in self.found.chunks if not chunk.loose]
-        claimed = {(i.offset, i.length, i.start_time, i.end_time) for i in self._chunk_indexes}
+        claimed = {
+            (i.chunk_start_offset, i.chunk_length, i.message_start_time, i.message_end_time)
+            for i in self._chunk_indexes
+        }
         actual = {(c.offset, c.end - c.offset, c.start_time, c.end_time) for c in chunks}
         if self._chunk_indexes and (claimed != actual or len(self._chunk_indexes) != len(actual)):
             raise FormatError("the chunk indexes of the summary do not fit the chunks of the log")
@@ -366,7 +381,7 @@ class _Scan:
         if stats is None:
             return
         found = (len(chunks), len(self.found.attachments), len(self.found.metadata))
-        if (stats.chunks, stats.attachments, stats.metadata) != found:
+        if (stats.chunk_count, stats.attachment_count, stats.metadata_count) != found:
             raise FormatError(
                 "the statistics of the summary claim other numbers of chunks, attachments or "
                 f"metadata than {found[0]}, {found[1]} and {found[2]}"
