@@ -306,9 +306,11 @@ def odd_log(path, chunk_size):
         log.time = iter(np.arange(200) // 2)
         for k in range(2):
             log.add(seen(k, 1, value=9))
+        last = {}
         for stamp in range(10, 110):
             topic, data = odd_message(rng, stamp)
-            log.add(None, topic, data)
+            last[topic] = last.get(topic, data) if rng.random() < 0.2 else data
+            log.add(None, topic, last[topic])
     return path
 
 
