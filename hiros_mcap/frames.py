@@ -25,7 +25,7 @@ class Block:
     log_times: Stamps
     """(N,) ns."""
     sources: Sequence[str]
-    """N names; one object for equal names, where many are."""
+    """N names."""
     frame_ids: Sequence[str]
     """N names of coordinate frames."""
     rows: Stamps

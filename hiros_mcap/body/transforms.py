@@ -221,34 +221,34 @@ def parse_tf(data: bytes | bytearray | memoryview) -> list[Transform]:
     """
     try:
         order = {b"\0\0": ">", b"\0\1": "<"}[bytes(data[:2])]
-        body = memoryview(data)[4:]
-        (count,) = struct.unpack_from(order + "I", body, 0)
+        content = memoryview(data)[4:]
+        (count,) = struct.unpack_from(order + "I", content, 0)
         at, found = 4, []
         for _ in range(count):
-            transform, at = _parse_transform(body, at, order)
+            transform, at = _parse_transform(content, at, order)
             found.append(transform)
     except (KeyError, struct.error, UnicodeDecodeError, ValueError):
         raise LogError("a tf message is damaged or not plain CDR") from None
-    if len(body) - at > 3:
+    if len(content) - at > 3:
         raise LogError("a tf message is longer than its content")
     return found
 
 
-def _parse_transform(body: memoryview, at: int, order: str) -> tuple[Transform, int]:
+def _parse_transform(content: memoryview, at: int, order: str) -> tuple[Transform, int]:
     at += -at % 4
-    sec, nanosec = struct.unpack_from(order + "iI", body, at)
-    parent, at = _parse_string(body, at + 8, order)
-    child, at = _parse_string(body, at, order)
+    sec, nanosec = struct.unpack_from(order + "iI", content, at)
+    parent, at = _parse_string(content, at + 8, order)
+    child, at = _parse_string(content, at, order)
     at += -at % 8
-    numbers = struct.unpack_from(order + "7d", body, at)
+    numbers = struct.unpack_from(order + "7d", content, at)
     stamp = sec * 1_000_000_000 + nanosec
     return Transform(stamp, parent, child, numbers[:3], numbers[3:]), at + 56
 
 
-def _parse_string(body: memoryview, at: int, order: str) -> tuple[str, int]:
+def _parse_string(content: memoryview, at: int, order: str) -> tuple[str, int]:
     at += -at % 4
-    (length,) = struct.unpack_from(order + "I", body, at)
-    raw = bytes(body[at + 4 : at + 4 + length])
+    (length,) = struct.unpack_from(order + "I", content, at)
+    raw = bytes(content[at + 4 : at + 4 + length])
     if not length or len(raw) != length or raw[-1]:
         raise ValueError("a string without its final NUL")
     return str(raw[:-1], "utf-8"), at + 4 + length

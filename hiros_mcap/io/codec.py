@@ -180,7 +180,7 @@ class RestPoses:
         return len(self._poses) - 1
 
 
-class Part(NamedTuple):
+class MessagePart(NamedTuple):
     """The people of a message that one camera saw."""
 
     source: str
@@ -203,7 +203,7 @@ class Decoded(NamedTuple):
     """Of each message."""
     stamps: list[int]
     """header.stamp of each message, ns."""
-    parts: list[list[Part]]
+    parts: list[list[MessagePart]]
     """Of each message: one, none if it cannot be decoded, several if several cameras share it."""
     cleaned: Mapping[int, Mapping[str, int]]
     """Message -> how many numbers were taken out, by kind; no entry if none were."""
@@ -242,7 +242,6 @@ class Decoder:
         self._tables = model_tables(model)
         self._slots = model.n_markers, model.n_links
         self._scratch = np.empty(sum(self._slots), np.int64)
-        self._texts: dict[bytes, str | None] = {}
 
     def decode_message(self, data: Bytes, log_time: int = 0, *, channel: int = 0) -> list[Frame]:
         """Read one message: a frame for each camera that saw somebody, in order of appearance.
@@ -275,20 +274,44 @@ class Decoder:
         sections = list(self._sections(batch.records, faults))
         for section in sections:
             batch_kernels.read_headers(*section, first, reports)
-        n_people = int(first[-1])
-        if n > 1 and n_people * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
+        if n > 1 and first[-1] * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
             for half in batch.halves():
                 yield from self.decode(half)
             return
+        data = [part.data.data[a:b] for part in sections for a, b in part.places.tolist()]
+        people, results = self._people(sections, data, first, reports)
+        channels = np.concatenate([records.messages[:, CHANNEL] for records in batch.records])
+        yield Decoded(
+            people,
+            np.concatenate([records.keys for records in batch.records]),
+            channels.tolist(),
+            reports[:, cdr.HEADER_STAMP].tolist(),
+            [self._parts(i, data[i], people, results, faults) for i in range(n)],
+            _by_kind(results.cleaned),
+            faults,
+            batch.until,
+        )
+
+    def _people(
+        self,
+        sections: Sequence[_Section],
+        data: Sequence[memoryview],
+        first: cdr.Table,
+        reports: cdr.Table,
+    ) -> tuple[People, batch_kernels.Results]:
+        """Decode, clean and move the people of all messages, whose headers were read."""
+        n, n_people = len(data), int(first[-1])
+        people = People.allocate(n_people, *self._slots)
+        frames = reports[:, [cdr.FRAME, cdr.FRAME_END]].tolist()
+        poses = [self._poses.find(bytes(d[a:b])) for d, (a, b) in zip(data, frames, strict=True)]
         results = batch_kernels.Results(
             first,
             np.empty(n, np.int64),
             reports,
-            np.array(self._poses_of(sections, reports), np.int64),
+            np.array(poses, np.int64),
             np.zeros((n, cleaning.COUNTS), np.int64),
             np.empty((n_people, 2), np.int64),
         )
-        people = People.allocate(n_people, *self._slots)
         for section in sections:
             batch_kernels.decode_messages(
                 *section, self._tables, results, people, self._poses.arrays, self._scratch,
@@ -296,18 +319,35 @@ class Decoder:
             )  # fmt: skip
         if not self._exact:
             np.maximum(people.stamps, 0, out=people.stamps)
-        parts = self._parts(sections, results, people, faults)
-        table = np.concatenate([records.messages[:, CHANNEL] for records in batch.records])
-        yield Decoded(
-            people,
-            np.concatenate([records.keys for records in batch.records]),
-            table.tolist(),
-            reports[:, cdr.HEADER_STAMP].tolist(),
-            parts,
-            _by_kind(results.cleaned),
-            faults,
-            batch.until,
-        )
+        return people, results
+
+    def _parts(
+        self,
+        i: int,
+        data: memoryview,
+        people: People,
+        results: batch_kernels.Results,
+        faults: dict[int, str],
+    ) -> list[MessagePart]:
+        """Return the parts of message ``i``, or note its fault and return none."""
+        report, code = results.reports[i].tolist(), int(results.codes[i])
+        if code != cdr.OK:
+            faults.setdefault(i, _fault(code, report, data))
+            return []
+        begin, end = results.first[i : i + 2].tolist()
+        spans = [report[cdr.FRAME : cdr.FRAME_END + 1], report[cdr.SOURCE : cdr.SOURCE_END + 1]]
+        if report[cdr.MIXED]:
+            spans[1:] = results.sources[begin:end].tolist()
+        try:
+            frame_id, *sources = [str(data[start:stop], "utf-8") for start, stop in spans]
+        except UnicodeDecodeError:
+            faults[i] = _NOT_TEXT
+            return []
+        fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
+        return [
+            MessagePart(source or frame_id, fixed or frame_id or source, first, last)
+            for source, first, last in _by_source(sources, people, begin, end)
+        ]
 
     def _sections(self, chunks: Sequence[Records], faults: dict[int, str]) -> Iterator[_Section]:
         """Yield the messages of each chunk in the published layout."""
@@ -328,73 +368,15 @@ class Decoder:
             yield _Section(_as_array(bytes(translated) if odd else data), places, message)
             message += len(table)
 
-    def _poses_of(self, sections: Iterable[_Section], reports: cdr.Table) -> list[int]:
-        """Return the pose by which each message is moved."""
-        found = []
-        for section in sections:
-            mine = reports[section.message : section.message + len(section.places)]
-            spans = section.places[:, :1] + mine[:, [cdr.FRAME, cdr.FRAME_END]]
-            data = section.data.data
-            found += [self._poses.find(bytes(data[a:b])) for a, b in spans.tolist()]
-        return found
-
-    def _parts(
-        self,
-        sections: Iterable[_Section],
-        results: batch_kernels.Results,
-        people: People,
-        faults: dict[int, str],
-    ) -> list[list[Part]]:
-        """Return the parts of each message; note the faults of those that have none."""
-        parts: list[list[Part]] = []
-        codes, rows = results.codes.tolist(), results.first.tolist()
-        texts = _Texts()
-        for section in sections:
-            for i, (start, stop) in enumerate(section.places.tolist(), section.message):
-                data, report = section.data.data[start:stop], results.reports[i].tolist()
-                if codes[i] != cdr.OK:
-                    faults.setdefault(i, _fault(codes[i], report, data))
-                    parts.append([])
-                    continue
-                sources = [report[cdr.SOURCE : cdr.SOURCE_END + 1]]
-                if report[cdr.MIXED]:
-                    sources = results.sources[rows[i] : rows[i + 1]].tolist()
-                try:
-                    frame_id = texts.at(data, *report[cdr.FRAME : cdr.FRAME_END + 1])
-                    names = [texts.at(data, *span) for span in sources]
-                except UnicodeDecodeError:
-                    faults[i] = _NOT_TEXT
-                    parts.append([])
-                    continue
-                fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
-                parts.append(
-                    [
-                        Part(source or frame_id, fixed or frame_id or source, begin, end)
-                        for source, begin, end in _by_source(names, people, rows[i], rows[i + 1])
-                    ]
-                )
-        return parts
-
 
 class _Section(NamedTuple):
-    """Messages that lie in one run of bytes, as the kernels take them."""
+    """Messages in one array of bytes, as the kernels take them."""
 
     data: npt.NDArray[np.uint8]
     places: cdr.Table
     """(n, 2) first byte of each message, and the one after its last."""
     message: int
     """Number of the first message in the batch."""
-
-
-class _Texts(dict[bytes, str]):
-    """Texts by their bytes, so that equal ones are decoded once and are one object."""
-
-    def at(self, data: memoryview, start: int, end: int) -> str:
-        """Return some bytes as text; raises UnicodeDecodeError."""
-        raw = bytes(data[start:end])
-        if raw not in self:
-            self[raw] = raw.decode()
-        return self[raw]
 
 
 def _by_source(

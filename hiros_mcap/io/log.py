@@ -1,4 +1,4 @@
-"""A log of skeletons as Frames: container, codec and transforms joined.
+"""A log of skeletons as frames.
 
 ::
 
@@ -33,7 +33,7 @@ from hiros_mcap.io.channels import (
     channels_of,
     select_skeletons,
 )
-from hiros_mcap.io.codec import Decoded, Decoder, ModelBuilder, Part, RestPoses
+from hiros_mcap.io.codec import Decoded, Decoder, MessagePart, ModelBuilder, RestPoses
 from hiros_mcap.io.container import Batch, LogOrder, McapReader, Message, Records
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
@@ -144,7 +144,7 @@ class Log:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What nobody asked for but should know about the log."""
+        """Notes about the log."""
         return tuple(filter(None, (self._nameless(), self._left_out())))
 
     def _nameless(self) -> str:
@@ -304,7 +304,7 @@ class _Input:
             account.skipped[STALE] += 1
         return rows
 
-    def _fresh(self, decoded: Decoded, i: int, part: Part) -> Iterator[_Row]:
+    def _fresh(self, decoded: Decoded, i: int, part: MessagePart) -> Iterator[_Row]:
         """Yield the frame of a part unless all of its people are repeats."""
         people, begin, end = decoded.people, part.begin, part.end
         times = people.stamps[begin:end].tolist()

@@ -192,7 +192,7 @@ def test_padding_of_a_payload_is_tolerated_and_no_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("head", "said"),
+    ("head", "fault"),
     [
         (b"\0\3", "0x0003 PL_CDR_LE"),
         (b"\0\7", "0x0007 CDR2_LE"),
@@ -200,9 +200,9 @@ def test_padding_of_a_payload_is_tolerated_and_no_more() -> None:
         (b"\x12\x34", "0x1234 unknown"),
     ],
 )
-def test_other_encapsulations_are_refused_by_name(head: bytes, said: str) -> None:
+def test_other_encapsulations_are_refused_by_name(head: bytes, fault: str) -> None:
     data = Encoder(stick()).encode(full(stick()))
-    assert said in refusal(head + data[2:])
+    assert fault in refusal(head + data[2:])
 
 
 def test_empty_payload_is_refused() -> None:
@@ -238,16 +238,16 @@ def test_repeated_marker_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "fault"),
     [
         ({"id": 5}, "link 5 'l0' is not in the skeleton model"),
         ({"name": "tail"}, "link 0 has another name, 'tail'"),
         ({"child_marker": 0}, "link 0 joins other markers"),
     ],
 )
-def test_links_that_are_not_the_models_are_refused(change: dict, said: str) -> None:
+def test_links_that_are_not_the_models_are_refused(change: dict, fault: str) -> None:
     data = edited(stick(), lambda m: m["skeletons"][0]["links"][0].update(change))
-    assert said in refusal(data)
+    assert fault in refusal(data)
 
 
 def test_repeated_link_is_refused() -> None:
@@ -611,7 +611,7 @@ def test_translated_message_of_several_cameras_can_be_split() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "fault"),
     [
         (TEXT.replace("float64 height", "float64 tall"), "lacks the field .*bounding_box.height"),
         (TEXT.replace("int32 sec", "string sec"), "string instead of int32 for .*header.stamp.sec"),
@@ -628,8 +628,8 @@ def test_translated_message_of_several_cameras_can_be_split() -> None:
         ("\0\0garbage", "no field"),
     ],
 )  # fmt: skip
-def test_other_schemas_are_refused_by_their_first_fault(text: str, said: str) -> None:
-    with pytest.raises(SchemaError, match=f"^/t: .*{said}"):
+def test_other_schemas_are_refused_by_their_first_fault(text: str, fault: str) -> None:
+    with pytest.raises(SchemaError, match=f"^/t: .*{fault}"):
         checked(text)
 
 
@@ -642,7 +642,7 @@ def test_schema_of_exponential_size_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "encoding", "said"),
+    ("name", "encoding", "fault"),
     [
         (NAME, "ros2idl", "schema encoding 'ros2idl'"),
         (NAME, "", "schema encoding ''"),
@@ -650,8 +650,8 @@ def test_schema_of_exponential_size_is_refused() -> None:
         ("SkeletonGroup", "ros2msg", "not the name of a message type"),
     ],
 )
-def test_other_kinds_of_schema_are_refused(name: str, encoding: str, said: str) -> None:
-    with pytest.raises(SchemaError, match=said):
+def test_other_kinds_of_schema_are_refused(name: str, encoding: str, fault: str) -> None:
+    with pytest.raises(SchemaError, match=fault):
         checked(TEXT, name, encoding)
 
 

@@ -224,8 +224,8 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_malformed_log_is_refused_with_the_reason(path, name):
     data, reason = FAULTS[name]
-    said = fault_of(mcap_file(path, *data))
-    assert any(part in said for part in reason.split("|")), said
+    fault = fault_of(mcap_file(path, *data))
+    assert any(part in fault for part in reason.split("|")), fault
 
 
 def test_a_message_on_an_unknown_channel_outside_of_chunks_is_refused(path):

@@ -132,10 +132,10 @@ class _Scan:
 
     def _sections(self) -> None:
         """Walk header, data section, summary and footer."""
-        opcode, body, stop = self._next()
+        opcode, begin, stop = self._next()
         if opcode != Opcode.HEADER:
             raise FormatError(f"a header is expected, not a {r.name_of(opcode)} record")
-        at = r.Cursor(self._content(body, stop))
+        at = r.Cursor(self._content(begin, stop))
         self.found.profile, self.found.library = at.string(), at.string()
         self.at = stop
         self._section(self._data_records(), Opcode.DATA_END)
@@ -147,7 +147,7 @@ class _Scan:
     def _section(self, known: dict[int, Callable[[int, int], None]], last: int) -> None:
         """Hand every record to its reader until the record that ends the section."""
         while True:
-            opcode, body, stop = self._next()
+            opcode, begin, stop = self._next()
             if self._run is not None and opcode not in (
                 Opcode.SCHEMA,
                 Opcode.CHANNEL,
@@ -159,7 +159,7 @@ class _Scan:
             if opcode == last:
                 return
             if opcode in known:
-                known[opcode](body, stop)
+                known[opcode](begin, stop)
             elif opcode < r.PRIVATE_OP:
                 raise FormatError(f"a {r.name_of(opcode)} record has no place here")
             self.at = stop
@@ -194,10 +194,10 @@ class _Scan:
         if left < r.HEAD.size:
             raise self._short("before its footer")
         opcode, length = self._fields(self.at, r.HEAD)
-        body = self.at + r.HEAD.size
-        if length > self.file.size - body:
+        begin = self.at + r.HEAD.size
+        if length > self.file.size - begin:
             raise self._short(f"inside a {r.name_of(opcode)} record")
-        return opcode, body, body + length
+        return opcode, begin, begin + length
 
     def _closed(self) -> bool:
         """Whether the file ends as a complete one does."""
@@ -231,30 +231,30 @@ class _Scan:
             return form.unpack(self._peek(offset, form.size))
         return form.unpack_from(self._ahead, start)
 
-    def _content(self, body: int, stop: int) -> bytes:
-        if stop - body > MAX_RECORD:
-            raise FormatError(f"a record of {stop - body} bytes; the limit is {MAX_RECORD}")
-        return self._peek(body, stop - body)
+    def _content(self, begin: int, stop: int) -> bytes:
+        if stop - begin > MAX_RECORD:
+            raise FormatError(f"a record of {stop - begin} bytes; the limit is {MAX_RECORD}")
+        return self._peek(begin, stop - begin)
 
     # -- data section --------------------------------------------------------------------------
 
-    def _skip(self, body: int, stop: int) -> None:
+    def _skip(self, begin: int, stop: int) -> None:
         """Pass over a record that hiros has no use for."""
 
-    def _definition(self, body: int, stop: int) -> None:
+    def _definition(self, begin: int, stop: int) -> None:
         opcode = self._peek(self.at, 1)[0]
-        self.found.define(opcode, self._content(body, stop))
+        self.found.define(opcode, self._content(begin, stop))
 
-    def _loose_definition(self, body: int, stop: int) -> None:
-        self._definition(body, stop)
+    def _loose_definition(self, begin: int, stop: int) -> None:
+        self._definition(begin, stop)
         if self._run is not None:
             self._run.end = stop
 
-    def _loose_message(self, body: int, stop: int) -> None:
+    def _loose_message(self, begin: int, stop: int) -> None:
         """Add a message outside of chunks to the current run of them."""
-        if stop - body < r.MESSAGE_HEAD.size:
+        if stop - begin < r.MESSAGE_HEAD.size:
             raise FormatError("a message record is shorter than its fixed fields")
-        channel, _, time, _ = self._fields(body, r.MESSAGE_HEAD)
+        channel, _, time, _ = self._fields(begin, r.MESSAGE_HEAD)
         if self._run is not None and stop - self._run.offset > _RUN:
             self._end_run()
         if self._run is None:
@@ -268,29 +268,29 @@ class _Scan:
         if run is not None:
             self.found.chunks.append(run.chunk())
 
-    def _chunk(self, body: int, stop: int) -> None:
-        at = r.Cursor(self._peek(body, min(stop - body, 128)))
+    def _chunk(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._peek(begin, min(stop - begin, 128)))
         start, end, size, crc = r.CHUNK_HEAD.unpack(at.take(r.CHUNK_HEAD.size))
         compression, data_size = at.string(), at.number(8)
-        if data_size > stop - body - at.at:
+        if data_size > stop - begin - at.at:
             raise FormatError("a chunk's data reach past its record")
         if start > end:
             raise FormatError("a chunk claims to end before it starts")
         if size > MAX_CHUNK:
             raise FormatError(f"a chunk claims {size} bytes uncompressed; the limit is {MAX_CHUNK}")
-        data = body + at.at
+        data = begin + at.at
         self.found.chunks.append(
             r.Chunk(self.at, stop, start, end, size, crc, compression, data, data_size, stop, None)
         )
         self._index = {}
 
-    def _message_index(self, body: int, stop: int) -> None:
+    def _message_index(self, begin: int, stop: int) -> None:
         if self._index is None:
             raise FormatError("a message index does not follow a chunk")
-        if stop - body < _INDEX.size:
+        if stop - begin < _INDEX.size:
             raise FormatError("a message index is shorter than its fixed fields")
-        channel, size = self._fields(body, _INDEX)
-        if size % 16 or size > stop - body - _INDEX.size:
+        channel, size = self._fields(begin, _INDEX)
+        if size % 16 or size > stop - begin - _INDEX.size:
             raise FormatError("a message index does not fit its record")
         if channel in self._index:
             raise FormatError(f"a chunk has two message indexes of channel {channel}")
@@ -304,15 +304,15 @@ class _Scan:
             chunk = self.found.chunks[-1]
             self.found.chunks[-1] = replace(chunk, index_end=self._index_end, counts=index)
 
-    def _attachment(self, body: int, stop: int) -> None:
-        at = r.Cursor(self._peek(body, min(stop - body, _NAMES)))
+    def _attachment(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._peek(begin, min(stop - begin, _NAMES)))
         log_time, create_time = at.number(8), at.number(8)
         name, media_type, size = at.string(), at.string(), at.number(8)
-        data = body + at.at
+        data = begin + at.at
         if size > stop - data - 4:
             raise FormatError("an attachment's data reach past its record")
         crc = int.from_bytes(self.file.read(data + size, 4), "little")
-        if crc and crc != self.file.crc(body, data + size):
+        if crc and crc != self.file.crc(begin, data + size):
             raise FormatError(f"the checksum of the attachment {name!r} is wrong")
         self.found.attachments.append(
             r.AttachmentIndex(
@@ -326,13 +326,13 @@ class _Scan:
             )
         )
 
-    def _metadata(self, body: int, stop: int) -> None:
-        at = r.Cursor(self._content(body, stop))
+    def _metadata(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._content(begin, stop))
         self.found.metadata.append((at.string(), at.strings()))
 
     def _data_end(self) -> None:
-        _, body, stop = self._next()
-        crc = r.Cursor(self._content(body, stop)).number(4)
+        _, begin, stop = self._next()
+        crc = r.Cursor(self._content(begin, stop)).number(4)
         self.found.has_data_crc = crc != 0
         if crc and self.checksum and crc != self.file.crc(0, self.at):
             raise FormatError("the checksum of the data section is wrong")
@@ -340,24 +340,24 @@ class _Scan:
 
     # -- summary -------------------------------------------------------------------------------
 
-    def _statistics(self, body: int, stop: int) -> None:
+    def _statistics(self, begin: int, stop: int) -> None:
         if self.found.statistics is not None:
             raise FormatError("there are two statistics records")
-        self.found.statistics = r.parse_statistics(self._content(body, stop))
+        self.found.statistics = r.parse_statistics(self._content(begin, stop))
 
-    def _chunk_index(self, body: int, stop: int) -> None:
-        self._chunk_indexes.append(r.parse_chunk_index(self._content(body, stop)))
+    def _chunk_index(self, begin: int, stop: int) -> None:
+        self._chunk_indexes.append(r.parse_chunk_index(self._content(begin, stop)))
 
     def _footer(self, start: int) -> None:
-        _, body, stop = self._next()
-        if stop - body != r.FOOTER.size:
+        _, begin, stop = self._next()
+        if stop - begin != r.FOOTER.size:
             raise FormatError("the footer has a wrong length")
-        summary_start, _, crc = r.FOOTER.unpack(self._peek(body, r.FOOTER.size))
+        summary_start, _, crc = r.FOOTER.unpack(self._peek(begin, r.FOOTER.size))
         if summary_start not in (0, start):
             raise FormatError("the footer points to a wrong summary")
         if summary_start == 0 and (self.found.statistics or self._chunk_indexes):
             raise FormatError("the footer denies the summary that is there")
-        if crc and crc != self.file.crc(start, body + 16):
+        if crc and crc != self.file.crc(start, begin + 16):
             raise FormatError("the checksum of the summary is wrong")
         self.at = stop
         if self.file.size - stop < len(r.MAGIC):
