@@ -12,10 +12,12 @@ import numpy as np
 from mcap.records import Schema
 
 import hiros_schemas
-from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder, check_schema, clean
+from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder
+from hiros_mcap.io.container import Batch, Records
+from hiros_mcap.io.layout import check_schema
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Frame, SkeletonModel
 
-PEOPLE, MARKERS = 4, 32
+PEOPLE, MARKERS, MANY = 4, 32, 100
 NAME = hiros_schemas.SKELETON_GROUP
 
 
@@ -57,9 +59,11 @@ def main() -> None:
     if generic is None:
         raise SystemExit("the generic library does not take the schema")
     decoder, encoder = Decoder(model), Encoder(model)
+    places = [(0, k, k, k, k * len(data), (k + 1) * len(data)) for k in range(MANY)]
+    batch = Batch([Records(data * MANY, np.array(places, np.uint64), 0)], None)
     rows = [
-        ("decode", lambda: decoder.decode(data, 0), 5000),
-        ("clean", lambda: clean(frame), 5000),
+        ("decode one", lambda: decoder.decode_message(data), 2000),
+        (f"decode {MANY} at once", lambda: list(decoder.decode(batch)), 50),
         ("encode", lambda: encoder.encode(frame), 5000),
         ("learn the model", lambda: ModelBuilder().add(data, ""), 500),
         ("check a schema", lambda: check_schema(NAME, "ros2msg", text), 20),

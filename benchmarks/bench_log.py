@@ -1,20 +1,28 @@
 """What reading and writing cost: a 60 s log of 5 cameras, 30 Hz, 4 people, 32 markers, 31 links.
 
-    python benchmarks/bench_log.py [--seconds 60] [--folder DIR]
+    python benchmarks/bench_log.py [--seconds 60] [--flips 300] [--folder DIR]
 
-Prints CPU and wall time of each path, best of three, for the log compressed and not.
+Prints CPU and wall time of each path, best of three, for the log compressed and not; the same of
+the mcap library's reader and writer; and how many flipped bits each reader notices.
 """
 
 from __future__ import annotations
 
 import argparse
+import random
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.writer import CompressionType, Writer
 
+import hiros_schemas
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
@@ -67,6 +75,79 @@ def read(path: Path) -> None:
             pass
 
 
+def library_read(path: Path) -> None:
+    """Hand out every message, by the mcap library."""
+    with path.open("rb") as file:
+        for _ in SeekingReader(file, validate_crcs=True).iter_messages():
+            pass
+
+
+def library_write(path: Path, messages: list[tuple[int, int, bytes]], compression: str) -> None:
+    """Write the log, by the mcap library."""
+    kinds = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "": CompressionType.NONE}
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2 << 20, compression=kinds[compression])
+        writer.start("ros2", "benchmark")
+        text = hiros_schemas.text(hiros_schemas.SKELETON_GROUP).encode()
+        schema = writer.register_schema(hiros_schemas.SKELETON_GROUP, "ros2msg", text)
+        names = [f"/camera_{k}/skeletons" for k in range(CAMERAS)]
+        channels = [writer.register_channel(name, "cdr", schema) for name in names]
+        for camera, stamp, data in messages:
+            writer.add_message(channels[camera], stamp, data, stamp)
+        writer.finish()
+
+
+Content = list[tuple[int, int, bytes]]
+
+
+def read_by_hiros(path: Path) -> Content:
+    with McapReader(path) as reader:
+        return [(m.channel_id, m.log_time, bytes(m.data)) for m in reader.messages()]
+
+
+def read_by_library(kind: Any, path: Path, **options: bool) -> Content:
+    reader = kind(BytesIO(path.read_bytes()), **options)
+    return [(m.channel_id, m.log_time, bytes(m.data)) for _, _, m in reader.iter_messages()]
+
+
+READERS: dict[str, Callable[[Path], Content]] = {
+    "hiros": read_by_hiros,
+    "mcap, seeking (make_reader)": partial(read_by_library, SeekingReader),
+    "mcap, seeking, validate_crcs": partial(read_by_library, SeekingReader, validate_crcs=True),
+    "mcap, streaming": partial(read_by_library, NonSeekingReader),
+    "mcap, streaming, validate_crcs": partial(
+        read_by_library, NonSeekingReader, validate_crcs=True
+    ),
+}
+
+
+def damaged(path: Path, n: int) -> Iterator[None]:
+    """Flip another random bit of the file each time."""
+    whole, rng = path.read_bytes(), random.Random(0)
+    for _ in range(n):
+        data, at = bytearray(whole), rng.randrange(8 * len(whole))
+        data[at // 8] ^= 1 << at % 8
+        path.write_bytes(data)
+        yield
+    path.write_bytes(whole)
+
+
+def flips(path: Path, n: int) -> None:
+    """Print how many of ``n`` flipped bits each reader takes without an error."""
+    wanted = {name: read(path) for name, read in READERS.items()}
+    for name, read in READERS.items():
+        unnoticed, wrong = 0, 0
+        for _ in damaged(path, n):
+            try:
+                found = read(path)
+            except Exception:  # noqa: BLE001 - whatever a reader says against the file
+                continue
+            unnoticed += 1
+            wrong += found != wanted[name]
+        share = f"{unnoticed / n:5.0%} unnoticed, {wrong / n:4.0%} with other messages"
+        print(f"  {name:32} {share}")
+
+
 def decode(path: Path) -> None:
     """Read every message as a frame in the fixed frame."""
     with open_log(path) as log:
@@ -95,22 +176,32 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--flips", type=int, default=300)
     parser.add_argument("--folder", type=Path)
     arguments = parser.parse_args()
     messages = make_messages(arguments.seconds)
     megabytes = sum(len(data) for _, _, data in messages) / 1e6
     print(f"{len(messages)} messages, {megabytes:.0f} MB of data, CPU s / wall s\n")
-    print(f"{'':10}{'MB':>6}{'write':>14}{'open':>14}{'read':>14}{'frames':>14}{'copy':>14}")
+    names = "write", "open", "read", "frames", "copy", "mcap write", "mcap read"
+    print(f"{'':10}{'MB':>6}" + "".join(f"{name:>14}" for name in names))
     with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+        path, other = Path(folder) / "log.mcap", Path(folder) / "other.mcap"
         for compression in ("zstd", "lz4", ""):
-            path = Path(folder) / "log.mcap"
             jobs = [
-                lambda p=path, c=compression: write(p, messages, c),
-                *(lambda p=path, job=job: job(p) for job in (open_only, read, decode, copy)),
+                partial(write, path, messages, compression),
+                *(partial(job, path) for job in (open_only, read, decode, copy)),
+                partial(library_write, other, messages, compression),
+                partial(library_read, path),
             ]
             times = [measure(job) for job in jobs]
             cells = "".join(f"{cpu:8.3f}/{wall:.3f}" for cpu, wall in times)
             print(f"{compression or 'none':10}{path.stat().st_size / 1e6:6.1f}{cells}")
+        for compression in ("zstd", "") if arguments.flips else ():
+            for job in (write, library_write):
+                job(path, messages[:20], compression)
+                written = f"{job.__name__}, {compression or 'none'}"
+                print(f"\n{arguments.flips} flipped bits, one at a time, in a log by {written}:")
+                flips(path, arguments.flips)
 
 
 if __name__ == "__main__":

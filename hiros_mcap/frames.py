@@ -1,40 +1,31 @@
 """Several frames at once: what makes a run fast.
 
 A call into a compiled kernel costs as much as the kernel needs for a skeleton or two. So a log is
-read chunk by chunk, what a chunk says goes from stage to stage as one :class:`Block`, and a stage
-makes one call for all of it. A stage of frames and a stage of blocks give the same results, however
-the frames are cut into blocks.
+read chunk by chunk, the frames of a chunk go from stage to stage as one :class:`Block`, and a stage
+makes one call for all of them. Results do not depend on how the frames are cut into blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 
 from hiros_mcap.kernels.gathering import gather
-from hiros_mcap.skeletons import (
-    Frame,
-    People,
-    Stage,
-    Stamps,
-)
-
-_PEOPLE = attrgetter(*People._fields)
+from hiros_mcap.skeletons import Frame, People, Stage, Stamps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """N frames whose people are rows of common arrays, which nobody writes into any more."""
+    """N frames whose people are rows of common arrays. Nobody writes into the rows of a block."""
 
     stamps: Stamps
     """(N,) time of each frame, ns."""
     log_times: Stamps
     """(N,) ns."""
     sources: Sequence[str]
-    """N names; one object for equal names, where many are."""
+    """N names."""
     frame_ids: Sequence[str]
     """N names of coordinate frames."""
     rows: Stamps
@@ -54,14 +45,14 @@ class Block:
             (frame.source,),
             (frame.frame_id,),
             np.array([[0, frame.n_people]], np.int64),
-            People(*_PEOPLE(frame)),
+            frame.people,
         )
 
     def frame(self, i: int) -> Frame:
         """Frame ``i``; its arrays are views."""
         people = self.people.at(slice(*self.rows[i].tolist()))
         stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
-        return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], *people)
+        return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], people)
 
     def messages(self) -> Iterator[tuple[int, str, int, Part]]:
         """Stamp, source, log time and place of every frame, in order."""
@@ -111,9 +102,9 @@ def join(parts: Sequence[Part]) -> Block:
             pieces.append((begin, end, total))
         total += end - begin
     some = parts[0][0].people
-    joined = People.room(total, some.markers.shape[1], some.links.shape[1])
+    joined = People.allocate(total, some.markers.shape[1], some.links.shape[1])
     for people, pieces in sources.values():
-        gather(np.array(pieces, np.int64), *people, *joined)
+        gather(np.array(pieces, np.int64), people, joined)
     return Block(
         np.array([block.stamps[i] for block, i in parts], np.int64),
         np.array([block.log_times[i] for block, i in parts], np.int64),

@@ -1,18 +1,17 @@
 """The data that every stage takes and gives: one skeleton model per log, one Frame per message.
 
 Numbers are kept as the messages define them: a marker and a link are each one KinematicState of
-19 numbers. One block instead of six arrays means that whatever a detector fills in (a marker's
-orientation, a link's position) goes through the whole chain, that a codec is one loop, and that a
-kernel takes two arrays. NaN means absent, everywhere.
+19 numbers. Whatever a detector fills in (a marker's orientation, a link's position) thereby goes
+through the whole chain. NaN means absent, everywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -115,24 +114,53 @@ class People(NamedTuple):
     """(P, 22) bounding box: KinematicState of its centre, then height, length, width."""
 
     @classmethod
-    def room(cls, n_people: int, n_markers: int, n_links: int) -> People:
-        """Arrays whose contents are still to come."""
+    def allocate(cls, n_people: int, n_markers: int, n_links: int) -> People:
+        """Return arrays whose numbers are still to be set."""
         p, m, n = n_people, n_markers, n_links
         shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
         numbers = [np.empty(shape) for shape in shapes]
         return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
 
+    @classmethod
+    def absent(cls, n_people: int, n_markers: int, n_links: int) -> People:
+        """Return people of whom nothing is known, neither id nor time nor any number."""
+        people = cls.allocate(n_people, n_markers, n_links)
+        people.ids.fill(UNTRACKED)
+        people.stamps.fill(0)
+        for numbers in people[2:]:
+            numbers.fill(np.nan)
+        return people
+
     def at(self, rows: Any) -> People:
         """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
         return People(*[array[rows] for array in self])
 
+    def copy(self) -> People:
+        """Return copies of all arrays."""
+        arrays: Iterable[Any] = self
+        return People(*[array.copy() for array in arrays])
+
+    def reorder(self, begin: int, order: Sequence[int]) -> None:
+        """Put the people from row ``begin`` on in another order, in place."""
+        for array in self:
+            some = array[begin : begin + len(order)]
+            some[:] = some[order]
+
+
+T = TypeVar("T")
+
+
+def _of_people(name: str, kind: type[T]) -> T:
+    """Make a property of a frame: a field of its people."""
+    return cast(T, property(attrgetter(f"people.{name}")))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """What one SkeletonGroup message says: P people, M markers, L links.
+    """What one SkeletonGroup message holds: when, by which camera, and its people.
 
-    Every array is C-contiguous and writable (kernels fix their signatures on that), but a stage
-    never writes into a frame that it was given.
+    The fields of :class:`People` are also those of the frame: ``frame.markers`` is
+    ``frame.people.markers``. A stage never writes into a frame that it was given.
     """
 
     stamp: int
@@ -144,27 +172,21 @@ class Frame:
     """The camera: unique per camera within a log; the fixed frame once merged."""
     frame_id: str
     """The frame that the coordinates are expressed in."""
-    ids: Ints
-    """(P,) person, UNTRACKED (-1) where unknown."""
-    stamps: Stamps
-    """(P,) source time per person, ns; 0 = not given."""
-    confidences: Floats
-    """(P,) 0..1, NaN = not given."""
-    markers: Floats
-    """(P, M, 19) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2; NaN = absent."""
-    marker_confidences: Floats
-    """(P, M) 0..1, NaN = not given."""
-    links: Floats
-    """(P, L, 19) KinematicState of each link."""
-    link_confidences: Floats
-    """(P, L) 0..1, NaN = not given."""
-    boxes: Floats
-    """(P, 22) bounding box: KinematicState of its centre, then height, length, width."""
+    people: People
+
+    ids = _of_people("ids", Ints)
+    stamps = _of_people("stamps", Stamps)
+    confidences = _of_people("confidences", Floats)
+    markers = _of_people("markers", Floats)
+    marker_confidences = _of_people("marker_confidences", Floats)
+    links = _of_people("links", Floats)
+    link_confidences = _of_people("link_confidences", Floats)
+    boxes = _of_people("boxes", Floats)
 
     @property
     def n_people(self) -> int:
         """P."""
-        return len(self.ids)
+        return len(self.people.ids)
 
     @property
     def positions(self) -> Floats:
@@ -187,27 +209,23 @@ class Frame:
         return self.markers[:, :, ACCELERATION]
 
     def replace(self, **changes: Any) -> Frame:
-        """Return a copy with some fields changed; arrays that are not named are shared."""
-        values: list[Any] = list(_FIELDS(self))
-        for name, value in changes.items():
-            values[_PLACES[name]] = value
-        return Frame(*values)
+        """Return a copy with other fields, also those of its people; the other arrays are shared.
+
+        Raises :class:`TypeError` for a field that does not exist.
+        """
+        own = {name: changes.pop(name) for name in _OWN if name in changes}
+        people = own.pop("people", self.people)
+        if changes.keys() - set(People._fields):
+            raise TypeError(f"a frame has no {', '.join(sorted(changes))}")
+        values = {name: own.get(name, getattr(self, name)) for name in _OWN[:-1]}
+        return Frame(**values, people=people._replace(**changes) if changes else people)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
         """Return a frame with the given rows (indices or a mask), arrays copied."""
         index = np.asarray(people)
         if index.size == 0:
             index = index.astype(np.intp)
-        return self.replace(
-            ids=self.ids[index],
-            stamps=self.stamps[index],
-            confidences=self.confidences[index],
-            markers=self.markers[index],
-            marker_confidences=self.marker_confidences[index],
-            links=self.links[index],
-            link_confidences=self.link_confidences[index],
-            boxes=self.boxes[index],
-        )
+        return self.replace(people=self.people.at(index))
 
     @classmethod
     def empty(
@@ -221,32 +239,12 @@ class Frame:
         frame_id: str = "",
     ) -> Frame:
         """Frame with every number absent, ids UNTRACKED, per-person stamps equal to ``stamp``."""
-        p, m, n = n_people, model.n_markers, model.n_links
-        return cls(
-            stamp=stamp,
-            log_time=stamp if log_time is None else log_time,
-            source=source,
-            frame_id=frame_id,
-            ids=np.full(p, UNTRACKED, np.int32),
-            stamps=np.full(p, stamp, np.int64),
-            confidences=_absent(p),
-            markers=_absent(p, m, STATE),
-            marker_confidences=_absent(p, m),
-            links=_absent(p, n, STATE),
-            link_confidences=_absent(p, n),
-            boxes=_absent(p, BOX),
-        )
+        people = People.absent(n_people, model.n_markers, model.n_links)
+        people.stamps.fill(stamp)
+        return cls(stamp, stamp if log_time is None else log_time, source, frame_id, people)
 
 
-def _absent(*shape: int) -> Floats:
-    """Array of NaN; np.full takes twice as long for the few people of a frame."""
-    numbers = np.empty(shape)
-    numbers.fill(np.nan)
-    return numbers
-
-
-_FIELDS = attrgetter(*Frame.__slots__)
-_PLACES = {name: place for place, name in enumerate(Frame.__slots__)}
+_OWN = Frame.__slots__
 
 Stage = Callable[[Iterable[Frame]], Iterator[Frame]]
 """A step of a system: a generator over frames. ``list(stage(frames))`` is its whole test."""

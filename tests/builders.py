@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.evaluate import Truth
 from hiros_mcap.simulate import SimulateParams, simulate
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
 
 FAULTLESS = {
     "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,
@@ -68,7 +68,8 @@ def moved(frames: Sequence[Frame], turn: Rotation, shift: Floats) -> list[Frame]
 
 def same(one: Frame, other: Frame, *, but_ids: bool = False) -> bool:
     """Whether two frames hold the same bytes (NaN = NaN)."""
-    fields = [name for name in Frame.__slots__ if not (but_ids and name == "ids")]
+    names = (*Frame.__slots__[:-1], *People._fields)
+    fields = [name for name in names if not (but_ids and name == "ids")]
     return all(_equal(getattr(one, name), getattr(other, name)) for name in fields)
 
 

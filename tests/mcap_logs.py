@@ -10,7 +10,9 @@ import lz4.frame
 import zstandard
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
+from mcap_ros2._dynamic import serialize_dynamic
 
+import hiros_schemas
 from hiros_mcap.io.container import records as r
 
 NO_SUMMARY = {
@@ -65,11 +67,11 @@ def by_library(path: Path):
 
 def channel(ident=1, topic="/a", extra=b""):
     body = struct.pack("<HH", ident, 0) + r.text(topic) + r.text("cdr") + r.texts({})
-    return r.record(r.CHANNEL_OP, body, extra)
+    return r.record(r.Opcode.CHANNEL, body, extra)
 
 
 def message(ident=1, time=5, data=b"payload"):
-    return r.record(r.MESSAGE_OP, r.MESSAGE_HEAD.pack(ident, 0, time, time), data)
+    return r.record(r.Opcode.MESSAGE, r.MESSAGE_HEAD.pack(ident, 0, time, time), data)
 
 
 PACK = {"": bytes, "zstd": zstandard.compress, "lz4": lz4.frame.compress}
@@ -83,18 +85,39 @@ def chunk(*inner, compression="", packed=None, size=None, times=(0, 100), crc=No
     crc = zlib.crc32(plain) if crc is None else crc
     head = r.CHUNK_HEAD.pack(*times, size, crc)
     body = head + r.text(compression) + struct.pack("<Q", len(packed)) + packed
-    return r.record(r.CHUNK_OP, body, extra)
+    return r.record(r.Opcode.CHUNK, body, extra)
 
 
 def index(ident, entries, extra=b""):
     body = struct.pack("<H", ident) + r.pairs(entries, "QQ")
-    return r.record(r.MESSAGE_INDEX_OP, body, extra)
+    return r.record(r.Opcode.MESSAGE_INDEX, body, extra)
 
 
 def mcap_file(path: Path, *data, header_extra=b"", tail=b"") -> Path:
     """A file with the given data section and no summary."""
-    start = r.MAGIC + r.record(r.HEADER_OP, r.text(""), r.text("test"), header_extra)
+    start = r.MAGIC + r.record(r.Opcode.HEADER, r.text(""), r.text("test"), header_extra)
     start += b"".join(data)
-    end = r.record(r.DATA_END_OP, struct.pack("<I", zlib.crc32(start)))
-    path.write_bytes(start + end + r.record(r.FOOTER_OP, bytes(20)) + r.MAGIC + tail)
+    end = r.record(r.Opcode.DATA_END, struct.pack("<I", zlib.crc32(start)))
+    path.write_bytes(start + end + r.record(r.Opcode.FOOTER, bytes(20)) + r.MAGIC + tail)
     return path
+
+
+def tf_bytes(*rows):
+    """TFMessage by the mcap library; rows are (stamp ns, parent, child, translation, xyzw)."""
+    name = hiros_schemas.TF_MESSAGE
+    serialize = serialize_dynamic(name, hiros_schemas.text(name))[name]
+    transforms = [
+        {
+            "header": {
+                "stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9},
+                "frame_id": parent,
+            },
+            "child_frame_id": child,
+            "transform": {
+                "translation": dict(zip("xyz", translation, strict=True)),
+                "rotation": dict(zip("xyzw", xyzw, strict=True)),
+            },
+        }
+        for stamp, parent, child, translation, xyzw in rows
+    ]
+    return bytes(serialize({"transforms": transforms}))

@@ -18,13 +18,14 @@ def changed(source: Path, target: Path, change: Change, *, latched: int | None =
     """Copy a log with other detections; ``latched`` is the log time of its transforms, if given."""
     with open_log(source) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
-        decoder, encoder = Decoder(log.model), Encoder(log.model)
+        decoder, encoder = Decoder(log.model, exact=True), Encoder(log.model)
         for message in log.reader.messages():
             topic, time = log.reader.channels[message.channel_id].topic, message.log_time
             data = bytes(message.data)
             if topic.startswith("/camera_"):
                 sent = writer.counts[message.channel_id]
-                data = encoder.encode(change(decoder.decode(data, time), sent))
+                (frame,) = decoder.decode_message(data, time)
+                data = encoder.encode(change(frame, sent))
             elif topic == "/tf_static" and latched is not None:
                 time = latched
             writer.write(message.channel_id, time, data)

@@ -17,7 +17,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Scores, evaluate
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.merge import MergeParams, merge
 from hiros_mcap.stages.track import track, track_blocks
@@ -299,8 +299,7 @@ def both(one: Frame, other: Frame) -> Frame:
     """One message with the people of two."""
     arrays = {
         name: np.concatenate([getattr(one, name), getattr(other, name)])
-        for name in Frame.__slots__
-        if isinstance(getattr(one, name), np.ndarray)
+        for name in People._fields
     }
     return one.replace(**arrays)
 

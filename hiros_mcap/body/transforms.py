@@ -13,7 +13,7 @@ import tomllib
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,9 +23,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hiros_mcap.body.rotations import Rigid, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.kernels.transforming import move
+from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.params import explain
-from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.skeletons import Frame
 
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
@@ -221,34 +221,34 @@ def parse_tf(data: bytes | bytearray | memoryview) -> list[Transform]:
     """
     try:
         order = {b"\0\0": ">", b"\0\1": "<"}[bytes(data[:2])]
-        body = memoryview(data)[4:]
-        (count,) = struct.unpack_from(order + "I", body, 0)
+        content = memoryview(data)[4:]
+        (count,) = struct.unpack_from(order + "I", content, 0)
         at, found = 4, []
         for _ in range(count):
-            transform, at = _parse_transform(body, at, order)
+            transform, at = _parse_transform(content, at, order)
             found.append(transform)
     except (KeyError, struct.error, UnicodeDecodeError, ValueError):
         raise LogError("a tf message is damaged or not plain CDR") from None
-    if len(body) - at > 3:
+    if len(content) - at > 3:
         raise LogError("a tf message is longer than its content")
     return found
 
 
-def _parse_transform(body: memoryview, at: int, order: str) -> tuple[Transform, int]:
+def _parse_transform(content: memoryview, at: int, order: str) -> tuple[Transform, int]:
     at += -at % 4
-    sec, nanosec = struct.unpack_from(order + "iI", body, at)
-    parent, at = _parse_string(body, at + 8, order)
-    child, at = _parse_string(body, at, order)
+    sec, nanosec = struct.unpack_from(order + "iI", content, at)
+    parent, at = _parse_string(content, at + 8, order)
+    child, at = _parse_string(content, at, order)
     at += -at % 8
-    numbers = struct.unpack_from(order + "7d", body, at)
+    numbers = struct.unpack_from(order + "7d", content, at)
     stamp = sec * 1_000_000_000 + nanosec
     return Transform(stamp, parent, child, numbers[:3], numbers[3:]), at + 56
 
 
-def _parse_string(body: memoryview, at: int, order: str) -> tuple[str, int]:
+def _parse_string(content: memoryview, at: int, order: str) -> tuple[str, int]:
     at += -at % 4
-    (length,) = struct.unpack_from(order + "I", body, at)
-    raw = bytes(body[at + 4 : at + 4 + length])
+    (length,) = struct.unpack_from(order + "I", content, at)
+    raw = bytes(content[at + 4 : at + 4 + length])
     if not length or len(raw) != length or raw[-1]:
         raise ValueError("a string without its final NUL")
     return str(raw[:-1], "utf-8"), at + 4 + length
@@ -343,7 +343,7 @@ class Mover:
     def __init__(self, tree: TransformTree, fixed_frame: str) -> None:
         self._tree = tree
         self._fixed = fixed_frame
-        self._prepared: dict[str, tuple[Rigid, Floats]] = {}
+        self._prepared: dict[str, tuple[Rigid, PoseArrays]] = {}
 
     def __call__(self, frame: Frame) -> Frame:
         """Return the frame in the fixed frame, itself if it already is."""
@@ -353,22 +353,15 @@ class Mover:
         pose = self._tree.lookup(name, self._fixed, frame.stamp)
         known = self._prepared.get(name)
         if known is None or known[0] is not pose:
-            known = self._prepared[name] = (pose, np.ascontiguousarray(to_matrix(pose.xyzw)))
-        return _moved(frame, pose, known[1], self._fixed)
+            known = self._prepared[name] = (pose, pose_arrays([pose]))
+        people = frame.people.copy()
+        move(known[1], 0, people)
+        return frame.replace(frame_id=self._fixed, people=people)
 
 
-def _moved(frame: Frame, pose: Rigid, matrix: Floats, fixed_frame: str) -> Frame:
-    markers, links = np.empty_like(frame.markers), np.empty_like(frame.links)
-    boxes = np.empty_like(frame.boxes)
-    move(
-        pose.xyzw,
-        matrix,
-        pose.translation,
-        frame.markers,
-        frame.links,
-        frame.boxes,
-        markers,
-        links,
-        boxes,
-    )
-    return frame.replace(frame_id=fixed_frame, markers=markers, links=links, boxes=boxes)
+def pose_arrays(poses: Sequence[Rigid]) -> PoseArrays:
+    """Return K poses as the kernels take them."""
+    xyzw = np.array([pose.xyzw for pose in poses], np.float64).reshape(-1, 4)
+    matrices = np.array([to_matrix(pose.xyzw) for pose in poses], np.float64).reshape(-1, 3, 3)
+    shifts = np.array([pose.translation for pose in poses], np.float64).reshape(-1, 3)
+    return PoseArrays(xyzw, matrices, shifts)

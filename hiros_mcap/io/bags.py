@@ -124,8 +124,8 @@ def _readable(path: Path, kind: str) -> Iterator[Any]:
     except LogError:
         raise
     except Exception as error:  # noqa: BLE001 - dozens of kinds, down to those of sqlite
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"is {kind} that cannot be read: {said}", path=path) from None
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
 
 
 def _ros2_types(texts: Mapping[str, str]) -> Typestore:

@@ -65,7 +65,7 @@ def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
                 id=channel.id,
                 topic=channel.topic,
                 schema=schema.name if schema else "",
-                encoding=channel.encoding,
+                encoding=channel.message_encoding,
                 count=reader.counts.get(channel.id, 0),
                 metadata=channel.metadata,
             )

@@ -1,40 +1,33 @@
-"""Bytes of SkeletonGroup messages to Frames and back, by the kernels of ``kernels.cdr``.
+"""Bytes of SkeletonGroup messages to frames and back, by the kernels of ``kernels.cdr``.
 
-Decoding is exact: numbers keep their bits, ids and stamps their values. :func:`clean` is the
-separate step that takes out numbers that cannot be true.
+There is one decoder. It takes the messages of some chunks at once; a single message is a batch of
+one. What makes a message odd is handled on the way:
+
+- its schema is not the published one: it is translated first (see :mod:`hiros_mcap.io.layout`);
+- it cannot be decoded: its fault is kept, the others are not concerned;
+- it holds the skeletons of several cameras: it becomes one frame for each.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import accumulate, count, pairwise
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block
-from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout, check_schema
+from hiros_mcap.io.container import Batch, Keys, Records
+from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
-from hiros_mcap.skeletons import BOX, STATE, Floats, Frame, People, SkeletonModel, Stamps
-
-__all__ = [
-    "PUBLISHED",
-    "Batch",
-    "BatchDecoder",
-    "Decoder",
-    "Encoder",
-    "Layout",
-    "ModelBuilder",
-    "Poses",
-    "Said",
-    "check_schema",
-    "clean",
-]
+from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
+from hiros_mcap.skeletons import BOX, STATE, Frame, People, SkeletonModel
 
 _FAULTS = {
     cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
@@ -54,59 +47,7 @@ _ENCAPSULATIONS = {
     0x000A: "PL_CDR2_BE (XCDR2)",
     0x000B: "PL_CDR2_LE (XCDR2)",
 }
-_CLEANED = (
-    "absurd number",
-    "incomplete vector",
-    "quaternion of length 0",
-    "quaternion normalised",
-    "confidence above 1",
-)
-_NEGATIVE = "negative confidence"
-_NOTHING: Mapping[str, int] = {}
-
-
-def clean(frame: Frame) -> tuple[Frame, Mapping[str, int]]:
-    """Take out numbers that cannot be true; return the frame and how often, by kind.
-
-    - "absurd number": infinite or beyond 1e4 (m, m/s, ...): its whole vector becomes NaN;
-    - "incomplete vector": some of its numbers are NaN: all become NaN;
-    - "quaternion of length 0": becomes NaN;
-    - "quaternion normalised": its length was off by more than 1e-3 (smaller errors, beyond the
-      rounding of float32, are put right without a word);
-    - "confidence above 1": becomes 1; an infinite one is an absurd number;
-    - "negative confidence": becomes NaN, since detectors mean by -1 that they give none.
-
-    A frame in which nothing is wrong is returned itself; the given frame never changes.
-    """
-    counts = np.empty(cleaning.COUNTS, np.int64)
-    if not cleaning.clean(counts, False, *_measured(frame)):
-        return frame, _NOTHING
-    fixed = frame.replace(
-        confidences=frame.confidences.copy(),
-        markers=frame.markers.copy(),
-        marker_confidences=frame.marker_confidences.copy(),
-        links=frame.links.copy(),
-        link_confidences=frame.link_confidences.copy(),
-        boxes=frame.boxes.copy(),
-    )
-    negative = _drop_negative(fixed) if counts[cleaning.CONFIDENCE] else 0
-    cleaning.clean(counts, True, *_measured(fixed))
-    found = _by_kind(counts.tolist())
-    return fixed, {**found, _NEGATIVE: negative} if negative else found
-
-
-def _drop_negative(frame: Frame) -> int:
-    """Make negative confidences NaN, in place; return how many."""
-    total = 0
-    for confidences in (frame.confidences, frame.marker_confidences, frame.link_confidences):
-        negative = (confidences < 0) & np.isfinite(confidences)
-        confidences[negative] = np.nan
-        total += int(negative.sum())
-    return total
-
-
-def _by_kind(counts: Iterable[int]) -> Mapping[str, int]:
-    return {kind: n for kind, n in zip(_CLEANED, counts, strict=True) if n}
+_NOT_TEXT = "message has a string that is not UTF-8"
 
 
 class ModelBuilder:
@@ -129,11 +70,14 @@ class ModelBuilder:
         report = np.zeros(cdr.REPORT, np.int64)
         code = cdr.outline(_as_array(data), rows, report)
         if code != cdr.OK:
-            raise _fault(code, report, data, topic)
+            raise LogError(_fault(code, report.tolist(), data), topic=topic)
         self._max_markers = max(self._max_markers, int(report[cdr.MOST_MARKERS]))
         self._max_links = max(self._max_links, int(report[cdr.MOST_LINKS]))
         for is_link, key, start, end, parent, child in rows[: report[cdr.ROWS]].tolist():
-            name = _text(data, start, end, topic)
+            try:
+                name = str(data[start:end], "utf-8")
+            except UnicodeDecodeError:
+                raise LogError(_NOT_TEXT, topic=topic) from None
             if is_link:
                 self._add_link(key, (name, parent, child), topic)
             else:
@@ -176,32 +120,22 @@ class ModelBuilder:
         )
 
 
-class _Tables(NamedTuple):
-    """A model as the kernels want it (see ``kernels.cdr``)."""
-
-    markers: npt.NDArray[np.int64]
-    links: npt.NDArray[np.int64]
-    words: npt.NDArray[np.uint64]
-
-    @classmethod
-    def of(cls, model: SkeletonModel) -> _Tables:
-        """Prepare the tables of a model; ids must increase."""
-        words = bytearray()
-        markers = _prepare(words, model.marker_ids, model.marker_names)
-        links = _prepare(words, model.link_ids, model.link_names)
-        unused = next(key for key in count(-1, -1) if key not in model.marker_ids)
-        ids = (*model.marker_ids, cdr.ABSENT + unused)  # for slot -1
-        ends = [
-            (*row, ids[parent], ids[child])
-            for row, parent, child in zip(
-                links, model.link_parents, model.link_children, strict=True
-            )
-        ]
-        return cls(
-            np.array(markers, np.int64).reshape(-1, 3),
-            np.array(ends, np.int64).reshape(-1, 5),
-            np.frombuffer(bytes(words), np.uint64).copy(),
-        )
+def model_tables(model: SkeletonModel) -> cdr.Tables:
+    """Prepare a model for the kernels; its ids must increase."""
+    words = bytearray()
+    markers = _prepare(words, model.marker_ids, model.marker_names)
+    links = _prepare(words, model.link_ids, model.link_names)
+    unused = next(key for key in count(-1, -1) if key not in model.marker_ids)
+    ids = (*model.marker_ids, cdr.ABSENT + unused)  # for slot -1
+    ends = [
+        (*row, ids[parent], ids[child])
+        for row, parent, child in zip(links, model.link_parents, model.link_children, strict=True)
+    ]
+    return cdr.Tables(
+        np.array(markers, np.int64).reshape(-1, 3),
+        np.array(ends, np.int64).reshape(-1, 5),
+        np.frombuffer(bytes(words), np.uint64).copy(),
+    )
 
 
 def _prepare(words: bytearray, ids: Iterable[int], names: Iterable[str]) -> list[tuple[int, ...]]:
@@ -217,255 +151,259 @@ def _prepare(words: bytearray, ids: Iterable[int], names: Iterable[str]) -> list
     return rows
 
 
-class Decoder:
-    """Turns the messages of one channel into Frames of one model.
-
-    Keeps no state from one message to the next that a result depends on.
-    """
-
-    def __init__(
-        self, model: SkeletonModel, *, topic: str | None = None, layout: Layout = PUBLISHED
-    ) -> None:
-        self.model = model
-        self._topic = topic
-        self._layout = layout
-        self._tables = _Tables.of(model)
-        self._report = np.zeros(cdr.REPORT, np.int64)
-        self._sources = np.empty((cdr.MAX_PEOPLE, 2), np.int64)
-        self._scratch: tuple[Any, ...] = (
-            np.empty(model.n_markers + model.n_links, np.int64),
-            self._report,
-            self._sources,
-        )
-        self._slots = model.n_markers, model.n_links
-        self._most_likely = 1  # people; corrected when a message has another number of them
-
-    def decode(self, data: Bytes, log_time: int) -> Frame:
-        """Read a message, exactly.
-
-        ``stamp`` is header.stamp, ``stamps`` are the skeletons' src_time (0 = not given).
-        ``source`` is their src_frame where all have the same, else the header's frame_id;
-        ``frame_id`` is the header's, or where that is empty the common src_frame.
-
-        Raises :class:`LogError` for damaged bytes, for an encapsulation other than plain CDR, and
-        for markers and links that are not in the model, have another name or ends than there, or
-        come twice in one skeleton.
-        """
-        return self._decode(
-            data if self._layout is PUBLISHED else self._layout(data, self._topic), log_time
-        )
-
-    def decode_all(self, data: Bytes, log_time: int) -> list[Frame]:
-        """Read a message as one Frame per distinct src_frame, in the order of their appearance.
-
-        For a channel on which several cameras' skeletons share a message. A message whose
-        skeletons have one src_frame, or that has none, is one Frame, as :meth:`decode` gives it.
-        """
-        if self._layout is not PUBLISHED:
-            data = self._layout(data, self._topic)
-        frame = self._decode(data, log_time)
-        if not self._report[cdr.MIXED]:
-            return [frame]
-        header = frame.frame_id  # without a common src_frame it is the header's
-        people: dict[str, list[int]] = {}
-        for person, source in enumerate(self._names(data, frame.n_people)):
-            people.setdefault(source, []).append(person)
-        return [
-            frame.select(rows).replace(source=source or header, frame_id=header or source)
-            for source, rows in people.items()
-        ]
-
-    def _decode(self, data: Bytes, log_time: int) -> Frame:
-        buffer = _as_array(data)
-        arrays = People.room(self._most_likely, *self._slots)
-        code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
-        if code == cdr.PEOPLE:
-            self._most_likely = int(self._report[cdr.COUNT])
-            arrays = People.room(self._most_likely, *self._slots)
-            code = cdr.decode(buffer, *self._tables, *self._scratch, *arrays)
-        if code != cdr.OK:
-            raise _fault(code, self._report, data, self._topic)
-        *_, stamp, header, header_end, source, source_end, mixed = self._report.tolist()
-        frame_id = _text(data, header, header_end, self._topic)
-        common = _text(data, source, source_end, self._topic)
-        if mixed:
-            self._names(data, len(arrays[0]))  # for the fault, if one is no text
-            common = ""
-        return Frame(stamp, log_time, common or frame_id, frame_id or common, *arrays)
-
-    def _names(self, data: Bytes, n_people: int) -> list[str]:
-        """Return each person's src_frame."""
-        places = self._sources[:n_people].tolist()
-        return [_text(data, start, end, self._topic) for start, end in places]
-
-
-class Said(NamedTuple):
-    """What a message of a :class:`Batch` says besides its people's arrays."""
-
-    stamp: int
-    """header.stamp, ns."""
-    times: list[int]
-    """Source time of each person, ns."""
-    source: str
-    frame_id: str
-    cleaned: Mapping[str, int]
-    """How many numbers were taken out, by kind."""
-
-
-class Batch:
-    """What the messages of some chunks say, cleaned; their people share one set of arrays."""
-
-    def __init__(
-        self,
-        people: People,
-        first: Stamps,
-        codes: Stamps,
-        reports: Stamps,
-        cleaned: Stamps,
-        moved_to: list[str],
-        texts: list[tuple[str | None, str | None]],
-    ) -> None:
-        """All but the lists is as ``decode_batch`` fills it.
-
-        ``moved_to`` name the frame that each message's people were moved to; "" = they are as they
-        were measured. ``texts`` are its frame_id and src_frame; None = is not UTF-8.
-        """
-        self.people = people
-        self.rows: list[tuple[int, int]] = list(pairwise(first.tolist()))
-        """First row of each message's people, and the row after the last."""
-        times, stamps = people.stamps.tolist(), reports[:, cdr.HEADER_STAMP].tolist()
-        usable = codes == cdr.OK
-        usable &= (reports[:, cdr.MIXED] == 0) & (cleaned[:, cleaning.CONFIDENCE] == 0)
-        kinds: dict[int, Mapping[str, int]] = {
-            i: _by_kind(cleaned[i].tolist()) for i in np.flatnonzero(cleaned.any(axis=1)).tolist()
-        }
-        self._said: list[Said | None] = [None] * len(codes)
-        for i in np.flatnonzero(usable).tolist():
-            frame_id, common = texts[i]
-            if frame_id is not None and common is not None:
-                self._said[i] = Said(
-                    stamps[i],
-                    times[slice(*self.rows[i])],
-                    common or frame_id,
-                    moved_to[i] or frame_id or common,
-                    kinds.get(i, _NOTHING),
-                )
-
-    def said(self, row: int) -> Said | None:
-        """Return what a message says, whose people are rows of ``people``.
-
-        None = it needs a closer look: it is damaged, or holds several cameras' skeletons, or
-        confidences out of range, of which :func:`clean` tells the negative ones apart.
-        """
-        return self._said[row]
-
-    def frame(self, row: int, log_time: int) -> tuple[Frame, Mapping[str, int]] | None:
-        """Return what :meth:`Decoder.decode` and :func:`clean` would of a message, in that order.
-
-        None = as :meth:`said`.
-        """
-        said = self._said[row]
-        if said is None:
-            return None
-        people = self.people.at(slice(*self.rows[row]))
-        return Frame(said.stamp, log_time, said.source, said.frame_id, *people), said.cleaned
-
-
-class Poses:
-    """Poses at rest of frames in the fixed frame, found out by name as they are asked for."""
+class RestPoses:
+    """Poses in the fixed frame of frames that do not move, looked up by name when asked for."""
 
     def __init__(
         self, fixed: str = "", lookup: Callable[[str], Rigid | None] | None = None
     ) -> None:
         self.fixed = fixed
+        self.arrays = pose_arrays([])
+        self._poses: list[Rigid] = []
         self._lookup = lookup
         self._rows: dict[bytes, int] = {}
-        self.arrays: tuple[Floats, Floats, Floats] = (
-            np.empty((0, 4)),
-            np.empty((0, 3, 3)),
-            np.empty((0, 3)),
-        )
-        """Quaternions (K, 4), matrices (K, 3, 3) and translations (K, 3), m."""
 
     def find(self, name: bytes) -> int:
         """Row of a frame's pose; -1 if it has none, or is the fixed frame itself."""
         row = self._rows.get(name)
         if row is None:
-            row = self._rows[name] = self._learn(name)
+            row = self._rows[name] = self._add(name)
         return row
 
-    def _learn(self, name: bytes) -> int:
+    def _add(self, name: bytes) -> int:
         frame = name.decode(errors="replace").lstrip("/")
         pose = self._lookup(frame) if self._lookup and frame not in ("", self.fixed) else None
         if pose is None:
             return -1
-        turns, matrices, places = self.arrays
-        self.arrays = (
-            np.concatenate([turns, pose.xyzw[None]]),
-            np.concatenate([matrices, to_matrix(pose.xyzw)[None]]),
-            np.concatenate([places, pose.translation[None]]),
-        )
-        return len(turns)
+        self._poses.append(pose)
+        self.arrays = pose_arrays(self._poses)
+        return len(self._poses) - 1
 
 
-class BatchDecoder:
-    """Decodes the messages of chunks at once; for logs, where :class:`Decoder` is for streams."""
+class MessagePart(NamedTuple):
+    """The people of a message that one camera saw."""
 
-    _MOST = 64 * 2**20  # bytes of arrays; what needs more is decoded message by message
+    source: str
+    """Their src_frame, or the header's frame_id if it is empty."""
+    frame_id: str
+    """The header's, or their src_frame if it is empty; the fixed frame if they were moved."""
+    begin: int
+    """Row of the first of them."""
+    end: int
+    """Row after the last."""
 
-    def __init__(self, model: SkeletonModel) -> None:
-        self._tables = _Tables.of(model)
+
+class Decoded(NamedTuple):
+    """N messages, decoded. Their people are rows of common arrays."""
+
+    people: People
+    keys: Keys
+    """(N, 3) by which the messages are ordered (io.container.order)."""
+    channels: list[int]
+    """Of each message."""
+    stamps: list[int]
+    """header.stamp of each message, ns."""
+    parts: list[list[MessagePart]]
+    """Of each message: one, none if it cannot be decoded, several if several cameras share it."""
+    cleaned: Mapping[int, Mapping[str, int]]
+    """Message -> how many numbers were taken out, by kind; no entry if none were."""
+    faults: Mapping[int, str]
+    """Message -> why it cannot be decoded."""
+    until: int | None
+    """As in the batch."""
+
+
+class Decoder:
+    """Turns messages of one skeleton model into frames.
+
+    Parameters
+    ----------
+    model : of the frames.
+    layouts : of the messages, by channel; the published one if not given.
+    poses : people whose message names one of these frames are moved to the fixed frame.
+    exact : keep every bit. By default numbers that cannot be true are taken out
+        (see :func:`hiros_mcap.kernels.cleaning.clean`), and a person's time before 1970 becomes 0.
+    """
+
+    _MOST = 64 * 2**20  # bytes of people; a larger batch is decoded in parts
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        *,
+        layouts: Mapping[int, Layout] | None = None,
+        poses: RestPoses | None = None,
+        exact: bool = False,
+    ) -> None:
+        self.model = model
+        self._layouts = {i: how for i, how in (layouts or {}).items() if not how.is_published}
+        self._poses = poses or RestPoses()
+        self._exact = exact
+        self._tables = model_tables(model)
         self._slots = model.n_markers, model.n_links
         self._scratch = np.empty(sum(self._slots), np.int64)
 
-    def decode(
-        self, parts: Sequence[tuple[Bytes, Stamps]], poses: Poses | None = None
-    ) -> Batch | None:
-        """Read messages of the published layout that lie in data at places (N, 2), part by part.
+    def decode_message(self, data: Bytes, log_time: int = 0, *, channel: int = 0) -> list[Frame]:
+        """Read one message: a frame for each camera that saw somebody, in order of appearance.
 
-        People whose message names a frame of ``poses`` are moved by its pose. None = the messages
-        would need too much memory at once.
+        Raises :class:`LogError` for damaged bytes, for an encapsulation other than plain CDR, and
+        for markers and links that are not in the model, have another name or ends than there, or
+        come twice in one skeleton.
         """
-        buffers = [_as_array(data) for data, _ in parts]
-        cuts = [0, *accumulate(len(places) for _, places in parts)]
-        n = cuts[-1]
+        row = np.zeros((1, COLUMNS), np.uint64)
+        row[0, [CHANNEL, LOG_TIME, STOP]] = channel, log_time, len(data)
+        (decoded,) = self.decode(Batch([Records(data, row, 0)], None))
+        if decoded.faults:
+            raise LogError(decoded.faults[0])
+        return [
+            Frame(
+                decoded.stamps[0],
+                log_time,
+                part.source,
+                part.frame_id,
+                decoded.people.at(slice(part.begin, part.end)),
+            )
+            for part in decoded.parts[0]
+        ]
+
+    def decode(self, batch: Batch) -> Iterator[Decoded]:
+        """Read the messages of a batch; in several parts if their people take much memory."""
+        n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
-        for buffer, (_, places), (a, b) in zip(buffers, parts, pairwise(cuts), strict=True):
-            batch_kernels.read_headers(buffer, places, reports[a:b], first[a : b + 1])
-        rows = int(first[-1])
-        if rows * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
-            return None
-        people = People.room(rows, *self._slots)
-        poses = poses or Poses()
-        codes, cleaned = np.empty(n, np.int64), np.zeros((n, cleaning.COUNTS), np.int64)
-        sources = np.empty((rows, 2), np.int64)
-        moved_to: list[str] = []
-        texts: list[tuple[str | None, str | None]] = []
-        known: dict[bytes, str | None] = {}
-        for buffer, (data, places), (a, b) in zip(buffers, parts, pairwise(cuts), strict=True):
-            spans = (places[:, :1] + reports[a:b, [cdr.FRAME, cdr.FRAME_END]]).tolist()
-            names = [bytes(data[start:end]) for start, end in spans]
-            pose_of = [poses.find(name) for name in names]
-            moved_to += [poses.fixed if pose >= 0 else "" for pose in pose_of]
-            batch_kernels.decode_batch(
-                buffer, places, *self._tables, self._scratch, reports[a:b], cleaned[a:b],
-                codes[a:b], first[a : b + 1], sources, *people, np.array(pose_of, np.int64),
-                *poses.arrays,
+        faults: dict[int, str] = {}
+        sections = list(self._sections(batch.records, faults))
+        for section in sections:
+            batch_kernels.read_headers(*section, first, reports)
+        if n > 1 and first[-1] * 8 * (sum(self._slots) * (STATE + 1) + BOX) > self._MOST:
+            for half in batch.halves():
+                yield from self.decode(half)
+            return
+        data = [part.data.data[a:b] for part in sections for a, b in part.places.tolist()]
+        people, results = self._people(sections, data, first, reports)
+        channels = np.concatenate([records.messages[:, CHANNEL] for records in batch.records])
+        yield Decoded(
+            people,
+            np.concatenate([records.keys for records in batch.records]),
+            channels.tolist(),
+            reports[:, cdr.HEADER_STAMP].tolist(),
+            [self._parts(i, data[i], people, results, faults) for i in range(n)],
+            _by_kind(results.cleaned),
+            faults,
+            batch.until,
+        )
+
+    def _people(
+        self,
+        sections: Sequence[_Section],
+        data: Sequence[memoryview],
+        first: cdr.Table,
+        reports: cdr.Table,
+    ) -> tuple[People, batch_kernels.Results]:
+        """Decode, clean and move the people of all messages, whose headers were read."""
+        n, n_people = len(data), int(first[-1])
+        people = People.allocate(n_people, *self._slots)
+        frames = reports[:, [cdr.FRAME, cdr.FRAME_END]].tolist()
+        poses = [self._poses.find(bytes(d[a:b])) for d, (a, b) in zip(data, frames, strict=True)]
+        results = batch_kernels.Results(
+            first,
+            np.empty(n, np.int64),
+            reports,
+            np.array(poses, np.int64),
+            np.zeros((n, cleaning.COUNTS), np.int64),
+            np.empty((n_people, 2), np.int64),
+        )
+        for section in sections:
+            batch_kernels.decode_messages(
+                *section, self._tables, results, people, self._poses.arrays, self._scratch,
+                self._exact,
             )  # fmt: skip
-            spans = (places[:, :1] + reports[a:b, [cdr.SOURCE, cdr.SOURCE_END]]).tolist()
-            for name, (start, end) in zip(names, spans, strict=True):
-                texts.append((_decoded(name, known), _decoded(bytes(data[start:end]), known)))
-        return Batch(people, first, codes, reports, cleaned, moved_to, texts)
+        if not self._exact:
+            np.maximum(people.stamps, 0, out=people.stamps)
+        return people, results
 
-
-def _decoded(data: bytes, known: dict[bytes, str | None]) -> str | None:
-    """Return a text, None for bytes that are none; the same object for the same text."""
-    if data not in known:
+    def _parts(
+        self,
+        i: int,
+        data: memoryview,
+        people: People,
+        results: batch_kernels.Results,
+        faults: dict[int, str],
+    ) -> list[MessagePart]:
+        """Return the parts of message ``i``, or note its fault and return none."""
+        report, code = results.reports[i].tolist(), int(results.codes[i])
+        if code != cdr.OK:
+            faults.setdefault(i, _fault(code, report, data))
+            return []
+        begin, end = results.first[i : i + 2].tolist()
+        spans = [report[cdr.FRAME : cdr.FRAME_END + 1], report[cdr.SOURCE : cdr.SOURCE_END + 1]]
+        if report[cdr.MIXED]:
+            spans[1:] = results.sources[begin:end].tolist()
         try:
-            known[data] = data.decode()
+            frame_id, *sources = [str(data[start:stop], "utf-8") for start, stop in spans]
         except UnicodeDecodeError:
-            known[data] = None
-    return known[data]
+            faults[i] = _NOT_TEXT
+            return []
+        fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
+        return [
+            MessagePart(source or frame_id, fixed or frame_id or source, first, last)
+            for source, first, last in _by_source(sources, people, begin, end)
+        ]
+
+    def _sections(self, chunks: Sequence[Records], faults: dict[int, str]) -> Iterator[_Section]:
+        """Yield the messages of each chunk in the published layout."""
+        message = 0
+        for data, table, _ in chunks:
+            places = table[:, [START, STOP]].astype(np.int64, order="C")
+            channels = table[:, CHANNEL].tolist() if self._layouts else ()
+            odd = [k for k, channel in enumerate(channels) if channel in self._layouts]
+            translated = bytearray(data if odd else b"")
+            for k in odd:
+                start, stop = places[k].tolist()
+                begin = len(translated)
+                try:
+                    translated += self._layouts[channels[k]](memoryview(data)[start:stop])
+                except LogError as error:
+                    faults[message + k] = error.fault
+                places[k] = begin, len(translated)
+            yield _Section(_as_array(bytes(translated) if odd else data), places, message)
+            message += len(table)
+
+
+class _Section(NamedTuple):
+    """Messages in one array of bytes, as the kernels take them."""
+
+    data: npt.NDArray[np.uint8]
+    places: cdr.Table
+    """(n, 2) first byte of each message, and the one after its last."""
+    message: int
+    """Number of the first message in the batch."""
+
+
+def _by_source(
+    names: list[str], people: People, begin: int, end: int
+) -> Iterator[tuple[str, int, int]]:
+    """Yield each src_frame of a message's people, by first appearance, and the rows of those.
+
+    People are put in that order. One name stands for all of them.
+    """
+    if len(names) == 1:
+        yield names[0], begin, end
+        return
+    groups: dict[str, list[int]] = {}
+    for person, name in enumerate(names):
+        groups.setdefault(name, []).append(person)
+    people.reorder(begin, [person for group in groups.values() for person in group])
+    for name, group in groups.items():
+        yield name, begin, begin + len(group)
+        begin += len(group)
+
+
+def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:
+    """Name the numbers that were taken out of each message that has some."""
+    return {
+        i: {kind: n for kind, n in zip(cleaning.KINDS, counts[i].tolist(), strict=True) if n}
+        for i in np.flatnonzero(counts.any(axis=1)).tolist()
+    }
 
 
 class Encoder:
@@ -473,7 +411,7 @@ class Encoder:
 
     def __init__(self, model: SkeletonModel) -> None:
         self.model = model
-        self._tables = _Tables.of(model)
+        self._tables = model_tables(model)
         self._most = np.array([model.max_markers, model.max_links], np.int64)
         self._out = np.empty(0, np.uint8)
 
@@ -530,49 +468,27 @@ class Encoder:
         return -int(n) if n < 0 else ends[:n].tolist()
 
 
-def _measured(frame: Frame) -> tuple[Any, ...]:
-    """Return the numbers of a frame in the order that the kernels take them."""
-    return (
-        frame.confidences,
-        frame.markers,
-        frame.marker_confidences,
-        frame.links,
-        frame.link_confidences,
-        frame.boxes,
-    )
-
-
 def _as_array(data: Bytes) -> npt.NDArray[np.uint8]:
     return np.frombuffer(data, np.uint8)
 
 
-def _text(data: Bytes, start: int, end: int, topic: str | None) -> str:
-    try:
-        return str(data[start:end], "utf-8")
-    except UnicodeDecodeError as error:
-        raise LogError("message has a string that is not UTF-8", topic=topic) from error
-
-
-def _fault(code: int, report: npt.NDArray[np.int64], data: Bytes, topic: str | None) -> LogError:
+def _fault(code: int, report: Sequence[int], data: Bytes) -> str:
     """Say what is wrong with a message and where."""
-    at, person, key, start, end, *_ = report.tolist()
+    at, person, key, start, end = report[: cdr.NAME_END + 1]
     if code == cdr.ENCAPSULATION:
         number = int.from_bytes(data[:2], "big")
         kind = _ENCAPSULATIONS.get(number, "unknown")
-        return LogError(f"message encapsulation 0x{number:04x} {kind} is not CDR", topic=topic)
+        return f"message encapsulation 0x{number:04x} {kind} is not CDR"
     if code in _FAULTS:
         where = f" (byte {at}, skeleton {person})" if person >= 0 else f" (byte {at})"
-        return LogError(_FAULTS[code] + where, topic=topic)
+        return _FAULTS[code] + where
     name = str(bytes(data[start : min(end, start + 80)]), "utf-8", "replace")
-    return LogError(
-        {
-            cdr.UNKNOWN_MARKER: f"marker {key} {name!r} is not in the skeleton model",
-            cdr.UNKNOWN_LINK: f"link {key} {name!r} is not in the skeleton model",
-            cdr.MARKER_NAME: f"marker {key} has another name, {name!r}, than in the skeleton model",
-            cdr.LINK_NAME: f"link {key} has another name, {name!r}, than in the skeleton model",
-            cdr.LINK_ENDS: f"link {key} joins other markers than in the skeleton model",
-            cdr.REPEATED_MARKER: f"marker {key} comes twice in skeleton {person}",
-            cdr.REPEATED_LINK: f"link {key} comes twice in skeleton {person}",
-        }[code],
-        topic=topic,
-    )
+    return {
+        cdr.UNKNOWN_MARKER: f"marker {key} {name!r} is not in the skeleton model",
+        cdr.UNKNOWN_LINK: f"link {key} {name!r} is not in the skeleton model",
+        cdr.MARKER_NAME: f"marker {key} has another name, {name!r}, than in the skeleton model",
+        cdr.LINK_NAME: f"link {key} has another name, {name!r}, than in the skeleton model",
+        cdr.LINK_ENDS: f"link {key} joins other markers than in the skeleton model",
+        cdr.REPEATED_MARKER: f"marker {key} comes twice in skeleton {person}",
+        cdr.REPEATED_LINK: f"link {key} comes twice in skeleton {person}",
+    }[code]

@@ -1,4 +1,4 @@
-"""A log of skeletons as Frames: container, codec and transforms joined.
+"""A log of skeletons as frames.
 
 ::
 
@@ -9,12 +9,11 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
@@ -34,22 +33,15 @@ from hiros_mcap.io.channels import (
     channels_of,
     select_skeletons,
 )
-from hiros_mcap.io.codec import (
-    Batch,
-    BatchDecoder,
-    Decoder,
-    ModelBuilder,
-    Poses,
-    check_schema,
-    clean,
-)
-from hiros_mcap.io.container import McapReader, Message, Records
-from hiros_mcap.io.layout import Layout
-from hiros_mcap.kernels.record_index import CHANNEL, START, STOP
+from hiros_mcap.io.codec import Decoded, Decoder, MessagePart, ModelBuilder, RestPoses
+from hiros_mcap.io.container import Batch, LogOrder, McapReader, Message, Records
+from hiros_mcap.io.layout import Layout, check_schema
+from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, People, SkeletonModel
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
+_LATEST = 2**63 - 1
 
 
 @dataclass(slots=True)
@@ -64,7 +56,7 @@ class Account:
     stale: int = 0
     """Skeletons left out because the camera had sent exactly them before."""
     cleaned: Counter[str] = field(default_factory=Counter)
-    """Numbers taken out because they cannot be true, by kind (see codec.clean)."""
+    """Numbers taken out because they cannot be true, by kind (see kernels.cleaning)."""
     untimed: int = 0
     """Frames without a time of their own, to which the log time was given."""
     first_error: str = ""
@@ -72,7 +64,7 @@ class Account:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class CameraChannel:
     """A skeleton channel that is read."""
 
     channel: ChannelInfo
@@ -101,7 +93,7 @@ class Log:
     def __init__(
         self,
         reader: McapReader,
-        cameras: Sequence[Camera],
+        cameras: Sequence[CameraChannel],
         model: SkeletonModel,
         transforms: TransformTree,
         fixed_frame: str | None,
@@ -152,7 +144,7 @@ class Log:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What nobody asked for but should know about the log."""
+        """Notes about the log."""
         return tuple(filter(None, (self._nameless(), self._left_out())))
 
     def _nameless(self) -> str:
@@ -172,7 +164,7 @@ class Log:
     def frames(self) -> Iterator[Frame]:
         """Yield the detections of all cameras in the order of their log times.
 
-        They are in the coordinates of the camera; ``frame_id`` says which. ``stamp`` is the
+        They are in the coordinates of the camera; ``frame_id`` names them. ``stamp`` is the
         latest source time of the people in it, or header.stamp where the detector gives none, or
         the log time; a time of 0 or before 1970 is none. A skeleton that repeats one of the
         camera's previous message in every number and in its source time is left out; a message of
@@ -181,11 +173,11 @@ class Log:
         Raises LogError where the file is damaged. A message that cannot be decoded is counted in
         ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
         """
-        for _, block in self._blocks(_Digest(self)):
+        for _, block in self._blocks():
             yield from block.frames()
 
     def detections(self) -> Iterator[Frame]:
-        """Yield what :meth:`frames` does, in the fixed frame (Hi-ROS eq. 5).
+        """Yield what :meth:`frames` does, in the fixed frame (Hi-ROS 2023, eq 5).
 
         Raises LogError also for a frame that no transform joins to the fixed frame.
         """
@@ -202,243 +194,155 @@ class Log:
             yield block
 
     def _fixed_blocks(self) -> Iterator[tuple[Sequence[str], Block]]:
-        """Yield the messages as blocks in the fixed frame, with the topic of each."""
+        """Yield the messages as blocks in the fixed frame, with the topic of each frame."""
         fixed = self.fixed_frame
-        digest = _Digest(self, fixed)
+        mover = Mover(self.transforms, fixed)
+        poses = RestPoses(fixed, partial(self.transforms.at_rest, fixed=fixed))
         with _named(self.path):
-            for topics, block in self._blocks(digest):
+            for topics, block in self._blocks(poses):
                 if all(name == fixed for name in block.frame_ids):
                     yield topics, block
                     continue
                 for topic, frame in zip(topics, block.frames(), strict=True):
-                    yield (topic,), Block.of(digest.mover(frame))
+                    yield (topic,), Block.of(mover(frame))
 
-    def _blocks(self, digest: _Digest) -> Iterator[tuple[Sequence[str], Block]]:
-        """Yield the messages as blocks, with the topic of each."""
+    def _blocks(self, poses: RestPoses | None = None) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the messages as blocks, with the topic of each frame.
+
+        A thread reads and decodes, chunk by chunk. Here the messages are put in order, and what
+        depends on their order is done: repeats are left out, and every message is accounted for.
+        """
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
-        streams = {
-            camera.channel.id: _Stream(
-                camera, self.model, self.accounts[camera.channel.topic], digest.settle
-            )
-            for camera in self.cameras
-        }
-        rows: list[_Row] = []
+        inputs = {c.channel.id: _Input(c, self.accounts[c.channel.topic]) for c in self.cameras}
+        layouts = {camera.channel.id: camera.layout for camera in self.cameras}
+        decoder = Decoder(self.model, layouts=layouts, poses=poses)
+        decoded = (d for batch in self.reader.batches(inputs) for d in decoder.decode(batch))
+        order = LogOrder[Decoded]()
         with _named(self.path):
-            for message in self.reader.messages(streams.keys(), digest):
-                stream = streams[message.channel_id]
-                row = stream.row_of(message)
-                if rows and (row is None or row.batch is not rows[0].batch):
-                    yield _block_of(rows)
-                    rows = []
-                if row is not None:
-                    rows.append(row)
-                    continue
-                for frame in stream.frames_of(message, strict=self.strict):
-                    yield (stream.topic,), Block.of(frame)
+            for some in self.reader.ahead(decoded):
+                if some.keys[:, 0].max(initial=0) > _LATEST:
+                    raise LogError("holds a message of a log time beyond the year 2262")
+                order.add(some, some.keys)
+                for part, messages in order.before(some.until):
+                    yield from self._accounted(part, messages, inputs)
+
+    def _accounted(
+        self, decoded: Decoded, messages: Sequence[int], inputs: Mapping[int, _Input]
+    ) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the frames of some messages, in this order, as a block."""
+        rows: list[_Row] = []
+        fault: LogError | None = None
+        for i in messages:
+            camera = inputs[decoded.channels[i]]
+            rows += camera.take(decoded, i)
+            if self.strict and i in decoded.faults:
+                fault = LogError(decoded.faults[i], topic=camera.topic)
+                break
         if rows:
-            yield _block_of(rows)
+            topics, stamps, log_times, sources, frame_ids, begins, ends = zip(*rows, strict=True)
+            yield (
+                topics,
+                Block(
+                    np.array(stamps, np.int64),
+                    np.array(log_times, np.int64),
+                    sources,
+                    frame_ids,
+                    np.array([begins, ends], np.int64).T.copy(),
+                    decoded.people,
+                ),
+            )
+        if fault is not None:
+            raise fault
 
 
 class _Row(NamedTuple):
-    """A message that is taken as it lies in its batch."""
+    """A frame of a block."""
 
-    batch: Batch
-    place: int
+    topic: str
     stamp: int
     log_time: int
     source: str
     frame_id: str
-    topic: str
+    begin: int
+    end: int
 
 
-def _block_of(rows: list[_Row]) -> tuple[Sequence[str], Block]:
-    """Return messages of one batch, and their topics."""
-    batches, places, stamps, log_times, sources, frame_ids, topics = zip(*rows, strict=True)
-    batch: Batch = batches[0]
-    return topics, Block(
-        np.array(stamps, np.int64),
-        np.array(log_times, np.int64),
-        sources,
-        frame_ids,
-        np.array([batch.rows[i] for i in places], np.int64),
-        batch.people,
-    )
+class _LastMessage(NamedTuple):
+    """The people of a camera's previous message."""
+
+    times: list[int]
+    """Source time of each, ns; 0 = not given."""
+    people: People
+    begin: int
+    """Row of the first of them."""
 
 
-class _Digest:
-    """Decodes messages ahead of their use, in the thread that reads.
+class _Input:
+    """One channel being read: its account, and the last message of each of its cameras."""
 
-    With ``fixed``, cameras at rest are moved to that frame on the way.
-    """
-
-    def __init__(self, log: Log, fixed: str = "") -> None:
-        self._decoder = BatchDecoder(log.model)
-        self._poses = Poses(fixed, partial(log.transforms.at_rest, fixed=fixed)) if fixed else None
-        self.mover = Mover(log.transforms, fixed)
-        self._published = np.zeros(1 << 16, np.bool_)
-        for camera in log.cameras:
-            self._published[camera.channel.id] = camera.layout.is_published
-
-    def settle(self, frame: Frame) -> Frame:
-        """Move a frame that was decoded on its own, if those of a batch are."""
-        if self._poses is None or self._poses.find(frame.frame_id.encode()) < 0:
-            return frame
-        return self.mover(frame.replace(frame_id=frame.frame_id.lstrip("/")))
-
-    def __call__(self, chunks: Sequence[Records]) -> list[list[tuple[Batch, int] | None]]:
-        """Return each message's place in a batch; None = decode it on its own."""
-        notes: list[list[tuple[Batch, int] | None]] = [[None] * len(c.messages) for c in chunks]
-        rows = [np.flatnonzero(self._published[c.messages[:, CHANNEL]]) for c in chunks]
-        parts = [
-            (c.data, c.messages[chosen][:, [START, STOP]].astype(np.int64, order="C"))
-            for c, chosen in zip(chunks, rows, strict=True)
-        ]
-        batch = self._decoder.decode(parts, self._poses)
-        if batch is not None:
-            place = itertools.count()
-            for said, chosen in zip(notes, rows, strict=True):
-                for row in chosen.tolist():
-                    said[row] = batch, next(place)
-        return notes
-
-
-class _Stream:
-    """One channel being read: its decoder, its account and what it said last."""
-
-    def __init__(
-        self,
-        camera: Camera,
-        model: SkeletonModel,
-        account: Account,
-        settle: Callable[[Frame], Frame],
-    ) -> None:
-        self._settle = settle
+    def __init__(self, camera: CameraChannel, account: Account) -> None:
         self.topic = camera.channel.topic
         self._names = dict(camera.sources)
         self._only = next(iter(self._names)) if len(self._names) == 1 else ""
-        self._decoder = Decoder(model, topic=camera.channel.topic, layout=camera.layout)
         self._account = account
-        self._previous: dict[str, _Last] = {}
+        self._previous: dict[str, _LastMessage] = {}
 
-    def row_of(self, message: Message) -> _Row | None:
-        """Account for a message that is right as it is; None = see :meth:`frames_of`."""
-        if message.note is None:
-            return None
-        batch, place = message.note
-        said = batch.said(place)
-        if said is None:
-            return None
-        times = said.times
-        source = said.source if times else self._only or said.source
-        last = self._previous.get(source)
-        if times and (min(times) < 0 or (last is not None and last.may_be_repeated(times))):
-            return None
+    def take(self, decoded: Decoded, i: int) -> list[_Row]:
+        """Account for message ``i``; return its frames, named, stamped and without repeats."""
         account = self._account
         account.read += 1
-        account.used += 1
-        if said.cleaned:
-            account.cleaned.update(said.cleaned)
-        stamp = self._stamp(times, said.stamp, message.log_time)
-        self._previous[source] = _Last(times, (batch.people, batch.rows[place][0]))
-        return _Row(
-            batch, place, stamp, message.log_time, self._name(source), said.frame_id.lstrip("/"),
-            self.topic,
-        )  # fmt: skip
-
-    def frames_of(self, message: Message, *, strict: bool) -> list[Frame]:
-        """Decode, clean and name what a message holds, and account for it."""
-        account = self._account
-        account.read += 1
-        try:
-            decoded = self._decode(message)
-        except LogError as error:
-            if strict:
-                raise
+        if i in decoded.faults:
             account.skipped[DAMAGED] += 1
-            account.first_error = account.first_error or error.fault
+            account.first_error = account.first_error or decoded.faults[i]
             return []
-        found = []
-        for frame, cleaned in decoded:
-            if cleaned:
-                account.cleaned.update(cleaned)
-            fresh = self._fresh(frame)
-            if fresh.n_people or not frame.n_people:
-                found.append(fresh)
-        if found:
+        account.cleaned.update(decoded.cleaned.get(i, ()))
+        rows = [row for part in decoded.parts[i] for row in self._fresh(decoded, i, part)]
+        if rows:
             account.used += 1
         else:
             account.skipped[STALE] += 1
-        return found
+        return rows
 
-    def _decode(self, message: Message) -> list[tuple[Frame, Mapping[str, int]]]:
-        """Return the frames of a message, cleaned, and what was taken out of each."""
-        if message.note is not None:
-            batch, row = message.note
-            found = batch.frame(row, message.log_time)
-            if found is not None:
-                return [found]
-        cleaned = [clean(f) for f in self._decoder.decode_all(message.data, message.log_time)]
-        return [(self._settle(frame), counts) for frame, counts in cleaned]
-
-    def _fresh(self, frame: Frame) -> Frame:
-        """Return the frame named, stamped and without what was said before."""
-        source = frame.source if frame.n_people else self._only or frame.source
-        stamp = self._stamp(frame.stamps.tolist(), frame.stamp, frame.log_time)
-        frame = frame.replace(
-            stamp=stamp,
-            stamps=np.maximum(frame.stamps, 0),
-            source=self._name(source),
-            frame_id=frame.frame_id.lstrip("/"),
-        )
-        last, self._previous[source] = self._previous.get(source), _Last.of(frame)
-        fresh = frame if last is None else last.without_repeats(frame)
-        self._account.stale += frame.n_people - fresh.n_people
-        return fresh
-
-    def _stamp(self, times: list[int], header: int, log_time: int) -> int:
-        """Return the time of a message, ns, and count those that have none."""
-        stamp = max([0, *times]) or max(0, header)
+    def _fresh(self, decoded: Decoded, i: int, part: MessagePart) -> Iterator[_Row]:
+        """Yield the frame of a part unless all of its people are repeats."""
+        people, begin, end = decoded.people, part.begin, part.end
+        times = people.stamps[begin:end].tolist()
+        # A message without people does not name its camera.
+        source = part.source if times else self._only or part.source
+        log_time = int(decoded.keys[i, 0])
+        stamp = max(times, default=0) or max(0, decoded.stamps[i])
         if not stamp:
             self._account.untimed += 1
-        return stamp or log_time
-
-    def _name(self, source: str) -> str:
-        """Return what a camera goes by."""
-        return self._names.get(source, source or self._account.topic)
-
-
-@dataclass(frozen=True, slots=True)
-class _Last:
-    """What a camera said last."""
-
-    times: list[int]
-    """Source time of each person, ns."""
-    place: tuple[People, int]
-    """Where its people are, and the row of the first."""
-
-    @classmethod
-    def of(cls, frame: Frame) -> _Last:
-        return cls(frame.stamps.tolist(), (Block.of(frame).people, 0))
-
-    def may_be_repeated(self, times: list[int]) -> bool:
-        """Whether somebody has a source time that somebody had in this message."""
-        return not (set(times) - {0}).isdisjoint(self.times)
-
-    def without_repeats(self, frame: Frame) -> Frame:
-        """Leave out people whose source time and numbers are those of somebody in here."""
-        times = frame.stamps.tolist()
-        if not self.may_be_repeated(times):
-            return frame
-        people, begin = self.place
-        said = {(t, *_numbers(people, row)) for row, t in enumerate(self.times, begin) if t}
-        here = Block.of(frame).people
-        fresh = [p for p, time in enumerate(times) if (time, *_numbers(here, p)) not in said]
-        return frame if len(fresh) == frame.n_people else frame.select(fresh)
+        last = self._previous.get(source)
+        n_fresh = end - begin
+        if last is not None and not (set(times) - {0}).isdisjoint(last.times):
+            n_fresh = _repeats_last(people, begin, times, last)
+            self._account.stale += end - begin - n_fresh
+            times = people.stamps[begin:end].tolist()
+        self._previous[source] = _LastMessage(times, people, begin)
+        if n_fresh or not times:
+            name = self._names.get(source, source or self.topic)
+            frame_id = part.frame_id.lstrip("/")
+            yield _Row(
+                self.topic, stamp or log_time, log_time, name, frame_id, begin, begin + n_fresh
+            )
 
 
-def _numbers(people: People, row: int) -> tuple[bytes, bytes]:
-    return people.markers[row].tobytes(), people.links[row].tobytes()
+def _repeats_last(people: People, begin: int, times: list[int], last: _LastMessage) -> int:
+    """Put people who repeat one of the last message behind the others; return how many do not.
+
+    A repeat has the same source time, and the same bits in every number of markers and links.
+    """
+    known = {_bits(last.people, row, time) for row, time in enumerate(last.times, last.begin)}
+    here = [_bits(people, row, time) for row, time in enumerate(times, begin)]
+    repeated = [bits[0] != 0 and bits in known for bits in here]
+    people.reorder(begin, sorted(range(len(here)), key=lambda p: repeated[p]))
+    return repeated.count(False)
+
+
+def _bits(people: People, row: int, time: int) -> tuple[int, bytes, bytes]:
+    return time, people.markers[row].tobytes(), people.links[row].tobytes()
 
 
 def open_log(
@@ -477,7 +381,10 @@ def open_log(
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
             layouts = {info.id: _layout(reader, info) for info in chosen}
             model, first = _learn(reader, layouts)
-            seen = [_look(reader, info, layouts[info.id], model, first) for info in chosen]
+            decoder = Decoder(model, layouts=layouts)
+            seen = [
+                _look(reader, info, decoder, layouts[info.id], first[info.id]) for info in chosen
+            ]
             cameras = _name_cameras(seen)
             transforms = _transforms(reader) if tree is None else tree
         return Log(reader, cameras, model, transforms, fixed_frame)
@@ -531,19 +438,21 @@ def _learn(
     ones, teaches nothing; whoever decodes it will say so.
     """
     builder, first, failed = ModelBuilder(), dict[int, Message](), ""
-    decoders: dict[int, Decoder] = {}
-    for message in reader.messages(layouts.keys()):
-        ident = message.channel_id
-        if ident not in first or not (builder.complete or _reads(decoders[ident], message)):
-            topic = reader.channels[ident].topic
-            try:
-                builder.add(message.data, topic, layouts[ident])
-                model = builder.build()
-                decoders = {i: Decoder(model, layout=layout) for i, layout in layouts.items()}
-            except LogError as error:
-                failed = failed or f"; first error: {topic}: {error.fault}"
-                decoders = decoders or {i: Decoder(builder.build()) for i in layouts}
-        first.setdefault(ident, message)
+    decoder = Decoder(builder.build(), layouts=layouts)
+    for records, rows in reader.runs(layouts.keys()):
+        some = records._replace(messages=records.messages[rows])
+        for message in some.at(_new_in(some, first, None if builder.complete else decoder)):
+            ident, topic = message.channel_id, reader.channels[message.channel_id].topic
+            if ident not in first or not (builder.complete or _reads(decoder, message)):
+                try:
+                    builder.add(message.data, topic, layouts[ident])
+                except LogError as error:
+                    failed = failed or f"; first error: {topic}: {error.fault}"
+                else:
+                    decoder = Decoder(builder.build(), layouts=layouts)
+            first.setdefault(ident, message)
+            if builder.complete and len(first) == len(layouts):
+                break
         if builder.complete and len(first) == len(layouts):
             break
     model = builder.build()
@@ -552,10 +461,20 @@ def _learn(
     return model, first
 
 
+def _new_in(records: Records, known: Collection[int], decoder: Decoder | None) -> list[int]:
+    """Return which messages are the first of a channel, or do not fit the decoder's model."""
+    channels, first = np.unique(records.messages[:, CHANNEL], return_index=True)
+    new = {k for i, k in zip(channels.tolist(), first.tolist(), strict=True) if i not in known}
+    for some in decoder.decode(Batch([records], None)) if decoder else ():
+        faulty = some.keys[list(some.faults), 2]  # where the messages start
+        new.update(np.flatnonzero(np.isin(records.messages[:, START], faulty)).tolist())
+    return sorted(new)
+
+
 def _reads(decoder: Decoder, message: Message) -> bool:
     """Whether a message has nothing that the decoder's model lacks; faster than learning it."""
     try:
-        decoder.decode(message.data, message.log_time)
+        decoder.decode_message(message.data, channel=message.channel_id)
     except LogError:
         return False
     return True
@@ -564,17 +483,16 @@ def _reads(decoder: Decoder, message: Message) -> bool:
 def _look(
     reader: McapReader,
     info: ChannelInfo,
+    decoder: Decoder,
     layout: Layout,
-    model: SkeletonModel,
-    first: Mapping[int, Message],
-) -> Camera:
+    first: Message,
+) -> CameraChannel:
     """Find out the names of a channel's cameras and frames from the first skeletons on it."""
-    decoder = Decoder(model, topic=info.topic, layout=layout)
     seen: list[Frame] = []
     failed: LogError | None = None
-    for message in _after(first[info.id], reader, info.id):
+    for message in _after(first, reader):
         try:
-            decoded = decoder.decode_all(message.data, message.log_time)
+            decoded = decoder.decode_message(message.data, channel=info.id)
         except LogError as error:
             failed = failed or error
             continue
@@ -583,20 +501,21 @@ def _look(
         if any(frame.n_people for frame in seen):
             break
     if not seen and failed is not None:
-        raise failed
+        raise LogError(failed.fault, topic=info.topic)
     sources = {frame.source: frame.source for frame in seen}
-    return Camera(info, layout, sources, tuple({f.frame_id.lstrip("/"): 0 for f in seen}))
+    frames = tuple({frame.frame_id.lstrip("/"): 0 for frame in seen})
+    return CameraChannel(info, layout, sources, frames)
 
 
-def _after(first: Message, reader: McapReader, channel: int) -> Iterator[Message]:
+def _after(first: Message, reader: McapReader) -> Iterator[Message]:
     """Yield a channel's first message, already at hand, and only if it does not do the others."""
     yield first
-    messages = reader.messages({channel})
+    messages = reader.messages({first.channel_id})
     next(messages, None)
     yield from messages
 
 
-def _name_cameras(seen: Sequence[Camera]) -> list[Camera]:
+def _name_cameras(seen: Sequence[CameraChannel]) -> list[CameraChannel]:
     """Name each camera by what its messages call it, or by its topic where that is not unique."""
     owners = Counter(source for camera in seen for source in camera.sources)
     named = []
@@ -610,7 +529,7 @@ def _name_cameras(seen: Sequence[Camera]) -> list[Camera]:
             else f"{topic}:{source}"
             for source in camera.sources
         }
-        named.append(Camera(camera.channel, camera.layout, names, camera.frames))
+        named.append(replace(camera, sources=names))
     return named
 
 

@@ -1,4 +1,4 @@
-"""What a log holds, for somebody who has just been given it: read once, nothing written."""
+"""What a log holds, for somebody who sees it for the first time."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Overview:
     fault: str
     """Why there is no fixed frame, "" if there is."""
     remarks: tuple[str, ...]
-    """What nobody asked for but should know about the log."""
+    """Notes about the log."""
     skipped: Mapping[str, Mapping[str, int]]
     """Messages that give nothing, by topic and reason."""
 
@@ -75,8 +75,8 @@ class Overview:
 
 
 @dataclass(slots=True)
-class _Tally:
-    """What is counted while a camera's frames go by."""
+class _CameraCounts:
+    """Times and numbers of people of a camera's frames."""
 
     topic: str
     frame: str
@@ -108,7 +108,7 @@ def look(
     topics: Sequence[str] | None = None,
     extrinsics: str | os.PathLike[str] | None = None,
 ) -> Overview:
-    """Read a log from end to end and say what is in it.
+    """Read a log from end to end and report what is in it.
 
     Parameters are those of :func:`hiros_mcap.io.log.open_log`, and so are the errors: a log that
     cannot be read, or that holds no skeletons, has no overview. Frames that do not resolve are
@@ -116,7 +116,7 @@ def look(
     """
     with open_log(path, topics=topics, extrinsics=extrinsics) as log:
         fixed, fault = _fixed_frame(log)
-        tallies = _tallies(log)
+        counts = _counts(log)
         start, end = log.span
         return Overview(
             path=str(path),
@@ -127,8 +127,8 @@ def look(
                 for info in log.channels
             ),
             cameras=tuple(
-                tally.row(name, _unresolved(log, tally.frame, fixed))
-                for name, tally in tallies.items()
+                count.row(name, _unresolved(log, count.frame, fixed))
+                for name, count in counts.items()
             ),
             markers=log.model.marker_names,
             links=log.model.link_names,
@@ -155,16 +155,17 @@ def _unresolved(log: Log, frame: str, fixed: str) -> str:
     return "" if fixed or not frame else "no fixed frame"
 
 
-def _tallies(log: Log) -> dict[str, _Tally]:
+def _counts(log: Log) -> dict[str, _CameraCounts]:
     topics = {name: camera for camera in log.cameras for name in camera.sources.values()}
-    tallies = {
-        name: _Tally(camera.channel.topic, _first(camera.frames)) for name, camera in topics.items()
+    counts = {
+        name: _CameraCounts(camera.channel.topic, _first(camera.frames))
+        for name, camera in topics.items()
     }
     for frame in log.frames():
-        tally = tallies.setdefault(frame.source, _Tally("", frame.frame_id))
-        tally.stamps.append(frame.stamp)
-        tally.people.append(frame.n_people)
-    return tallies
+        count = counts.setdefault(frame.source, _CameraCounts("", frame.frame_id))
+        count.stamps.append(frame.stamp)
+        count.people.append(frame.n_people)
+    return counts
 
 
 def _first(names: Iterable[str]) -> str:

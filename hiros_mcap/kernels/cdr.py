@@ -8,12 +8,6 @@ every platform of numba is.
 A marker starts with (id, length of name, name, NUL), a link likewise: these bytes are the same in
 every message, so the codec prepares them once per slot, as 64-bit words padded with zeros. The
 decoder compares them with the message instead of parsing, the encoder copies them.
-
-Tables, one row per slot, ids increasing::
-
-    marker_table  (M, 3) int64   id, first word of its prepared bytes, how many bytes
-    link_table    (L, 5) int64   the same, then the ids of the parent and the child marker,
-                                 or ABSENT + an unused id for a marker that the log never shows
 """
 
 # mypy: disable-error-code="no-any-return"
@@ -21,13 +15,17 @@ Tables, one row per slot, ids increasing::
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 from numba import types
 
 from hiros_mcap.kernels.bytes import copy, load32, load64, swap32, swap64, to_double
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.kernels.compile import I1, I2, kernel, named_tuple
+from hiros_mcap.skeletons import BOX as BOX
+from hiros_mcap.skeletons import STATE as STATE
+from hiros_mcap.skeletons import Floats, People
 
 OK = 0
 # Faults of a message.
@@ -45,8 +43,6 @@ LINK_NAME = 11
 LINK_ENDS = 12
 REPEATED_MARKER = 13
 REPEATED_LINK = 14
-# What the caller has to put right.
-PEOPLE = 20  # the arrays are for another number of people
 
 MAX_PEOPLE = 1000
 MAX_STRING = 65536
@@ -56,7 +52,7 @@ MAX_PADDING = 3
 # Added to a negative id that no marker has: beyond every int32, and that id again in 32 bits.
 ABSENT = 1 << 32
 
-# Elements of the report.
+# Elements of a report: where a message is at fault, and what it holds besides its people.
 AT, PERSON, ID, NAME, NAME_END = 0, 1, 2, 3, 4
 COUNT, HEADER_STAMP, FRAME, FRAME_END, SOURCE, SOURCE_END, MIXED = 5, 6, 7, 8, 9, 10, 11
 ROWS, MOST_MARKERS, MOST_LINKS = 9, 10, 11
@@ -72,8 +68,6 @@ MIN_MARKER = 168
 MIN_LINK = 176
 
 ORIGIN = 4
-STATE = 19
-BOX = 22
 NANO = 1_000_000_000
 
 _INT32_MAX = 2**31 - 1
@@ -82,10 +76,35 @@ Bytes = npt.NDArray[np.uint8]
 Table = npt.NDArray[np.int64]
 Words = npt.NDArray[np.uint64]
 
-_BYTES = types.Array(types.uint8, 1, "C", readonly=True)
-_WORDS = types.uint64[::1]
-_I1, _I2 = types.int64[::1], types.int64[:, ::1]
-_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+
+class Tables(NamedTuple):
+    """A skeleton model as messages are compared with it; ids increase from row to row."""
+
+    markers: Table
+    """(M, 3) id, first of its prepared words, how many bytes they are."""
+    links: Table
+    """(L, 5) the same, then the ids of the parent and the child marker; ABSENT + an unused id
+    stands for a marker that the log never shows."""
+    words: Words
+    """Prepared bytes of all slots."""
+
+
+# Columns of the tables.
+SLOT_ID, WORD, LENGTH, LINK_ENDS_AT = 0, 1, 2, 3
+
+
+class Slots(NamedTuple):
+    """Where the markers, or the links, of a message go; arrays are flat, row after row."""
+
+    table: Table
+    seen: Table
+    """(n,) who had the slot last."""
+    states: Floats
+    confidences: Floats
+
+
+BYTES = types.Array(types.uint8, 1, "C", readonly=True)
+TABLES = named_tuple(Tables, I2, I2, types.uint64[::1])
 _PAIR = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
 
 
@@ -148,7 +167,7 @@ def _string(data: Bytes, at: int, swap: bool) -> tuple[int, int, int, int]:
 
 
 # A signature keeps numba from making a version for every smallest size.
-@kernel(_PAIR(_BYTES, types.int64, types.boolean, types.int64))
+@kernel(_PAIR(BYTES, types.int64, types.boolean, types.int64))
 def _count(data: Bytes, at: int, swap: bool, smallest: int) -> tuple[int, int]:
     """Return the count of a sequence, -1 if that many elements cannot follow, and its end."""
     at = align4(at)
@@ -238,7 +257,7 @@ def _element(data: Bytes, at: int, swap: bool, report: Table) -> tuple[int, int]
     return fault, after
 
 
-@kernel(types.int64(_BYTES, _I2, _I1))
+@kernel(types.int64(BYTES, I2, I1))
 def outline(data: Bytes, rows: Table, report: Table) -> int:
     """List the markers and the links of a message: ids, names and ends.
 
@@ -306,10 +325,10 @@ def _starts_with(data: Bytes, at: int, words: Words, first: int, length: int) ->
 @kernel
 def _same_name(data: Bytes, start: int, end: int, words: Words, row: Table) -> bool:
     """Whether the bytes from ``start`` to ``end`` are the name within a row's prepared bytes."""
-    if end - start != row[2] - 9:  # id, length and NUL
+    if end - start != row[LENGTH] - 9:  # id, length and NUL
         return False
     for k in range(end - start):
-        byte = words[row[1] + ((8 + k) >> 3)] >> np.uint64(8 * (k & 7)) & np.uint64(255)
+        byte = words[row[WORD] + ((8 + k) >> 3)] >> np.uint64(8 * (k & 7)) & np.uint64(255)
         if byte != data[start + k]:
             return False
     return True
@@ -321,31 +340,27 @@ def _slot(table: Table, wanted: int) -> int:
     low, high = 0, len(table)
     while low < high:
         middle = (low + high) >> 1
-        if table[middle, 0] < wanted:
+        if table[middle, SLOT_ID] < wanted:
             low = middle + 1
         else:
             high = middle
-    return low if low < len(table) and table[low, 0] == wanted else -1
+    return low if low < len(table) and table[low, SLOT_ID] == wanted else -1
 
 
 @kernel
 def _identify(
-    data: Bytes,
-    at: int,
-    swap: bool,
-    guess: int,
-    table: Table,
-    words: Words,
-    report: Table,
+    data: Bytes, at: int, swap: bool, guess: int, slots: Slots, words: Words, report: Table
 ) -> tuple[int, int, int]:
     """Read id and name of an element; return fault, slot and end.
 
     ``guess`` is the slot that comes next if nothing is left out. The faults are those of a marker.
     """
     at = align4(at)
+    table = slots.table
     if not swap and guess < len(table):
-        length = table[guess, 2]
-        if at + length + 7 <= data.size and _starts_with(data, at, words, table[guess, 1], length):
+        length = table[guess, LENGTH]
+        first = table[guess, WORD]
+        if at + length + 7 <= data.size and _starts_with(data, at, words, first, length):
             return OK, guess, at + length
     fault, after = _element(data, at, swap, report)
     if fault != OK:
@@ -359,62 +374,52 @@ def _identify(
 
 
 @kernel
-def _numbers(
-    data: Bytes, at: int, swap: bool, states: Floats, confidences: Floats, row: int
-) -> int:
+def _numbers(data: Bytes, at: int, swap: bool, slots: Slots, row: int) -> int:
     """Read the confidence and the KinematicState of a row; return their end, -1 if truncated."""
     at = align8(at)
     if at + 8 * (1 + STATE) > data.size:
         return -1
-    confidences[row] = _double(data, at, swap)
-    _doubles(data, at + 8, swap, states, row * STATE, STATE)
+    slots.confidences[row] = _double(data, at, swap)
+    _doubles(data, at + 8, swap, slots.states, row * STATE, STATE)
     return at + 8 * (1 + STATE)
 
 
 @kernel
-def _leave_out(seen: Table, person: int, n: int, states: Floats, confidences: Floats) -> None:
-    """Mark as absent what the person does not have of its ``n`` markers or links."""
+def _leave_out(slots: Slots, person: int) -> None:
+    """Mark as absent what the person does not have of the markers or links."""
+    n = len(slots.table)
     for slot in range(n):
-        if seen[slot] != person:
+        if slots.seen[slot] != person:
             row = person * n + slot
-            confidences[row] = np.nan
+            slots.confidences[row] = np.nan
             for k in range(row * STATE, (row + 1) * STATE):
-                states[k] = np.nan
+                slots.states[k] = np.nan
 
 
 @kernel
 def _markers(
-    data: Bytes,
-    at: int,
-    swap: bool,
-    table: Table,
-    words: Words,
-    seen: Table,
-    report: Table,
-    states: Floats,
-    confidences: Floats,
+    data: Bytes, at: int, swap: bool, slots: Slots, words: Words, report: Table
 ) -> tuple[int, int]:
     """Read the markers of a person; return fault and end."""
     report[AT] = at
     count, at = _count(data, at, swap, MIN_MARKER)
     if count < 0:
         return TRUNCATED, at
-    first = report[PERSON] * len(table)
-    slot = -1
+    person, n, slot = report[PERSON], len(slots.table), -1
     for _ in range(count):
         report[AT] = at
-        fault, slot, at = _identify(data, at, swap, slot + 1, table, words, report)
+        fault, slot, at = _identify(data, at, swap, slot + 1, slots, words, report)
         if fault != OK:
             return fault, at
-        if seen[slot] == report[PERSON]:
-            report[ID] = table[slot, 0]
+        if slots.seen[slot] == person:
+            report[ID] = slots.table[slot, SLOT_ID]
             return REPEATED_MARKER, at
-        seen[slot] = report[PERSON]
-        at = _numbers(data, at, swap, states, confidences, first + slot)
+        slots.seen[slot] = person
+        at = _numbers(data, at, swap, slots, person * n + slot)
         if at < 0:
             return TRUNCATED, at
-    if count < len(table):
-        _leave_out(seen, report[PERSON], len(table), states, confidences)
+    if count < n:
+        _leave_out(slots, person)
     return OK, at
 
 
@@ -426,48 +431,39 @@ def _is_end(marker: int, expected: int, marker_table: Table) -> bool:
 
 @kernel
 def _links(
-    data: Bytes,
-    at: int,
-    swap: bool,
-    marker_table: Table,
-    table: Table,
-    words: Words,
-    seen: Table,
-    report: Table,
-    states: Floats,
-    confidences: Floats,
+    data: Bytes, at: int, swap: bool, slots: Slots, tables: Tables, report: Table
 ) -> tuple[int, int]:
     """Read the links of a person; return fault and end."""
     report[AT] = at
     count, at = _count(data, at, swap, MIN_LINK)
     if count < 0:
         return TRUNCATED, at
-    first = report[PERSON] * len(table)
-    slot = -1
+    person, n, slot = report[PERSON], len(slots.table), -1
     for _ in range(count):
         report[AT] = at
-        fault, slot, at = _identify(data, at, swap, slot + 1, table, words, report)
+        fault, slot, at = _identify(data, at, swap, slot + 1, slots, tables.words, report)
         if fault == UNKNOWN_MARKER:
             return UNKNOWN_LINK, at
         if fault == MARKER_NAME:
             return LINK_NAME, at
         if fault != OK:
             return fault, at
-        report[ID] = table[slot, 0]
+        report[ID] = slots.table[slot, SLOT_ID]
         at = align4(at)
         if at + 8 > data.size:
             return TRUNCATED, at
         for end in range(2):
-            if not _is_end(_signed(data, at + 4 * end, swap), table[slot, 3 + end], marker_table):
+            expected = slots.table[slot, LINK_ENDS_AT + end]
+            if not _is_end(_signed(data, at + 4 * end, swap), expected, tables.markers):
                 return LINK_ENDS, at
-        if seen[slot] == report[PERSON]:
+        if slots.seen[slot] == person:
             return REPEATED_LINK, at
-        seen[slot] = report[PERSON]
-        at = _numbers(data, at + 8, swap, states, confidences, first + slot)
+        slots.seen[slot] = person
+        at = _numbers(data, at + 8, swap, slots, person * n + slot)
         if at < 0:
             return TRUNCATED, at
-    if count < len(table):
-        _leave_out(seen, report[PERSON], len(table), states, confidences)
+    if count < n:
+        _leave_out(slots, person)
     return OK, at
 
 
@@ -488,73 +484,50 @@ def _note_source(data: Bytes, person: int, start: int, end: int, report: Table) 
         report[MIXED] = 1
 
 
-@kernel(
-    types.int64(
-        _BYTES, _I2, _I2, _WORDS, _I1, _I1, _I2,
-        types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _F2,
-    ),
-)  # fmt: skip
+@kernel
 def decode(
-    data: Bytes,
-    marker_table: Table,
-    link_table: Table,
-    words: Words,
-    seen: Table,
-    report: Table,
-    sources: Table,
-    ids: Ints,
-    stamps: Table,
-    confidences: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    boxes: Floats,
+    data: Bytes, tables: Tables, people: People, sources: Table, seen: Table, report: Table
 ) -> int:
-    """Fill the arrays of a Frame of P people from a message.
+    """Fill the arrays of a message's people; return OK or a fault.
 
-    ``seen`` is scratch of M + L; ``report`` (12,) says where a fault is, or else the header's
-    stamp and the places of the strings; ``sources`` (MAX_PEOPLE, 2) gets the places of src_frame.
-    Returns OK, a fault, or PEOPLE when the message has ``report[COUNT]`` people instead of P.
+    The arrays are for as many people as :func:`read_header` found. ``sources`` (P, 2) gets the
+    places of their src_frame. ``seen`` is scratch of M + L. ``report`` says where a fault is, or
+    the header's stamp and the places of the strings.
     """
     fault, at, swap = read_header(data, report)
     if fault != OK:
         return fault
-    if report[COUNT] != len(ids):
-        return PEOPLE
     report[SOURCE] = 0
     report[SOURCE_END] = 0
     report[MIXED] = 0
     seen[:] = -1
-    seen_markers, seen_links = seen[: len(marker_table)], seen[len(marker_table) :]
-    # Helpers get flat arrays and a row: a slice per row would cost more than its numbers.
-    flat_boxes, flat_markers, flat_links = boxes.reshape(-1), markers.reshape(-1), links.reshape(-1)
-    flat_marker_confidences = marker_confidences.reshape(-1)
-    flat_link_confidences = link_confidences.reshape(-1)
-    for person in range(len(ids)):
+    n = len(tables.markers)
+    # Flat arrays and a row: a slice per row would cost more than its numbers.
+    boxes = people.boxes.reshape(-1)
+    markers = Slots(
+        tables.markers, seen[:n], people.markers.reshape(-1), people.marker_confidences.reshape(-1)
+    )
+    links = Slots(
+        tables.links, seen[n:], people.links.reshape(-1), people.link_confidences.reshape(-1)
+    )
+    for person in range(len(people.ids)):
         report[AT] = at = align4(at)
         report[PERSON] = person
         fault, stamp, start, end, after = _person(data, at, swap)
         if fault != OK:
             return fault
-        ids[person] = _signed(data, at, swap)
-        stamps[person] = stamp
+        people.ids[person] = _signed(data, at, swap)
+        people.stamps[person] = stamp
         sources[person, 0] = start
         sources[person, 1] = end
         _note_source(data, person, start, end, report)
         at = align8(after + 8)
-        confidences[person] = _double(data, at, swap)
-        _doubles(data, at + 8, swap, flat_boxes, person * BOX, BOX)
-        fault, at = _markers(
-            data, at + 8 * (1 + BOX), swap, marker_table, words, seen_markers, report,
-            flat_markers, flat_marker_confidences,
-        )  # fmt: skip
+        people.confidences[person] = _double(data, at, swap)
+        _doubles(data, at + 8, swap, boxes, person * BOX, BOX)
+        fault, at = _markers(data, at + 8 * (1 + BOX), swap, markers, tables.words, report)
         if fault != OK:
             return fault
-        fault, at = _links(
-            data, at, swap, marker_table, link_table, words, seen_links, report,
-            flat_links, flat_link_confidences,
-        )  # fmt: skip
+        fault, at = _links(data, at, swap, links, tables, report)
         if fault != OK:
             return fault
     return _end(data, at, report)

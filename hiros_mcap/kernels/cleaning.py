@@ -1,4 +1,7 @@
-"""Turn numbers that cannot be true into NaN, so that no stage has to look for them."""
+"""Turn numbers that cannot be true into NaN, so that no stage has to look for them.
+
+An absent quaternion or vector is NaN throughout. A confidence that is not given is NaN.
+"""
 
 # mypy: disable-error-code="no-any-return"
 # (numba's decorator hides the types of the helpers from their callers)
@@ -8,19 +11,26 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.kernels.compile import F1, I1, kernel
+from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, People, Stamps
 
 LIMIT = 1e4
 """Largest believable number: m, m/s, rad/s, m/s2, rad/s2."""
 
 # Elements of the counts.
-ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, CONFIDENCE = 0, 1, 2, 3, 4
-COUNTS = 5
+ABSURD, INCOMPLETE, NO_ROTATION, NOT_UNIT, ABOVE_ONE, NEGATIVE = 0, 1, 2, 3, 4, 5
+COUNTS = 6
+KINDS = (
+    "absurd number",
+    "incomplete vector",
+    "quaternion of length 0",
+    "quaternion normalised",
+    "confidence above 1",
+    "negative confidence",
+)
+"""What the counts are called in reports."""
 
-_STATE = 19
-_BOX = 22
-_ORIENTATION = 3
+_QUATERNION = ORIENTATION.start
 
 # A quaternion of float32 numbers is this far from unit length: left as it is.
 _UNIT = 1e-6
@@ -29,109 +39,85 @@ _NOTICE = 1e-3
 # Shorter than this it has no direction.
 _SHORTEST = 1e-6
 
-_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
-
 
 # Signatures keep numba from making a version for every number that a helper is called with.
-@kernel(types.void(_F1, types.int64, types.int64, types.boolean))
-def _unset(vector: Floats, first: int, n: int, fix: bool) -> None:
-    if fix:
-        for k in range(first, first + n):
-            vector[k] = np.nan
-
-
-@kernel(types.boolean(_F1, types.int64, types.int64, types.int64[::1], types.boolean))
-def _vector(state: Floats, first: int, n: int, counts: Stamps, fix: bool) -> bool:
-    """Look at ``n`` numbers that belong together; return whether all of them are given."""
+@kernel(types.boolean(F1, types.int64, types.int64, I1))
+def _vector(state: Floats, first: int, n: int, counts: Stamps) -> bool:
+    """Unset ``n`` numbers that belong together unless all are believable; return if they are."""
     unknown = 0
     absurd = False
     for k in range(first, first + n):
         unknown += np.isnan(state[k])
         absurd |= abs(state[k]) > LIMIT
-    if absurd:
-        counts[ABSURD] += 1
-        _unset(state, first, n, fix)
-        return False
-    if 0 < unknown < n:
-        counts[INCOMPLETE] += 1
-        _unset(state, first, n, fix)
-    return unknown == 0
+    if not absurd and (unknown == 0 or unknown == n):
+        return unknown == 0
+    counts[ABSURD if absurd else INCOMPLETE] += 1
+    for k in range(first, first + n):
+        state[k] = np.nan
+    return False
 
 
 @kernel
-def _rotation(state: Floats, counts: Stamps, fix: bool) -> bool:
-    """Look at the quaternion; return whether it needs a change that is too small to count."""
-    if not _vector(state, _ORIENTATION, 4, counts, fix):
-        return False
+def _rotation(state: Floats, counts: Stamps) -> None:
+    """Give the quaternion the length 1, or unset it."""
+    if not _vector(state, _QUATERNION, 4, counts):
+        return
     square = 0.0
-    for k in range(_ORIENTATION, _ORIENTATION + 4):
+    for k in range(_QUATERNION, _QUATERNION + 4):
         square += state[k] * state[k]
     norm = np.sqrt(square)
     if abs(norm - 1.0) <= _UNIT:
-        return False
+        return
     if norm < _SHORTEST:
         counts[NO_ROTATION] += 1
-        _unset(state, _ORIENTATION, 4, fix)
-        return False
-    if abs(norm - 1.0) > _NOTICE:
+        norm = np.nan
+    elif abs(norm - 1.0) > _NOTICE:
         counts[NOT_UNIT] += 1
-    if fix:
-        for k in range(_ORIENTATION, _ORIENTATION + 4):
-            state[k] /= norm
-    return True
+    for k in range(_QUATERNION, _QUATERNION + 4):
+        state[k] /= norm
 
 
 @kernel
-def _state(state: Floats, counts: Stamps, fix: bool) -> bool:
-    _vector(state, 0, 3, counts, fix)
-    for first in range(7, _STATE, 3):
-        _vector(state, first, 3, counts, fix)
-    return _rotation(state, counts, fix)
+def _state(state: Floats, counts: Stamps) -> None:
+    _vector(state, 0, 3, counts)
+    for first in range(VELOCITY.start, STATE, 3):
+        _vector(state, first, 3, counts)
+    _rotation(state, counts)
 
 
 @kernel
-def _confidence(confidences: Floats, k: int, counts: Stamps, fix: bool) -> None:
+def _confidence(confidences: Floats, k: int, counts: Stamps) -> None:
     value = confidences[k]
     if np.isinf(value):
         counts[ABSURD] += 1
-        value = np.nan
-    elif value < 0.0 or value > 1.0:
-        counts[CONFIDENCE] += 1
-        value = min(max(value, 0.0), 1.0)
-    if fix:
-        confidences[k] = value
+        confidences[k] = np.nan
+    elif value > 1.0:
+        counts[ABOVE_ONE] += 1
+        confidences[k] = 1.0
+    elif value < 0.0:
+        counts[NEGATIVE] += 1
+        confidences[k] = np.nan
 
 
-@kernel(
-    types.boolean(types.int64[::1], types.boolean, _F1, _F3, _F2, _F3, _F2, _F2),
-)
-def clean(
-    counts: Stamps,
-    fix: bool,
-    confidences: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    boxes: Floats,
-) -> bool:
-    """Count what is wrong with a frame's numbers and, if asked to, put it right in place.
+@kernel
+def clean(people: People, counts: Stamps) -> None:
+    """Take out numbers that cannot be true, in place; ``counts`` (COUNTS,) are added to.
 
-    Returns whether there is anything to put right; ``counts`` is (5,), set by this call.
+    - ABSURD: infinite or beyond 1e4 (m, m/s, ...): its whole vector becomes NaN;
+    - INCOMPLETE: some numbers of a vector are NaN: all become NaN;
+    - NO_ROTATION: a quaternion of length 0 becomes NaN;
+    - NOT_UNIT: a quaternion's length was off by more than 1e-3. It becomes 1, also after smaller
+      errors, which are not counted;
+    - ABOVE_ONE: a confidence becomes 1; an infinite one is absurd;
+    - NEGATIVE: a confidence becomes NaN, since detectors mean by -1 that they give none.
     """
-    for k in range(COUNTS):
-        counts[k] = 0
-    change = False
-    for person in range(len(confidences)):
-        _confidence(confidences, person, counts, fix)
-        change |= _state(boxes[person], counts, fix)
-        _vector(boxes[person], _STATE, _BOX - _STATE, counts, fix)
-        for slot in range(markers.shape[1]):
-            _confidence(marker_confidences[person], slot, counts, fix)
-            change |= _state(markers[person, slot], counts, fix)
-        for slot in range(links.shape[1]):
-            _confidence(link_confidences[person], slot, counts, fix)
-            change |= _state(links[person, slot], counts, fix)
-    for k in range(COUNTS):
-        change |= counts[k] > 0
-    return change
+    for person in range(len(people.ids)):
+        _confidence(people.confidences, person, counts)
+        _state(people.boxes[person], counts)
+        _vector(people.boxes[person], STATE, BOX - STATE, counts)
+        for slot in range(people.markers.shape[1]):
+            _confidence(people.marker_confidences[person], slot, counts)
+            _state(people.markers[person, slot], counts)
+        for slot in range(people.links.shape[1]):
+            _confidence(people.link_confidences[person], slot, counts)
+            _state(people.links[person, slot], counts)

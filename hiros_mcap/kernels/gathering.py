@@ -2,53 +2,35 @@
 
 from __future__ import annotations
 
+from numba import types
+
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.kernels.compile import I2, PEOPLE, kernel
+from hiros_mcap.skeletons import Floats, People, Stamps
+
+BEGIN, END, TARGET = 0, 1, 2
 
 
 @kernel
-def _copy_rows(to: Floats, at: int, source: Floats, begin: int, end: int) -> None:
+def _copy_rows(to: Floats, source: Floats, piece: Stamps) -> None:
     """Copy some rows of the first axis."""
     size = source.size // max(1, len(source)) * source.itemsize
-    copy(to, at * size, source, begin * size, (end - begin) * size)
+    n = (piece[END] - piece[BEGIN]) * size
+    copy(to, piece[TARGET] * size, source, piece[BEGIN] * size, n)
 
 
-@kernel(
-    "void(int64[:,::1], int32[::1], int64[::1], float64[::1], float64[:,:,::1], float64[:,::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,::1], int32[::1], int64[::1], float64[::1],"
-    " float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[:,::1], float64[:,::1])",
-)
-def gather(
-    pieces: Stamps,
-    ids: Ints,
-    stamps: Stamps,
-    confidences: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    boxes: Floats,
-    to_ids: Ints,
-    to_stamps: Stamps,
-    to_confidences: Floats,
-    to_markers: Floats,
-    to_marker_confidences: Floats,
-    to_links: Floats,
-    to_link_confidences: Floats,
-    to_boxes: Floats,
-) -> None:
-    """Copy rows of people's arrays.
+@kernel(types.void(I2, PEOPLE, PEOPLE))
+def gather(pieces: Stamps, people: People, target: People) -> None:
+    """Copy rows of people into ``target``.
 
     ``pieces`` (K, 3): first row, the row after the last, and the row that the first one becomes.
     """
     for k in range(len(pieces)):
-        begin, end, at = pieces[k, 0], pieces[k, 1], pieces[k, 2]
-        _copy_rows(to_ids, at, ids, begin, end)
-        _copy_rows(to_stamps, at, stamps, begin, end)
-        _copy_rows(to_confidences, at, confidences, begin, end)
-        _copy_rows(to_markers, at, markers, begin, end)
-        _copy_rows(to_marker_confidences, at, marker_confidences, begin, end)
-        _copy_rows(to_links, at, links, begin, end)
-        _copy_rows(to_link_confidences, at, link_confidences, begin, end)
-        _copy_rows(to_boxes, at, boxes, begin, end)
+        _copy_rows(target.ids, people.ids, pieces[k])
+        _copy_rows(target.stamps, people.stamps, pieces[k])
+        _copy_rows(target.confidences, people.confidences, pieces[k])
+        _copy_rows(target.markers, people.markers, pieces[k])
+        _copy_rows(target.marker_confidences, people.marker_confidences, pieces[k])
+        _copy_rows(target.links, people.links, pieces[k])
+        _copy_rows(target.link_confidences, people.link_confidences, pieces[k])
+        _copy_rows(target.boxes, people.boxes, pieces[k])

@@ -52,7 +52,7 @@ class FilteredPeople(NamedTuple):
     @classmethod
     def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
         """Return the filters of nobody, with ``history`` innovations (N) per joint."""
-        nobody, count = People.room(0, markers, links), np.zeros((0, markers, 2), np.int64)
+        nobody, count = People.allocate(0, markers, links), np.zeros((0, markers, 2), np.int64)
         return cls(
             nobody.stamps, count[..., 0] > 0, np.zeros((0, markers, 2, 3)),
             np.zeros((0, markers, TRIANGLE)), np.zeros((0, markers, history)), count,

@@ -38,26 +38,26 @@ def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
         if size - at < _HEAD:
             return PAST_END, at, n_messages, n_definitions
         opcode, length = data[at], _number(data, at + 1, 8)
-        body = at + _HEAD
-        if length > np.uint64(size - body):
+        begin = at + _HEAD
+        if length > np.uint64(size - begin):
             return PAST_END, at, n_messages, n_definitions
-        stop = body + np.int64(length)
+        stop = begin + np.int64(length)
         if opcode == 5:
-            if stop - body < _FIXED:
+            if stop - begin < _FIXED:
                 return SHORT_MESSAGE, at, n_messages, n_definitions
             if n_messages < len(messages):
                 row = messages[n_messages]
-                row[CHANNEL] = _number(data, body, 2)
-                row[SEQUENCE] = _number(data, body + 2, 4)
-                row[LOG_TIME] = _number(data, body + 6, 8)
-                row[PUBLISH_TIME] = _number(data, body + 14, 8)
-                row[START] = np.uint64(body + _FIXED)
+                row[CHANNEL] = _number(data, begin, 2)
+                row[SEQUENCE] = _number(data, begin + 2, 4)
+                row[LOG_TIME] = _number(data, begin + 6, 8)
+                row[PUBLISH_TIME] = _number(data, begin + 14, 8)
+                row[START] = np.uint64(begin + _FIXED)
                 row[STOP] = np.uint64(stop)
             n_messages += 1
         elif opcode == 3 or opcode == 4:
             if n_definitions < len(definitions):
                 definitions[n_definitions, 0] = np.uint64(opcode)
-                definitions[n_definitions, 1] = np.uint64(body)
+                definitions[n_definitions, 1] = np.uint64(begin)
                 definitions[n_definitions, 2] = np.uint64(stop)
             n_definitions += 1
         elif opcode < 0x80:

@@ -154,7 +154,7 @@ class InstantMerger:
         stamps = np.array([instant.stamp for instant in instants], np.int64)
         sizes = np.concatenate([np.diff(plan.people_ends) for plan in plans])
         ends = np.concatenate([[0], np.cumsum(sizes)])
-        out = People.room(int(ends[-1]), self._model.n_markers, self._model.n_links)
+        out = People.allocate(int(ends[-1]), self._model.n_markers, self._model.n_links)
         out.stamps[:] = np.repeat(stamps, sizes)
         out.confidences.fill(np.nan)
         out.boxes.fill(np.nan)

@@ -4,10 +4,9 @@ import struct
 
 import numpy as np
 import pytest
-from mcap_ros2._dynamic import serialize_dynamic
+from mcap_logs import tf_bytes
 from scipy.spatial.transform import Rotation
 
-import hiros_schemas
 from hiros_mcap.body import rotations
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import (
@@ -24,9 +23,6 @@ NAN = math.nan
 QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # 90 degrees about z
 NONE = (0.0, 0.0, 0.0, 1.0)
 MODEL = SkeletonModel.of(("a", "b", "c"), (("ab", 0, 1), ("bc", 1, 2)))
-SERIALIZE = serialize_dynamic(
-    hiros_schemas.TF_MESSAGE, hiros_schemas.text(hiros_schemas.TF_MESSAGE)
-)[hiros_schemas.TF_MESSAGE]
 
 
 def tree_of(*rows, static=True):
@@ -89,25 +85,6 @@ def test_a_rigid_transform_and_its_inverse_cancel():
 
 
 # -- messages ----------------------------------------------------------------------------------
-
-
-def tf_bytes(*rows):
-    """TFMessage by the mcap library; rows are (stamp ns, parent, child, translation, xyzw)."""
-    transforms = [
-        {
-            "header": {
-                "stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9},
-                "frame_id": parent,
-            },
-            "child_frame_id": child,
-            "transform": {
-                "translation": dict(zip("xyz", translation, strict=True)),
-                "rotation": dict(zip("xyzw", xyzw, strict=True)),
-            },
-        }
-        for stamp, parent, child, translation, xyzw in rows
-    ]
-    return bytes(SERIALIZE({"transforms": transforms}))
 
 
 ROWS = [

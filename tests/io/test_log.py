@@ -1,16 +1,16 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from generators import generic_writer, same
-from mcap_logs import write_log
-from test_transforms import tf_bytes
+from generators import generic_writer, message_of, same
+from mcap_logs import tf_bytes, write_log
 
 import hiros_schemas
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import LogError, SchemaError
 from hiros_mcap.io.channels import add_skeleton_channel
-from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.codec import Decoder, Encoder, ModelBuilder
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import DAMAGED, STALE, open_log
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
@@ -274,6 +274,175 @@ def test_a_camera_with_another_skeleton_is_refused(path):
         log.add(seen(1), data=Encoder(other).encode(seen(1)))
     with pytest.raises(LogError, match=r"/camera_1/skeletons: marker 0 has another name, 'x'"):
         open_log(path)
+
+
+# -- the same, however it was read -------------------------------------------------------------
+
+
+def odd_message(rng, stamp):
+    """A message of camera 0, 1 or both: plain, out of range, repeated, damaged or of nobody."""
+    kind = rng.integers(8)
+    frame = seen(rng.integers(2), stamp * (kind != 4), n=int(rng.integers(3)), value=7)
+    frame.stamps[:] = rng.choice([0, -5, 40, 41], len(frame.stamps))
+    frame.marker_confidences[:] = rng.choice([0.5, -1.0, 1.5, np.nan])
+    if kind == 1:
+        frame.markers[:, 1, 0] = np.inf
+    data = ENCODER.encode(frame)
+    if kind == 2:
+        data = data[: len(data) // 2]
+    if kind == 3 and frame.n_people == 2:
+        message = message_of(frame, MODEL)
+        message["skeletons"][1]["src_frame"] = "other"
+        data = bytes(generic_writer()(message))
+    return f"/camera_{rng.integers(2)}/skeletons", data
+
+
+def odd_log(path, chunk_size):
+    """A log of such messages, two of each time."""
+    rng = np.random.default_rng(7)
+    with Maker(path, chunk_size=chunk_size) as log:
+        log.transforms((0, "world", "camera_0", (1, 0, 0), (0.6, 0.0, 0.0, 0.8)))
+        log.transforms((0, "world", "camera_1", (0, 1, 0), NONE), topic="/tf")
+        log.time = iter(np.arange(200) // 2)
+        for k in range(2):
+            log.add(seen(k, 1, value=9))
+        last = {}
+        for stamp in range(10, 110):
+            topic, data = odd_message(rng, stamp)
+            last[topic] = last.get(topic, data) if rng.random() < 0.2 else data
+            log.add(None, topic, last[topic])
+    return path
+
+
+def everything(path, **options):
+    """Frames and accounts of a log, as the cameras see them and in the fixed frame."""
+    with open_log(path, **options) as log:
+        return [
+            (list(frames()), {t: replace(a) for t, a in log.accounts.items()})
+            for frames in (log.frames, log.detections)
+        ]
+
+
+@pytest.mark.parametrize("together", [0, 4000, 1 << 22])
+@pytest.mark.parametrize("most", [0, 5000, 1 << 26])
+def test_frames_and_accounts_do_not_depend_on_how_messages_are_batched(
+    tmp_path, monkeypatch, together, most
+):
+    wanted = everything(odd_log(tmp_path / "whole.mcap", 1 << 22))
+    monkeypatch.setattr(McapReader.batches, "__defaults__", (None, together))
+    monkeypatch.setattr(Decoder, "_MOST", most)
+    found = everything(odd_log(tmp_path / "cut.mcap", 1000))
+    for (frames, accounts), (expected, books) in zip(found, wanted, strict=True):
+        assert accounts == books
+        pairs = zip(frames, expected, strict=True)
+        assert all(same(a, b) and a.log_time == b.log_time for a, b in pairs)
+    account = wanted[0][1]["/camera_0/skeletons"]
+    assert account.stale
+    assert account.untimed
+    assert len(account.cleaned) == 3
+    assert set(account.skipped) == {STALE, DAMAGED}
+    assert account.read == account.used + sum(account.skipped.values())
+
+
+def test_chunks_that_overlap_are_put_in_order(path):
+    """Each camera's messages are in chunks of their own."""
+    times = {0: range(10, 100, 10), 1: range(15, 105, 10)}
+    with Maker(path, chunk_size=3000) as log:
+        for camera, stamps in times.items():
+            log.time = iter(stamps)
+            for stamp in stamps:
+                log.add(seen(camera, stamp))
+    with McapReader(path) as file:
+        assert len(file.contents.chunks) > 3
+    frames, _ = frames_of(path)
+    assert [f.log_time for f in frames] == sorted([*times[0], *times[1]])
+    assert [f.source for f in frames] == ["camera_0", "camera_1"] * 9
+
+
+def test_a_repeat_is_one_of_the_previous_message_only(path):
+    with Maker(path) as log:
+        for stamp in (1000, 2000, 1000):
+            log.add(seen(0, stamp))
+    frames, log = frames_of(path)
+    assert [f.stamp for f in frames] == [1000, 2000, 1000]
+    assert log.accounts["/camera_0/skeletons"].stale == 0
+
+
+def test_people_without_a_time_are_never_repeats(path):
+    nobody_knows_when = seen(0, 1000).replace(stamps=np.zeros(1, np.int64))
+    with Maker(path) as log:
+        for _ in range(3):
+            log.add(nobody_knows_when)
+    assert len(frames_of(path)[0]) == 3
+
+
+def test_a_message_of_several_cameras_is_used_if_one_of_them_has_something_new(path):
+    def shared(stamps):
+        message = message_of(seen(0, 1000, n=2).replace(stamps=np.array(stamps)), MODEL)
+        message["skeletons"][1]["src_frame"] = "other"
+        return bytes(generic_writer()(message))
+
+    with Maker(path) as log:
+        for stamps in ((1000, 1000), (1000, 2000), (1000, 2000)):
+            log.add(None, "/all", shared(stamps))
+    frames, log = frames_of(path)
+    account = log.accounts["/all"]
+    assert [f.source for f in frames] == ["camera_0", "other", "other"]
+    assert (account.read, account.used, account.stale) == (3, 2, 3)
+    assert account.skipped == {STALE: 1}
+
+
+def test_a_strict_log_gives_the_frames_before_the_damaged_message(path):
+    with Maker(path) as log:
+        log.add(seen(0, 1000))
+        log.add(None, "/camera_0/skeletons", b"\0\1\0\0junk")
+        log.add(seen(0, 2000))
+    with open_log(path) as log:
+        log.strict = True
+        frames = log.frames()
+        assert next(frames).stamp == 1000
+        with pytest.raises(LogError, match="message ends"):
+            next(frames)
+
+
+def test_a_log_time_beyond_what_frames_hold_is_an_error(path):
+    with Maker(path) as log:
+        log.time = iter((10, 2**63))
+        log.add(seen(0, 1000))
+        log.add(seen(0, 2000))
+    with pytest.raises(LogError, match=r"log\.mcap: .*beyond the year 2262"):
+        frames_of(path)
+
+
+@pytest.mark.parametrize("claimed", [3, 9])
+def test_the_model_grows_with_every_new_marker_until_it_is_complete(path, claimed):
+    """Detectors that claim more markers than they show have the whole log looked through."""
+    wide = SkeletonModel(*(getattr(MODEL, f) for f in SkeletonModel.__match_args__[:6]), claimed, 2)
+    parts = [seen(0, 1000 + k) for k in range(30)]
+    for k, frame in enumerate(parts):
+        frame.markers[:, k // 10 + 1 :] = np.nan
+        frame.links[:] = np.nan
+    whole = seen(0, 3000)
+    with Maker(path, chunk_size=2000) as log:
+        for frame in [*parts, whole]:
+            log.add(None, "/camera_0/skeletons", Encoder(wide).encode(frame))
+    frames, log = frames_of(path)
+    assert log.model == wide
+    assert len(frames) == 31
+
+
+def test_only_messages_that_teach_something_are_learnt_from(path, monkeypatch):
+    learnt = []
+    add = ModelBuilder.add
+    monkeypatch.setattr(ModelBuilder, "add", lambda *args: learnt.append(1) or add(*args))
+    wide = SkeletonModel.of((*"abcd",), (("ab", 0, 1), ("bc", 1, 2)))
+    frame = Frame.empty(1, wide, stamp=1, source="camera_0", frame_id="camera_0")
+    frame.markers[:, :3, :3] = 0.0
+    with Maker(path, chunk_size=2000) as log:
+        for _ in range(30):
+            log.add(None, "/camera_0/skeletons", Encoder(wide).encode(frame))
+    assert frames_of(path)[1].model.n_markers == 3
+    assert len(learnt) == 1
 
 
 # -- choice of channels ------------------------------------------------------------------------

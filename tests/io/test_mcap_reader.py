@@ -215,7 +215,7 @@ FAULTS = {
     ),
     "reserved opcode": ([r.record(0x20, b"")], "no place here"),
     "opcode 0": ([r.record(0, b"")], "no place here"),
-    "footer too early": ([r.record(r.FOOTER_OP, bytes(20))], "no place here"),
+    "footer too early": ([r.record(r.Opcode.FOOTER, bytes(20))], "no place here"),
     "not UTF-8": ([channel(topic="/a").replace(b"/a", b"\xff\xff")], "not UTF-8"),
     "schema missing": ([channel().replace(b"\1\0\0\0", b"\1\0\7\0")], "no schema 7"),
 }
@@ -224,8 +224,8 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_malformed_log_is_refused_with_the_reason(path, name):
     data, reason = FAULTS[name]
-    said = fault_of(mcap_file(path, *data))
-    assert any(part in said for part in reason.split("|")), said
+    fault = fault_of(mcap_file(path, *data))
+    assert any(part in fault for part in reason.split("|")), fault
 
 
 def test_a_message_on_an_unknown_channel_outside_of_chunks_is_refused(path):

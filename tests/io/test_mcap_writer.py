@@ -102,7 +102,7 @@ def test_a_skeleton_channel_is_declared_as_rosbag2_declares_it(out):
         ids = [add_skeleton_channel(writer, topic) for topic in ("/hiros/a", "/hiros/b")]
         first, second = (writer.channels[i] for i in ids)
     assert first.schema_id == second.schema_id
-    assert first.encoding == "cdr"
+    assert first.message_encoding == "cdr"
     assert first.metadata["topic_type_hash"] == hiros_schemas.type_hash(
         hiros_schemas.SKELETON_GROUP
     )

@@ -22,7 +22,7 @@ def run(source: Path, folder: Path, change: Change) -> Summary:
     return process(changed(source, folder / "odd.mcap", change))
 
 
-def said(summary: Summary, pattern: str) -> list[str]:
+def noted(summary: Summary, pattern: str) -> list[str]:
     return [note for note in summary.notes if re.search(pattern, note)]
 
 
@@ -43,8 +43,8 @@ def test_messages_that_come_too_late_are_skipped_ones_of_their_camera(
     assert lost["/camera_0/skeletons"] == lost["/camera_2/skeletons"] == {}
     assert all(c.messages == c.used + sum(c.skipped.values()) for c in summary.cameras)
     assert summary.skipped == 79
-    assert said(summary, r"clock of camera_1 jumps \(1 times, by up to 100.0 s\)")
-    assert len(said(summary, "jumps")) == 1
+    assert noted(summary, r"clock of camera_1 jumps \(1 times, by up to 100.0 s\)")
+    assert len(noted(summary, "jumps")) == 1
 
 
 @pytest.mark.parametrize("system", ["hiros", "malaguti"])
@@ -71,18 +71,18 @@ def test_a_time_that_cannot_be_is_that_of_the_log(
         )
     assert len(summary.people) == 2
     assert summary.skipped == 0
-    assert said(summary, "/camera_0/skeletons: 145 messages have no time, or one before 1970")
+    assert noted(summary, "/camera_0/skeletons: 145 messages have no time, or one before 1970")
 
 
 def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) -> None:
     summary = run(crossing, tmp_path, lambda f, _: f.replace(frame_id="", source=""))
-    (note,) = said(summary, "name no coordinate frame")
+    (note,) = noted(summary, "name no coordinate frame")
     assert note.startswith("3 channels")
     assert "transforms are not used" in note
     overview = look(tmp_path / "odd.mcap")
     assert overview.remarks == (note,)
     assert [camera.fault for camera in overview.cameras] == ["", "", ""]
-    assert not said(process(crossing), "name no")
+    assert not noted(process(crossing), "name no")
 
 
 def test_one_channel_without_a_frame_is_refused_by_its_name(crossing: Path, tmp_path: Path) -> None:
@@ -98,31 +98,31 @@ def test_negative_confidences_are_not_given_and_large_ones_are_1(
 ) -> None:
     negative = run(crossing, tmp_path, lambda f, _: believed(f, -1.0))
     assert len(negative.people) == 2
-    assert said(negative, r"/camera_0/skeletons: \d+ x negative confidence \(taken as not given\)")
+    assert noted(negative, r"/camera_0/skeletons: \d+ x negative confidence \(taken as not given\)")
     percent = run(crossing, tmp_path, lambda f, _: believed(f, 99.0))
     assert len(percent.people) == 2
-    assert said(percent, r"/camera_0/skeletons: \d+ x confidence above 1 \(taken as 1\)")
+    assert noted(percent, r"/camera_0/skeletons: \d+ x confidence above 1 \(taken as 1\)")
 
 
 def test_nobody_is_found_because_of_the_confidences(crossing: Path, tmp_path: Path) -> None:
     summary = run(crossing, tmp_path, lambda f, _: believed(f, 0.0))
     assert summary.people == ()
-    assert said(summary, "every marker has the confidence 0")
-    assert said(summary, r"not confirmed: \d+ \(detections of bodies")
+    assert noted(summary, "every marker has the confidence 0")
+    assert noted(summary, r"not confirmed: \d+ \(detections of bodies")
 
 
 def test_nobody_is_found_because_of_the_unit(crossing: Path, tmp_path: Path) -> None:
     summary = run(crossing, tmp_path, lambda f, _: scaled(f, 1000.0))
     assert summary.people == ()
-    assert said(summary, "looks like millimetres")
-    assert not said(summary, "confidence 0")
+    assert noted(summary, "looks like millimetres")
+    assert not noted(summary, "confidence 0")
 
 
 def test_a_message_years_ahead_is_told(crossing: Path, tmp_path: Path) -> None:
     def ahead(frame: Frame, sent: int) -> Frame:
         return later(frame, 10**8 * SECOND) if sent == 50 and frame.source == "camera_2" else frame
 
-    assert said(run(crossing, tmp_path, ahead), r"camera_2 jumps \(2 times, by up to 3.2 years\)")
+    assert noted(run(crossing, tmp_path, ahead), r"camera_2 jumps \(2 times, by up to 3.2 years\)")
 
 
 def test_a_latched_transform_of_time_0_makes_the_log_no_longer(

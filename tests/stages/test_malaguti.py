@@ -208,7 +208,7 @@ class Joints:
 
     def take(self, z: Floats, confidences: float | Floats = 1.0, dt: float = 0.0) -> int:
         """Measure positions (M, 3) ``dt`` s later; return how many are outliers."""
-        people = People.room(1, len(z), 0)
+        people = People.allocate(1, len(z), 0)
         people.markers[:] = np.nan
         people.markers[0, :, :3], people.marker_confidences[0] = z, confidences
         self.now += round(dt * 1e9)

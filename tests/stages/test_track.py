@@ -65,7 +65,7 @@ def compared(
 ) -> tracking.TrackPairs:  # fmt: skip
     """Compare tracks at 1 s with detections at rest, markers (P, M, 3) and links (P, L, 4)."""
     (p, m), n = markers.shape[:2], links.shape[1]
-    people, used = People.room(p, m, n), settings(**changes)
+    people, used = People.allocate(p, m, n), settings(**changes)
     people.markers[..., POSITION], people.markers[..., VELOCITY] = markers, 0.0
     people.links[..., ORIENTATION], people.links[..., ANGULAR_VELOCITY] = links, 0.0
     people.marker_confidences[:] = people.link_confidences[:] = confidence

@@ -15,7 +15,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
-from hiros_mcap.io.log import Camera, Log, open_log
+from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import EVENTS_ATTACHMENT
 from hiros_mcap.skeletons import SkeletonModel
@@ -135,7 +135,7 @@ def describe(log: Log) -> Source:
     return Source(log.model, poses, names, stages, _events(log), log.span[0])
 
 
-def _camera_name(camera: Camera, source: str, cameras: list[Camera]) -> str:
+def _camera_name(camera: CameraChannel, source: str, cameras: list[CameraChannel]) -> str:
     """Return the coordinate frame's name if that is enough to tell cameras apart."""
     shared = sum(camera.frames == other.frames for other in cameras) > 1
     return source if shared or len(camera.sources) > 1 else camera.frames[0]

@@ -1,14 +1,17 @@
 """The MCAP container: strict reading, reproducible writing. Knows nothing of skeletons."""
 
-from hiros_mcap.io.container.reader import McapReader, Records
-from hiros_mcap.io.container.records import Attachment, Channel, Chunk, Message, Schema
+from hiros_mcap.io.container.order import Keys, LogOrder
+from hiros_mcap.io.container.reader import Batch, McapReader, Records
+from hiros_mcap.io.container.records import Channel, Chunk, Message, Schema
 from hiros_mcap.io.container.writer import ChunkCopier, McapWriter
 
 __all__ = [
-    "Attachment",
+    "Batch",
     "Channel",
     "Chunk",
     "ChunkCopier",
+    "Keys",
+    "LogOrder",
     "McapReader",
     "McapWriter",
     "Message",

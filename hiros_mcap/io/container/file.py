@@ -82,6 +82,6 @@ class LogFile:
 
 
 def _refused(path: Path, error: Exception) -> LogError:
-    """LogError that names what the operating system said."""
-    said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return LogError(f"cannot be read: {said}", path=path)
+    """LogError that names what the operating system reason."""
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return LogError(f"cannot be read: {reason}", path=path)

@@ -1,4 +1,4 @@
-"""Messages of an MCAP file in the order of their log times; a damaged file is an error.
+"""Messages of an MCAP file, chunk by chunk or in order; a damaged file is an error.
 
 What the reader promises: every message of the chosen channels is handed out exactly once with
 exactly its bytes, or a LogError says what is wrong and where. Checksums are always compared,
@@ -8,16 +8,15 @@ overlap in time.
 
 from __future__ import annotations
 
-import itertools
 import os
 import struct
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,8 +25,10 @@ from isal.isal_zlib import crc32
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.compression import decompress
 from hiros_mcap.io.container.file import LogFile
+from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.records import (
-    Attachment,
+    HEAD,
+    AttachmentIndex,
     Bytes,
     Channel,
     Chunk,
@@ -42,39 +43,70 @@ from hiros_mcap.kernels.record_index import (
     LOG_TIME,
     OK,
     PAST_END,
-    PUBLISH_TIME,
-    SEQUENCE,
     SHORT_MESSAGE,
     START,
-    STOP,
     index_records,
 )
 
 _AHEAD = 2
 _AHEAD_BYTES = 64 * 2**20
 _TOGETHER = 4 * 2**20
-"""Bytes of chunks that are digested at once; each call of a digest costs as much as some messages.
+"""Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
 _FAULTS = {
     PAST_END: "a record reaches past the end of the chunk",
     SHORT_MESSAGE: "a message is shorter than its fixed fields",
     FORBIDDEN: "a record that has no place in a chunk",
 }
+_COLUMNS = [LOG_TIME, START]
+_ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
+
 Table = npt.NDArray[np.uint64]
+T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class Records:
-    """The records of one chunk, decompressed and checked."""
+class Records(NamedTuple):
+    """The messages of one chunk, decompressed and checked."""
 
-    chunk: Chunk
     data: Bytes
     messages: Table
-    """One row per message in order of log time, columns as in kernels.records."""
-    defined: frozenset[int]
-    """Channels that the chunk itself defines."""
-    notes: Sequence[Any] = ()
-    """One per message, or none at all."""
+    """One row per message, columns as in kernels.record_index."""
+    offset: int
+    """First byte of the chunk in the file."""
+
+    @property
+    def keys(self) -> Keys:
+        """(N, 3) by which the messages are ordered."""
+        keys = np.full((len(self.messages), 3), self.offset, np.uint64)
+        keys[:, [0, 2]] = self.messages[:, _COLUMNS]
+        return keys
+
+    def at(self, rows: Sequence[int]) -> Iterator[Message]:
+        """Yield some messages; their data are views, which are valid as long as they are held."""
+        view = memoryview(self.data)
+        for channel, sequence, logged, published, start, stop in self.messages[rows].tolist():
+            data: Any = view[start:stop]
+            yield Message(channel, logged, data, published, sequence)
+
+
+class Batch(NamedTuple):
+    """Messages of some chunks, in no particular order."""
+
+    records: Sequence[Records]
+    until: int | None
+    """Every message with an earlier log time, ns, is in here or came before; None = every one."""
+
+    def halves(self) -> tuple[Batch, Batch]:
+        """Split the messages in two, the earlier and the later ones."""
+        keys = np.concatenate([part.keys for part in self.records])
+        order = np.lexsort(keys.T[::-1])
+        later = np.zeros(len(keys), np.bool_)
+        later[order[len(order) // 2 :]] = True
+        cuts = np.cumsum([len(part.messages) for part in self.records])[:-1]
+        flags = list(zip(self.records, np.split(later, cuts), strict=True))
+        first = [part._replace(messages=part.messages[~flag]) for part, flag in flags]
+        second = [part._replace(messages=part.messages[flag]) for part, flag in flags]
+        return Batch(first, int(keys[later, 0].min())), Batch(second, self.until)
 
 
 class McapReader:
@@ -87,9 +119,11 @@ class McapReader:
         self._file = LogFile(path)
         self.path = self._file.path
         self.cpu_s = 0.0
-        """CPU time, s, that handing out messages has taken in the thread that reads ahead."""
+        """CPU time, s, of the threads that read ahead."""
         try:
             self._contents = scan(self._file)
+            largest = max((chunk.size for chunk in self._contents.chunks), default=0)
+            self._depth = min(_AHEAD, _AHEAD_BYTES // max(largest, _TOGETHER))
             self._checked: dict[int, frozenset[int]] = {}
             self._complete_definitions()
             self.counts = self._count()
@@ -126,26 +160,22 @@ class McapReader:
         """Message definition of a channel, None if it has none."""
         return self._contents.schemas.get(channel.schema_id)
 
-    def attachment(self, attachment: Attachment) -> bytes:
+    def attachment(self, index: AttachmentIndex) -> bytes:
         """Bytes of an attachment, which the walk has checked."""
-        return self._file.read(attachment.data_offset, attachment.data_size)
+        names = len(index.name.encode()) + len(index.media_type.encode())
+        start = index.offset + HEAD.size + _ATTACHMENT_FIXED + names
+        return self._file.read(start, index.data_size)
 
     def raw(self, chunk: Chunk) -> bytes:
         """Chunk record and its message index records as they are in the file."""
         return self._file.read(chunk.offset, chunk.index_end - chunk.offset)
 
-    def messages(
-        self,
-        channels: Collection[int] | None = None,
-        digest: Callable[[Sequence[Records]], Sequence[Sequence[Any]]] | None = None,
-    ) -> Iterator[Message]:
-        """Messages by log time; those of equal time in the order of the file.
+    def batches(
+        self, channels: Collection[int] | None = None, size: int = _TOGETHER
+    ) -> Iterator[Batch]:
+        """Yield the messages chunk by chunk, neighbours of up to ``size`` bytes together.
 
-        Parameters
-        ----------
-        channels : ids to read, None for all. Chunks without any of them are not decompressed.
-        digest : is called in the thread that reads ahead, with the chosen messages of some chunks,
-            and returns a note for each of them.
+        Chunks without any of ``channels`` (ids, None for all) are not decompressed.
 
         Raises
         ------
@@ -153,37 +183,64 @@ class McapReader:
             where the file turns out to be damaged, at the message or a few chunks before it; it is
             then also wrong to use the messages before it.
         """
-        wanted = self._wanted(channels)
-        chosen = None if channels is None else np.isin(np.arange(65536), list(channels))
+        chunks = self._contents.chunks
+        if channels is not None:
+            chunks = [chunk for chunk in chunks if chunk.holds(channels)]
+        groups = list(_together(sorted(chunks, key=lambda c: (c.start_time, c.offset)), size))
+        for k, group in enumerate(groups, 1):
+            until = groups[k][0].start_time if k < len(groups) else None
+            yield Batch([self._chosen(self.load(chunk), channels) for chunk in group], until)
 
-        def load(chunk: Chunk) -> Records:
-            loaded = self.load(chunk)
-            if chosen is None:
-                return loaded
-            return replace(loaded, messages=loaded.messages[chosen[loaded.messages[:, CHANNEL]]])
+    def runs(self, channels: Collection[int] | None = None) -> Iterator[tuple[Records, list[int]]]:
+        """Yield the messages in the order of log times, those of equal time as in the file.
 
-        def load_all(chunks: Sequence[Chunk]) -> list[Records]:
-            start = time.thread_time()
-            loaded = [load(chunk) for chunk in chunks]
-            if digest is not None:
-                notes = digest(loaded)
-                loaded = [replace(c, notes=said) for c, said in zip(loaded, notes, strict=True)]
-            self.cpu_s += time.thread_time() - start
-            return loaded
+        They come as runs of messages of one chunk: its records, and which of its messages. For
+        ``channels`` and errors see :meth:`batches`.
+        """
+        order = LogOrder[Records]()
+        for batch in self.ahead(self.batches(channels, 0)):
+            for records in batch.records:
+                order.add(records, records.keys)
+            yield from order.before(batch.until)
 
-        pending: list[Records] = []
-        together = _together(wanted) if digest else ([chunk] for chunk in wanted)
-        everything = itertools.chain.from_iterable(read_ahead(load_all, together))
-        for at, loaded in enumerate(everything):
-            pending.append(loaded)
-            horizon = wanted[at + 1].start_time if at + 1 < len(wanted) else None
-            ready, pending = _split(pending, horizon)
-            yield from _merged(ready)
-        self._file.check_unchanged()
+    def messages(self, channels: Collection[int] | None = None) -> Iterator[Message]:
+        """Yield the messages one by one, as :meth:`runs` orders them."""
+        for records, rows in self.runs(channels):
+            yield from records.at(rows)
 
     def messages_in(self, chunk: Chunk) -> Iterator[Message]:
-        """Messages of one chunk by log time."""
-        return _merged([self.load(chunk)])
+        """Yield the messages of one chunk by log time."""
+        records = self.load(chunk)
+        return records.at(np.lexsort(records.keys.T[::-1]).tolist())
+
+    def ahead(self, items: Iterator[T]) -> Iterator[T]:
+        """Run an iterator that reads this file in a thread, ahead of the use of its items.
+
+        Its CPU time is added to ``cpu_s``. An error that it raises comes at its turn. Raises
+        LogError if somebody wrote to the file meanwhile.
+        """
+        with ThreadPoolExecutor(1, thread_name_prefix="hiros-read") as pool:
+            waiting: deque[Future[T | None]] = deque()
+            try:
+                while True:
+                    while len(waiting) <= self._depth:
+                        waiting.append(pool.submit(self._timed, items))
+                    item = waiting.popleft().result()
+                    if item is None:
+                        break
+                    yield item
+            finally:
+                for future in waiting:
+                    future.cancel()
+        self._file.check_unchanged()
+
+    def _timed(self, items: Iterator[T]) -> T | None:
+        """Return the next item, None at the end."""
+        start = time.thread_time()
+        try:
+            return next(items, None)
+        finally:
+            self.cpu_s += time.thread_time() - start
 
     def load(self, chunk: Chunk) -> Records:
         """Read, decompress and check one chunk; raises LogError."""
@@ -202,7 +259,13 @@ class McapReader:
         except MemoryError:
             raise LogError("is too large for the memory", path=self.path) from None
         self._checked[chunk.offset] = defined
-        return Records(chunk, data, _by_time(table), defined)
+        return Records(data, table, chunk.offset)
+
+    def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
+        if channels is None:
+            return records
+        chosen = np.isin(records.messages[:, CHANNEL], list(channels))
+        return records._replace(messages=records.messages[chosen])
 
     def definitions_in(self, chunk: Chunk) -> frozenset[int]:
         """Channels that the chunk defines; the chunk is checked for that if it was not yet."""
@@ -241,12 +304,6 @@ class McapReader:
         if unknown := [i for i in found if i not in self._contents.channels]:
             raise FormatError(f"a message belongs to channel {unknown[0]}, which is not defined")
 
-    def _wanted(self, channels: Collection[int] | None) -> list[Chunk]:
-        chunks = self._contents.chunks
-        if channels is not None:
-            chunks = [chunk for chunk in chunks if chunk.holds(channels)]
-        return sorted(chunks, key=lambda chunk: (chunk.start_time, chunk.offset))
-
     def _complete_definitions(self) -> None:
         """Look into chunks for the definitions and counts that the walk could not see."""
         chunks, channels = self._contents.chunks, self._contents.channels
@@ -255,20 +312,14 @@ class McapReader:
         # The summary may repeat the channels and not their schemas.
         known &= all(c.schema_id in schemas for c in channels.values() if c.schema_id)
         unseen = [i for i, c in enumerate(chunks) if c.counts is None or not known]
-        loaded = read_ahead(self._load_quietly, ([chunks[i]] for i in unseen))
-        for i, records in zip(unseen, loaded, strict=True):
-            counts = Counter(records.messages[:, CHANNEL].tolist())
-            chunks[i] = replace(chunks[i], counts=dict(counts))
+        found = (self.load(chunks[i]).messages[:, CHANNEL] for i in unseen)
+        for i, numbers in zip(unseen, self.ahead(found), strict=True):
+            chunks[i] = replace(chunks[i], counts=dict(Counter(numbers.tolist())))
         for channel in channels.values():
             if channel.schema_id and channel.schema_id not in schemas:
                 raise LogError(
                     f"has no schema {channel.schema_id}", path=self.path, topic=channel.topic
                 )
-
-    def _load_quietly(self, chunks: Sequence[Chunk]) -> Records:
-        """Load a chunk without keeping its bytes."""
-        (chunk,) = chunks
-        return replace(self.load(chunk), data=b"")
 
     def _count(self) -> dict[int, int]:
         """Messages per channel; every chunk is compared with this when it is read."""
@@ -276,96 +327,23 @@ class McapReader:
         for chunk in self._contents.chunks:
             counts.update(chunk.counts or {})
         stats, total = self._contents.statistics, sum(counts.values())
-        if stats is not None and stats.messages != total:
+        if stats is not None and stats.message_count != total:
             raise LogError(
-                f"damaged: the statistics claim {stats.messages} messages, there are {total}",
+                f"damaged: the statistics claim {stats.message_count} messages, there are {total}",
                 path=self.path,
             )
         return dict(counts)
 
 
-T = TypeVar("T")
-
-
-def read_ahead(
-    load: Callable[[Sequence[Chunk]], T], groups: Iterable[Sequence[Chunk]]
-) -> Iterator[T]:
-    """Load groups of chunks in a thread, ahead of their use; an error comes at its group's turn."""
-    with ThreadPoolExecutor(1, thread_name_prefix="hiros-read") as pool:
-        waiting: deque[tuple[int, Future[T]]] = deque()
-        try:
-            for chunks in groups:
-                size = sum(chunk.size for chunk in chunks)
-                waiting.append((size, pool.submit(load, chunks)))
-                while len(waiting) > _AHEAD or sum(n for n, _ in waiting) > _AHEAD_BYTES:
-                    yield waiting.popleft()[1].result()
-            while waiting:
-                yield waiting.popleft()[1].result()
-        finally:
-            for _, future in waiting:
-                future.cancel()
-
-
-def _together(chunks: Iterable[Chunk]) -> Iterator[list[Chunk]]:
-    """Group neighbours."""
+def _together(chunks: Iterable[Chunk], most: int) -> Iterator[list[Chunk]]:
+    """Group neighbours of up to ``most`` bytes; a larger chunk is alone."""
     group: list[Chunk] = []
     size = 0
     for chunk in chunks:
-        if group and size + chunk.size > _TOGETHER:
+        if group and size + chunk.size > most:
             yield group
             group, size = [], 0
         group.append(chunk)
         size += chunk.size
     if group:
         yield group
-
-
-def _by_time(table: Table) -> Table:
-    """Rows in order of log time, those of equal time as they are in the chunk."""
-    times = table[:, LOG_TIME]
-    if np.all(times[1:] >= times[:-1]):
-        return table
-    return table[np.argsort(times, kind="stable")]
-
-
-def _split(pending: list[Records], horizon: int | None) -> tuple[list[Records], list[Records]]:
-    """Split into what can be handed out and what may be preceded by a chunk still to come.
-
-    A message at the horizon itself waits: the chunk that starts there may lie earlier in the file.
-    """
-    if horizon is None:
-        return pending, []
-    ready, later = [], []
-    for records in pending:
-        cut = int(np.searchsorted(records.messages[:, LOG_TIME], np.uint64(horizon), "left"))
-        if cut:
-            ready.append(
-                replace(records, messages=records.messages[:cut], notes=records.notes[:cut])
-            )
-        if cut < len(records.messages):
-            later.append(
-                replace(records, messages=records.messages[cut:], notes=records.notes[cut:])
-            )
-    return ready, later
-
-
-def _merged(ready: list[Records]) -> Iterator[Message]:
-    """Messages of several chunks by (log time, place in the file)."""
-    if not ready:
-        return
-    ready = sorted(ready, key=lambda records: records.chunk.offset)
-    views = [memoryview(records.data) for records in ready]
-    table = np.concatenate([records.messages for records in ready])
-    notes = [note for records in ready for note in records.notes] or [None] * len(table)
-    owner = np.repeat(np.arange(len(ready)), [len(records.messages) for records in ready])
-    if len(ready) > 1:
-        # Parts are in file order and each is stably sorted, so a stable sort by time is enough.
-        order = np.argsort(table[:, LOG_TIME], kind="stable")
-        table, owner = table[order], owner[order]
-        notes = [notes[k] for k in order.tolist()]
-    columns = (table[:, k].tolist() for k in (CHANNEL, LOG_TIME, START, STOP))
-    rest = (table[:, k].tolist() for k in (PUBLISH_TIME, SEQUENCE))
-    for part, channel, logged, start, stop, publish, sequence, note in zip(
-        owner.tolist(), *columns, *rest, notes, strict=True
-    ):
-        yield Message(channel, logged, views[part][start:stop], publish, sequence, note)

@@ -1,17 +1,42 @@
-"""The records of an MCAP file: what hiros reads out of them and how it writes them.
+"""The records of an MCAP file: strict parsing, and what the mcap library has no types for.
 
 Format: https://mcap.dev/spec. A record is one byte of opcode, eight bytes of content length, the
 content; integers are little endian, strings carry their length in front. Records may be followed
 by fields of a later version, which are ignored.
+
+The types of records are the library's, and so is the writing of most of them. Its readers take
+what is there for a string that is cut off, so records are parsed here.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    McapRecord,
+    Message,
+    Schema,
+    Statistics,
+)
+
+__all__ = [
+    "Attachment",
+    "AttachmentIndex",
+    "Channel",
+    "ChunkIndex",
+    "Message",
+    "Opcode",
+    "Schema",
+    "Statistics",
+]
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -19,36 +44,18 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 FOOTER = struct.Struct("<QQI")
 CHUNK_HEAD = struct.Struct("<QQQI")
 
-HEADER_OP, FOOTER_OP, SCHEMA_OP, CHANNEL_OP, MESSAGE_OP, CHUNK_OP = range(0x01, 0x07)
-MESSAGE_INDEX_OP, CHUNK_INDEX_OP, ATTACHMENT_OP, ATTACHMENT_INDEX_OP = range(0x07, 0x0B)
-STATISTICS_OP, METADATA_OP, METADATA_INDEX_OP, SUMMARY_OFFSET_OP, DATA_END_OP = range(0x0B, 0x10)
 PRIVATE_OP = 0x80
 """Opcodes from here on belong to applications; a reader skips them."""
-
-NAMES = {
-    HEADER_OP: "header",
-    FOOTER_OP: "footer",
-    SCHEMA_OP: "schema",
-    CHANNEL_OP: "channel",
-    MESSAGE_OP: "message",
-    CHUNK_OP: "chunk",
-    MESSAGE_INDEX_OP: "message index",
-    CHUNK_INDEX_OP: "chunk index",
-    ATTACHMENT_OP: "attachment",
-    ATTACHMENT_INDEX_OP: "attachment index",
-    STATISTICS_OP: "statistics",
-    METADATA_OP: "metadata",
-    METADATA_INDEX_OP: "metadata index",
-    SUMMARY_OFFSET_OP: "summary offset",
-    DATA_END_OP: "data end",
-}
 
 Bytes = bytes | bytearray | memoryview
 
 
 def name_of(opcode: int) -> str:
     """Name of a record type for an error message."""
-    return NAMES.get(opcode, f"unknown (opcode 0x{opcode:02x})")
+    try:
+        return Opcode(opcode).name.lower().replace("_", " ")
+    except ValueError:
+        return f"unknown (opcode 0x{opcode:02x})"
 
 
 class FormatError(ValueError):
@@ -56,41 +63,8 @@ class FormatError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Schema:
-    """A message definition."""
-
-    id: int
-    name: str
-    encoding: str
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """A stream of messages on a topic; ``schema_id`` 0 means that it has no schema."""
-
-    id: int
-    topic: str
-    encoding: str
-    schema_id: int
-    metadata: Mapping[str, str]
-
-
-class Message(NamedTuple):
-    """One message; ``data`` is a view into its chunk, valid as long as somebody holds it."""
-
-    channel_id: int
-    log_time: int
-    data: memoryview
-    publish_time: int
-    sequence: int
-    note: Any = None
-    """What the reader was asked to find out about it (see McapReader.messages)."""
-
-
-@dataclass(frozen=True, slots=True)
 class Chunk:
-    """Where a batch of messages lies in the file and what its record claims of it.
+    """Where a chunk of messages lies in the file and what its record claims of it.
 
     A run of messages outside of chunks is described as a chunk too, with ``loose`` set: then
     ``offset`` to ``end`` are bare records, neither compressed nor protected by a checksum.
@@ -122,48 +96,6 @@ class Chunk:
     def holds(self, channels: Iterable[int]) -> bool:
         """Whether any of the channels has a message in here, as far as is known."""
         return self.counts is None or any(i in self.counts for i in channels)
-
-
-@dataclass(frozen=True, slots=True)
-class Attachment:
-    """A file inside the file; the bytes stay there until asked for."""
-
-    name: str
-    media_type: str
-    log_time: int
-    create_time: int
-    data_offset: int
-    data_size: int
-
-
-@dataclass(frozen=True, slots=True)
-class ChunkIndex:
-    """A chunk as the summary has it."""
-
-    start_time: int
-    end_time: int
-    offset: int
-    length: int
-    index_offsets: Mapping[int, int]
-    index_length: int
-    compression: str
-    data_size: int
-    size: int
-
-
-@dataclass(frozen=True, slots=True)
-class Statistics:
-    """The counts that the summary claims."""
-
-    messages: int
-    schemas: int
-    channels: int
-    attachments: int
-    metadata: int
-    chunks: int
-    start_time: int
-    end_time: int
-    counts: Mapping[int, int]
 
 
 class Cursor:
@@ -215,14 +147,21 @@ class Cursor:
 def parse_schema(content: Bytes) -> Schema:
     """Read a schema from the content of its record."""
     at = Cursor(content)
-    return Schema(at.number(2), at.string(), at.string(), bytes(at.take(at.number(4))))
+    ident, name, encoding = at.number(2), at.string(), at.string()
+    return Schema(id=ident, name=name, encoding=encoding, data=bytes(at.take(at.number(4))))
 
 
 def parse_channel(content: Bytes) -> Channel:
     """Read a channel from the content of its record."""
     at = Cursor(content)
-    ident, schema_id = at.number(2), at.number(2)
-    return Channel(ident, at.string(), at.string(), schema_id, at.strings())
+    ident, schema_id, topic, encoding = at.number(2), at.number(2), at.string(), at.string()
+    return Channel(
+        id=ident,
+        schema_id=schema_id,
+        topic=topic,
+        message_encoding=encoding,
+        metadata=at.strings(),
+    )
 
 
 def parse_chunk_index(content: Bytes) -> ChunkIndex:
@@ -232,7 +171,15 @@ def parse_chunk_index(content: Bytes) -> ChunkIndex:
     offsets = dict(at.numbers(2, 8))
     index_length, compression = at.number(8), at.string()
     return ChunkIndex(
-        start, end, offset, length, offsets, index_length, compression, at.number(8), at.number(8)
+        message_start_time=start,
+        message_end_time=end,
+        chunk_start_offset=offset,
+        chunk_length=length,
+        message_index_offsets=offsets,
+        message_index_length=index_length,
+        compression=compression,
+        compressed_size=at.number(8),
+        uncompressed_size=at.number(8),
     )
 
 
@@ -243,7 +190,15 @@ def parse_statistics(content: Bytes) -> Statistics:
     channels, attachments, metadata, chunks = (at.number(4) for _ in range(4))
     start, end, counts = at.number(8), at.number(8), dict(at.numbers(2, 8))
     return Statistics(
-        messages, schemas, channels, attachments, metadata, chunks, start, end, counts
+        message_count=messages,
+        schema_count=schemas,
+        channel_count=channels,
+        attachment_count=attachments,
+        metadata_count=metadata,
+        chunk_count=chunks,
+        message_start_time=start,
+        message_end_time=end,
+        channel_message_counts=counts,
     )
 
 
@@ -270,48 +225,10 @@ def pairs(values: Iterable[tuple[int, int]], layout: str) -> bytes:
     return struct.pack("<I", len(raw)) + raw
 
 
-def build_schema(schema: Schema) -> bytes:
-    """Return the record of a schema."""
-    body = text(schema.name) + text(schema.encoding) + struct.pack("<I", len(schema.data))
-    return record(SCHEMA_OP, struct.pack("<H", schema.id), body, schema.data)
-
-
-def build_channel(channel: Channel) -> bytes:
-    """Return the record of a channel."""
-    body = text(channel.topic) + text(channel.encoding) + texts(channel.metadata)
-    return record(CHANNEL_OP, struct.pack("<HH", channel.id, channel.schema_id), body)
-
-
-def build_chunk_index(index: ChunkIndex) -> bytes:
-    """Return the record of a chunk index."""
-    return record(
-        CHUNK_INDEX_OP,
-        struct.pack("<QQQQ", index.start_time, index.end_time, index.offset, index.length),
-        pairs(index.index_offsets.items(), "HQ"),
-        struct.pack("<Q", index.index_length),
-        text(index.compression),
-        struct.pack("<QQ", index.data_size, index.size),
-    )
-
-
-def build_statistics(stats: Statistics) -> bytes:
-    """Return the record of the statistics."""
-    fixed = struct.pack(
-        "<QHIIIIQQ",
-        stats.messages,
-        stats.schemas,
-        stats.channels,
-        stats.attachments,
-        stats.metadata,
-        stats.chunks,
-        stats.start_time,
-        stats.end_time,
-    )
-    return record(STATISTICS_OP, fixed, pairs(sorted(stats.counts.items()), "HQ"))
-
-
-def build_attachment(name: str, media_type: str, data: Bytes, log_time: int) -> bytes:
-    """Return the record of an attachment; its creation time is said to be unknown (0)."""
-    fixed = struct.pack("<QQ", log_time, 0) + text(name) + text(media_type)
-    content = b"".join((fixed, struct.pack("<Q", len(data)), data))
-    return record(ATTACHMENT_OP, content, struct.pack("<I", zlib.crc32(content)))
+def build(record: McapRecord) -> bytes:
+    """Return the bytes of a record as the library writes it, a channel's metadata sorted."""
+    if isinstance(record, Channel):
+        record = replace(record, metadata=dict(sorted(record.metadata.items())))
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -16,7 +16,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
 from hiros_mcap.io.container.compression import MAX_CHUNK
 from hiros_mcap.io.container.file import LogFile
-from hiros_mcap.io.container.records import FormatError
+from hiros_mcap.io.container.records import FormatError, Opcode
 
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
@@ -37,14 +37,14 @@ class Contents:
     schemas: dict[int, r.Schema] = field(default_factory=dict)
     channels: dict[int, r.Channel] = field(default_factory=dict)
     chunks: list[r.Chunk] = field(default_factory=list)
-    attachments: list[r.Attachment] = field(default_factory=list)
+    attachments: list[r.AttachmentIndex] = field(default_factory=list)
     metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     statistics: r.Statistics | None = None
     has_data_crc: bool = False
 
     def define(self, opcode: int, content: r.Bytes) -> int:
         """Note a schema or channel, return its id; raises FormatError if it had another meaning."""
-        if opcode == r.SCHEMA_OP:
+        if opcode == Opcode.SCHEMA:
             schema = r.parse_schema(content)
             # The format asks readers to ignore a schema with the id that means "none".
             return _put(self.schemas, schema, "schema") if schema.id else 0
@@ -66,7 +66,7 @@ def scan(file: LogFile, *, checksum: bool = True) -> Contents:
 
 
 @dataclass(slots=True)
-class _Run:
+class _LooseMessages:
     """Consecutive messages outside of chunks, to be read as one chunk."""
 
     offset: int
@@ -103,7 +103,7 @@ class _Scan:
         self.at = 0
         self._ahead = b""
         self._ahead_at = 0
-        self._run: _Run | None = None
+        self._run: _LooseMessages | None = None
         self._chunk_indexes: list[r.ChunkIndex] = []
         self._index: dict[int, int] | None = None  # counts by channel, right after a chunk only
         self._index_end = 0
@@ -132,54 +132,58 @@ class _Scan:
 
     def _sections(self) -> None:
         """Walk header, data section, summary and footer."""
-        opcode, body, stop = self._next()
-        if opcode != r.HEADER_OP:
+        opcode, begin, stop = self._next()
+        if opcode != Opcode.HEADER:
             raise FormatError(f"a header is expected, not a {r.name_of(opcode)} record")
-        at = r.Cursor(self._content(body, stop))
+        at = r.Cursor(self._content(begin, stop))
         self.found.profile, self.found.library = at.string(), at.string()
         self.at = stop
-        self._section(self._data_records(), r.DATA_END_OP)
+        self._section(self._data_records(), Opcode.DATA_END)
         self._data_end()
         start = self.at
-        self._section(self._summary_records(), r.FOOTER_OP)
+        self._section(self._summary_records(), Opcode.FOOTER)
         self._footer(start)
 
     def _section(self, known: dict[int, Callable[[int, int], None]], last: int) -> None:
         """Hand every record to its reader until the record that ends the section."""
         while True:
-            opcode, body, stop = self._next()
-            if self._run is not None and opcode not in (r.SCHEMA_OP, r.CHANNEL_OP, r.MESSAGE_OP):
+            opcode, begin, stop = self._next()
+            if self._run is not None and opcode not in (
+                Opcode.SCHEMA,
+                Opcode.CHANNEL,
+                Opcode.MESSAGE,
+            ):
                 self._end_run()
-            if self._index is not None and opcode != r.MESSAGE_INDEX_OP:
+            if self._index is not None and opcode != Opcode.MESSAGE_INDEX:
                 self._end_index()
             if opcode == last:
                 return
             if opcode in known:
-                known[opcode](body, stop)
+                known[opcode](begin, stop)
             elif opcode < r.PRIVATE_OP:
                 raise FormatError(f"a {r.name_of(opcode)} record has no place here")
             self.at = stop
 
     def _data_records(self) -> dict[int, Callable[[int, int], None]]:
         return {
-            r.SCHEMA_OP: self._loose_definition,
-            r.CHANNEL_OP: self._loose_definition,
-            r.MESSAGE_OP: self._loose_message,
-            r.CHUNK_OP: self._chunk,
-            r.MESSAGE_INDEX_OP: self._message_index,
-            r.ATTACHMENT_OP: self._attachment,
-            r.METADATA_OP: self._metadata,
+            Opcode.SCHEMA: self._loose_definition,
+            Opcode.CHANNEL: self._loose_definition,
+            Opcode.MESSAGE: self._loose_message,
+            Opcode.CHUNK: self._chunk,
+            Opcode.MESSAGE_INDEX: self._message_index,
+            Opcode.ATTACHMENT: self._attachment,
+            Opcode.METADATA: self._metadata,
         }
 
     def _summary_records(self) -> dict[int, Callable[[int, int], None]]:
         return {
-            r.SCHEMA_OP: self._definition,
-            r.CHANNEL_OP: self._definition,
-            r.STATISTICS_OP: self._statistics,
-            r.CHUNK_INDEX_OP: self._chunk_index,
-            r.ATTACHMENT_INDEX_OP: self._skip,
-            r.METADATA_INDEX_OP: self._skip,
-            r.SUMMARY_OFFSET_OP: self._skip,
+            Opcode.SCHEMA: self._definition,
+            Opcode.CHANNEL: self._definition,
+            Opcode.STATISTICS: self._statistics,
+            Opcode.CHUNK_INDEX: self._chunk_index,
+            Opcode.ATTACHMENT_INDEX: self._skip,
+            Opcode.METADATA_INDEX: self._skip,
+            Opcode.SUMMARY_OFFSET: self._skip,
         }
 
     # -- bytes ---------------------------------------------------------------------------------
@@ -190,10 +194,10 @@ class _Scan:
         if left < r.HEAD.size:
             raise self._short("before its footer")
         opcode, length = self._fields(self.at, r.HEAD)
-        body = self.at + r.HEAD.size
-        if length > self.file.size - body:
+        begin = self.at + r.HEAD.size
+        if length > self.file.size - begin:
             raise self._short(f"inside a {r.name_of(opcode)} record")
-        return opcode, body, body + length
+        return opcode, begin, begin + length
 
     def _closed(self) -> bool:
         """Whether the file ends as a complete one does."""
@@ -227,34 +231,34 @@ class _Scan:
             return form.unpack(self._peek(offset, form.size))
         return form.unpack_from(self._ahead, start)
 
-    def _content(self, body: int, stop: int) -> bytes:
-        if stop - body > MAX_RECORD:
-            raise FormatError(f"a record of {stop - body} bytes; the limit is {MAX_RECORD}")
-        return self._peek(body, stop - body)
+    def _content(self, begin: int, stop: int) -> bytes:
+        if stop - begin > MAX_RECORD:
+            raise FormatError(f"a record of {stop - begin} bytes; the limit is {MAX_RECORD}")
+        return self._peek(begin, stop - begin)
 
     # -- data section --------------------------------------------------------------------------
 
-    def _skip(self, body: int, stop: int) -> None:
+    def _skip(self, begin: int, stop: int) -> None:
         """Pass over a record that hiros has no use for."""
 
-    def _definition(self, body: int, stop: int) -> None:
+    def _definition(self, begin: int, stop: int) -> None:
         opcode = self._peek(self.at, 1)[0]
-        self.found.define(opcode, self._content(body, stop))
+        self.found.define(opcode, self._content(begin, stop))
 
-    def _loose_definition(self, body: int, stop: int) -> None:
-        self._definition(body, stop)
+    def _loose_definition(self, begin: int, stop: int) -> None:
+        self._definition(begin, stop)
         if self._run is not None:
             self._run.end = stop
 
-    def _loose_message(self, body: int, stop: int) -> None:
+    def _loose_message(self, begin: int, stop: int) -> None:
         """Add a message outside of chunks to the current run of them."""
-        if stop - body < r.MESSAGE_HEAD.size:
+        if stop - begin < r.MESSAGE_HEAD.size:
             raise FormatError("a message record is shorter than its fixed fields")
-        channel, _, time, _ = self._fields(body, r.MESSAGE_HEAD)
+        channel, _, time, _ = self._fields(begin, r.MESSAGE_HEAD)
         if self._run is not None and stop - self._run.offset > _RUN:
             self._end_run()
         if self._run is None:
-            self._run = _Run(self.at, stop, time, time)
+            self._run = _LooseMessages(self.at, stop, time, time)
         run = self._run
         run.end, run.first, run.final = stop, min(run.first, time), max(run.final, time)
         run.counts[channel] += 1
@@ -264,29 +268,29 @@ class _Scan:
         if run is not None:
             self.found.chunks.append(run.chunk())
 
-    def _chunk(self, body: int, stop: int) -> None:
-        at = r.Cursor(self._peek(body, min(stop - body, 128)))
+    def _chunk(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._peek(begin, min(stop - begin, 128)))
         start, end, size, crc = r.CHUNK_HEAD.unpack(at.take(r.CHUNK_HEAD.size))
         compression, data_size = at.string(), at.number(8)
-        if data_size > stop - body - at.at:
+        if data_size > stop - begin - at.at:
             raise FormatError("a chunk's data reach past its record")
         if start > end:
             raise FormatError("a chunk claims to end before it starts")
         if size > MAX_CHUNK:
             raise FormatError(f"a chunk claims {size} bytes uncompressed; the limit is {MAX_CHUNK}")
-        data = body + at.at
+        data = begin + at.at
         self.found.chunks.append(
             r.Chunk(self.at, stop, start, end, size, crc, compression, data, data_size, stop, None)
         )
         self._index = {}
 
-    def _message_index(self, body: int, stop: int) -> None:
+    def _message_index(self, begin: int, stop: int) -> None:
         if self._index is None:
             raise FormatError("a message index does not follow a chunk")
-        if stop - body < _INDEX.size:
+        if stop - begin < _INDEX.size:
             raise FormatError("a message index is shorter than its fixed fields")
-        channel, size = self._fields(body, _INDEX)
-        if size % 16 or size > stop - body - _INDEX.size:
+        channel, size = self._fields(begin, _INDEX)
+        if size % 16 or size > stop - begin - _INDEX.size:
             raise FormatError("a message index does not fit its record")
         if channel in self._index:
             raise FormatError(f"a chunk has two message indexes of channel {channel}")
@@ -300,27 +304,35 @@ class _Scan:
             chunk = self.found.chunks[-1]
             self.found.chunks[-1] = replace(chunk, index_end=self._index_end, counts=index)
 
-    def _attachment(self, body: int, stop: int) -> None:
-        at = r.Cursor(self._peek(body, min(stop - body, _NAMES)))
+    def _attachment(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._peek(begin, min(stop - begin, _NAMES)))
         log_time, create_time = at.number(8), at.number(8)
         name, media_type, size = at.string(), at.string(), at.number(8)
-        data = body + at.at
+        data = begin + at.at
         if size > stop - data - 4:
             raise FormatError("an attachment's data reach past its record")
         crc = int.from_bytes(self.file.read(data + size, 4), "little")
-        if crc and crc != self.file.crc(body, data + size):
+        if crc and crc != self.file.crc(begin, data + size):
             raise FormatError(f"the checksum of the attachment {name!r} is wrong")
         self.found.attachments.append(
-            r.Attachment(name, media_type, log_time, create_time, data, size)
+            r.AttachmentIndex(
+                offset=self.at,
+                length=stop - self.at,
+                log_time=log_time,
+                create_time=create_time,
+                data_size=size,
+                name=name,
+                media_type=media_type,
+            )
         )
 
-    def _metadata(self, body: int, stop: int) -> None:
-        at = r.Cursor(self._content(body, stop))
+    def _metadata(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._content(begin, stop))
         self.found.metadata.append((at.string(), at.strings()))
 
     def _data_end(self) -> None:
-        _, body, stop = self._next()
-        crc = r.Cursor(self._content(body, stop)).number(4)
+        _, begin, stop = self._next()
+        crc = r.Cursor(self._content(begin, stop)).number(4)
         self.found.has_data_crc = crc != 0
         if crc and self.checksum and crc != self.file.crc(0, self.at):
             raise FormatError("the checksum of the data section is wrong")
@@ -328,24 +340,24 @@ class _Scan:
 
     # -- summary -------------------------------------------------------------------------------
 
-    def _statistics(self, body: int, stop: int) -> None:
+    def _statistics(self, begin: int, stop: int) -> None:
         if self.found.statistics is not None:
             raise FormatError("there are two statistics records")
-        self.found.statistics = r.parse_statistics(self._content(body, stop))
+        self.found.statistics = r.parse_statistics(self._content(begin, stop))
 
-    def _chunk_index(self, body: int, stop: int) -> None:
-        self._chunk_indexes.append(r.parse_chunk_index(self._content(body, stop)))
+    def _chunk_index(self, begin: int, stop: int) -> None:
+        self._chunk_indexes.append(r.parse_chunk_index(self._content(begin, stop)))
 
     def _footer(self, start: int) -> None:
-        _, body, stop = self._next()
-        if stop - body != r.FOOTER.size:
+        _, begin, stop = self._next()
+        if stop - begin != r.FOOTER.size:
             raise FormatError("the footer has a wrong length")
-        summary_start, _, crc = r.FOOTER.unpack(self._peek(body, r.FOOTER.size))
+        summary_start, _, crc = r.FOOTER.unpack(self._peek(begin, r.FOOTER.size))
         if summary_start not in (0, start):
             raise FormatError("the footer points to a wrong summary")
         if summary_start == 0 and (self.found.statistics or self._chunk_indexes):
             raise FormatError("the footer denies the summary that is there")
-        if crc and crc != self.file.crc(start, body + 16):
+        if crc and crc != self.file.crc(start, begin + 16):
             raise FormatError("the checksum of the summary is wrong")
         self.at = stop
         if self.file.size - stop < len(r.MAGIC):
@@ -358,7 +370,10 @@ class _Scan:
     def _agreement(self) -> None:
         """Compare what the summary claims to exist with what the walk found."""
         chunks = [chunk for chunk in self.found.chunks if not chunk.loose]
-        claimed = {(i.offset, i.length, i.start_time, i.end_time) for i in self._chunk_indexes}
+        claimed = {
+            (i.chunk_start_offset, i.chunk_length, i.message_start_time, i.message_end_time)
+            for i in self._chunk_indexes
+        }
         actual = {(c.offset, c.end - c.offset, c.start_time, c.end_time) for c in chunks}
         if self._chunk_indexes and (claimed != actual or len(self._chunk_indexes) != len(actual)):
             raise FormatError("the chunk indexes of the summary do not fit the chunks of the log")
@@ -366,7 +381,7 @@ class _Scan:
         if stats is None:
             return
         found = (len(chunks), len(self.found.attachments), len(self.found.metadata))
-        if (stats.chunks, stats.attachments, stats.metadata) != found:
+        if (stats.chunk_count, stats.attachment_count, stats.metadata_count) != found:
             raise FormatError(
                 "the statistics of the summary claim other numbers of chunks, attachments or "
                 f"metadata than {found[0]}, {found[1]} and {found[2]}"

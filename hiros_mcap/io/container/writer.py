@@ -27,6 +27,7 @@ from hiros_mcap.io.container.atomic import OutputFile
 from hiros_mcap.io.container.compression import COMPRESSIONS, compress
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.reader import McapReader
+from hiros_mcap.io.container.records import Opcode
 from hiros_mcap.io.container.scan import scan
 
 CHUNK_SIZE = 2 << 20
@@ -117,7 +118,7 @@ class McapWriter:
         self._waiting: deque[Future[None]] = deque()
         self._out = OutputFile(path, inputs)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="hiros-write")
-        header = r.record(r.HEADER_OP, r.text("ros2"), r.text(f"hiros {__version__}"))
+        header = r.record(Opcode.HEADER, r.text("ros2"), r.text(f"hiros {__version__}"))
         self._submit(self._out.write, r.MAGIC, header)
 
     def __enter__(self) -> Self:
@@ -146,13 +147,14 @@ class McapWriter:
         )
         for channel in (contents.channels[i] for i in sorted(channels)):
             if channel.schema_id:
-                self._define(self.schemas, contents.schemas[channel.schema_id], r.build_schema)
-            self._define(self.channels, channel, r.build_channel)
+                self._define(self.schemas, contents.schemas[channel.schema_id], r.build)
+            self._define(self.channels, channel, r.build)
 
     def add_schema(self, name: str, data: bytes, *, encoding: str = "ros2msg") -> int:
         """Add a message definition and return its id."""
-        schema = r.Schema(self._free(self.schemas, self._reserved[0]), name, encoding, data)
-        self._define(self.schemas, schema, r.build_schema)
+        ident = self._free(self.schemas, self._reserved[0])
+        schema = r.Schema(id=ident, name=name, encoding=encoding, data=data)
+        self._define(self.schemas, schema, r.build)
         return schema.id
 
     def add_channel(
@@ -167,8 +169,14 @@ class McapWriter:
         if schema_id and schema_id not in self.schemas:
             raise ValueError(f"there is no schema {schema_id}")
         ident = self._free(self.channels, self._reserved[1])
-        channel = r.Channel(ident, topic, encoding, schema_id, dict(metadata or {}))
-        self._define(self.channels, channel, r.build_channel)
+        channel = r.Channel(
+            id=ident,
+            topic=topic,
+            message_encoding=encoding,
+            schema_id=schema_id,
+            metadata=dict(metadata or {}),
+        )
+        self._define(self.channels, channel, r.build)
         return ident
 
     def _define(self, table: dict[int, Any], new: Any, build: Callable[[Any], bytes]) -> None:
@@ -261,15 +269,17 @@ class McapWriter:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record; keys are sorted."""
         content = r.text(name) + r.texts(values)
-        self._submit(self._emit_extra, r.record(r.METADATA_OP, content), r.METADATA_INDEX_OP, name)
+        self._submit(
+            self._emit_extra, r.record(Opcode.METADATA, content), Opcode.METADATA_INDEX, name
+        )
 
     def add_attachment(
         self, name: str, data: bytes, media_type: str = "application/octet-stream"
     ) -> None:
         """Add a file; its times are 0, so that the output depends on the input only."""
-        content = r.build_attachment(name, media_type, data, 0)
+        file = r.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
         tail = struct.pack("<QQQ", 0, 0, len(data)) + r.text(name) + r.text(media_type)
-        self._submit(self._emit_extra, content, r.ATTACHMENT_INDEX_OP, tail)
+        self._submit(self._emit_extra, r.build(file), Opcode.ATTACHMENT_INDEX, tail)
 
     def commit(self) -> None:
         """Finish the file, check it and let it appear at ``path``, replacing what was there."""
@@ -349,7 +359,7 @@ class McapWriter:
         batch = self._batch
         at, batch.size = batch.size, end
         _MESSAGE.pack_into(
-            batch.room.data, at, r.MESSAGE_OP, end - at - r.HEAD.size, channel_id, sequence,
+            batch.room.data, at, Opcode.MESSAGE, end - at - r.HEAD.size, channel_id, sequence,
             log_time, publish_time,
         )  # fmt: skip
         batch.index.setdefault(channel_id, []).append((log_time, at))
@@ -373,26 +383,26 @@ class McapWriter:
         start = self._out.offset
         length = len(fixed) + len(packed)
         end = at = start + r.HEAD.size + length
-        parts = [r.HEAD.pack(r.CHUNK_OP, length), fixed, packed]
+        parts = [r.HEAD.pack(Opcode.CHUNK, length), fixed, packed]
         offsets = {}
         for channel, entries in sorted(batch.index.items()):
             offsets[channel] = at
             flat = struct.pack(f"<{2 * len(entries)}Q", *(n for pair in entries for n in pair))
             fixed = struct.pack("<HI", channel, len(flat))
-            parts.append(r.record(r.MESSAGE_INDEX_OP, fixed, flat))
+            parts.append(r.record(Opcode.MESSAGE_INDEX, fixed, flat))
             at += len(parts[-1])
         self._out.write(*parts)
         self._indexes.append(
             r.ChunkIndex(
-                start_time=batch.start_time,
-                end_time=batch.end_time,
-                offset=start,
-                length=end - start,
-                index_offsets=offsets,
-                index_length=self._out.offset - end,
+                message_start_time=batch.start_time,
+                message_end_time=batch.end_time,
+                chunk_start_offset=start,
+                chunk_length=end - start,
+                message_index_offsets=offsets,
+                message_index_length=self._out.offset - end,
                 compression=self._compression,
-                data_size=len(packed),
-                size=batch.size,
+                compressed_size=len(packed),
+                uncompressed_size=batch.size,
             )
         )
 
@@ -409,15 +419,15 @@ class McapWriter:
         self._out.write(raw)
         self._indexes.append(
             r.ChunkIndex(
-                start_time=chunk.start_time,
-                end_time=chunk.end_time,
-                offset=start,
-                length=length,
-                index_offsets=offsets,
-                index_length=len(raw) - length,
+                message_start_time=chunk.start_time,
+                message_end_time=chunk.end_time,
+                chunk_start_offset=start,
+                chunk_length=length,
+                message_index_offsets=offsets,
+                message_index_length=len(raw) - length,
                 compression=chunk.compression,
-                data_size=chunk.data_size,
-                size=chunk.size,
+                compressed_size=chunk.data_size,
+                uncompressed_size=chunk.size,
             )
         )
 
@@ -433,29 +443,29 @@ class McapWriter:
     def _statistics(self) -> r.Statistics:
         kinds = Counter(opcode for opcode, _ in self._extras)
         return r.Statistics(
-            messages=self.counts.total(),
-            schemas=len(self.schemas),
-            channels=len(self.channels),
-            attachments=kinds[r.ATTACHMENT_INDEX_OP],
-            metadata=kinds[r.METADATA_INDEX_OP],
-            chunks=len(self._indexes),
-            start_time=min(self._times, default=0),
-            end_time=max(self._times, default=0),
-            counts={i: n for i, n in self.counts.items() if n},
+            message_count=self.counts.total(),
+            schema_count=len(self.schemas),
+            channel_count=len(self.channels),
+            attachment_count=kinds[Opcode.ATTACHMENT_INDEX],
+            metadata_count=kinds[Opcode.METADATA_INDEX],
+            chunk_count=len(self._indexes),
+            message_start_time=min(self._times, default=0),
+            message_end_time=max(self._times, default=0),
+            channel_message_counts={i: n for i, n in sorted(self.counts.items()) if n},
         )
 
     def _summary(self) -> None:
         """Write the end of data, the summary, its offsets and the footer."""
-        self._out.write(r.record(r.DATA_END_OP, struct.pack("<I", self._out.crc)))
+        self._out.write(r.record(Opcode.DATA_END, struct.pack("<I", self._out.crc)))
         groups = [
-            (r.SCHEMA_OP, [r.build_schema(self.schemas[i]) for i in sorted(self.schemas)]),
-            (r.CHANNEL_OP, [r.build_channel(self.channels[i]) for i in sorted(self.channels)]),
-            (r.STATISTICS_OP, [r.build_statistics(self._statistics())]),
-            (r.CHUNK_INDEX_OP, [r.build_chunk_index(index) for index in self._indexes]),
+            (Opcode.SCHEMA, [r.build(self.schemas[i]) for i in sorted(self.schemas)]),
+            (Opcode.CHANNEL, [r.build(self.channels[i]) for i in sorted(self.channels)]),
+            (Opcode.STATISTICS, [r.build(self._statistics())]),
+            (Opcode.CHUNK_INDEX, [r.build(index) for index in self._indexes]),
         ]
         groups += [
             (opcode, [index for kind, index in self._extras if kind == opcode])
-            for opcode in (r.ATTACHMENT_INDEX_OP, r.METADATA_INDEX_OP)
+            for opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
         ]
         start = self._out.offset
         summary = bytearray()
@@ -463,9 +473,9 @@ class McapWriter:
         for opcode, group in groups:
             if group:
                 place = struct.pack("<BQQ", opcode, start + len(summary), sum(map(len, group)))
-                offsets += r.record(r.SUMMARY_OFFSET_OP, place)
+                offsets += r.record(Opcode.SUMMARY_OFFSET, place)
                 summary += b"".join(group)
-        footer = r.HEAD.pack(r.FOOTER_OP, r.FOOTER.size)
+        footer = r.HEAD.pack(Opcode.FOOTER, r.FOOTER.size)
         footer += struct.pack("<QQ", start, start + len(summary))
         crc = crc32(summary + offsets + footer)
         self._out.write(summary, offsets, footer, struct.pack("<I", crc), r.MAGIC)
