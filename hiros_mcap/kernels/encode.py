@@ -68,7 +68,7 @@ _FORMAT: Any = types.NamedUniTuple(types.int64, 2, Format)  # type: ignore[no-un
 
 
 @kernel
-def _rounded(word: int, dropped: int) -> int:
+def _rounded(word: Any, dropped: int) -> Any:
     """Round the bits of a float64 to the nearest, ties away from zero.
 
     Infinities and NaNs keep their bits. So do finite numbers that would become infinite.
