@@ -20,8 +20,10 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.outputs import check_outputs
-from hiros_mcap.running.observe import DETECTIONS, Observer, Stopwatch
+from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.options import ProcessOptions, Progress, Silent, Watcher
+from hiros_mcap.running.report import Report
+from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import (
     EVENTS_ATTACHMENT,
     LIMBS_ATTACHMENT,
@@ -89,21 +91,21 @@ def process(
     with _open(source, config, options) as log:
         run = _set_up(log, config, options)
         _calibrate_first(log, run, chain)
-        observer = Observer(log, run, chain, watch)
-        observer.notes += unmatched_globs(log, options)
+        observer = Observer(chain)
+        report = Report(log, run, observer, watch, unmatched_globs(log, options))
         with open_output(path, log, run, chain, options) as output:
             sinks = [observer.see, *_shown_to(watcher, log, chain), output.write]
             _consume(_stream(log, run, chain, watch, sinks), log, progress or Silent())
             if options.strict:
-                _refuse_skipped(log, observer)
+                _refuse_skipped(log, report.summary(None))
             with watch.timing("write"):
-                output.commit(observer.summary(None))
+                output.commit(report.summary(None))
             watch.charge("write", output.cpu_s)
         if watcher is not None:
             watcher.end(run.events)
         if options.limbs_out:
             run.limbs.save(options.limbs_out)
-        return observer.summary(None if target is None else str(target))
+        return report.summary(None if target is None else str(target))
 
 
 def camera_positions(log: Log) -> dict[str, Floats]:
@@ -201,9 +203,9 @@ def _consume(blocks: Iterator[Block], log: Log, progress: Progress) -> None:
     progress.update(end - start, end - start)
 
 
-def _refuse_skipped(log: Log, observer: Observer) -> None:
-    """Raise LogError for the first message that was skipped."""
-    for camera in observer.cameras():
+def _refuse_skipped(log: Log, summary: Summary) -> None:
+    """Raise LogError if any message was skipped."""
+    for camera in summary.cameras:
         for reason, n in camera.skipped.items():
             error = log.accounts[camera.topic].first_error
             detail = f" ({error})" if error and reason == DAMAGED else ""

@@ -21,6 +21,7 @@ from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY
 from hiros_mcap.systems import LETTERS, SYSTEMS
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -178,6 +179,63 @@ def test_an_output_may_be_logged_at_the_time_of_its_data(tmp_path: Path) -> None
         for name in ("causal", "stamp")
     ]
     assert scores[0] == scores[1]
+
+
+def states(path: Path, channel: str) -> np.ndarray:
+    """Every number of the markers and links of a channel."""
+    frames, _, _ = read_channel(path, f"/hiros/{channel}")
+    rows = [np.concatenate([f.markers, f.links], axis=1).reshape(-1, STATE) for f in frames]
+    return np.concatenate(rows)
+
+
+def run_to(path: Path, stages: str = "", system: str = "hiros", *assignments: str) -> Path:
+    options = ProcessOptions(system=system, stages=stages, keep=())
+    process(WALKING, path, config=load_config(None, assignments, system=system), options=options)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("system", "stages", "derived"),
+    [
+        ("hiros", "TMOF", "filtered"),
+        ("hiros", "TM", "merged"),
+        ("hiros", "T", "tracked"),
+        ("malaguti", "TMO", "optimized"),
+        ("lee", "TMF", "filtered"),
+    ],
+)
+def test_derivatives_are_in_the_last_channel_of_the_chain(
+    system: str, stages: str, derived: str, tmp_path: Path
+) -> None:
+    out = run_to(tmp_path / "out.mcap", stages, system)
+    for letter in stages:
+        numbers = states(out, LETTERS[letter])
+        assert np.isfinite(numbers[:, VELOCITY]).any() == (LETTERS[letter] == derived)
+        assert np.isfinite(numbers[:, ACCELERATION.start :]).any() <= (LETTERS[letter] == derived)
+        assert np.isfinite(numbers[:, POSITION]).any()
+        assert np.isfinite(numbers[:, ORIENTATION]).any()
+
+
+def test_derivatives_of_all_channels_can_be_written(tmp_path: Path) -> None:
+    out = run_to(tmp_path / "out.mcap", "", "hiros", "output.derivatives=all")
+    for channel in LETTERS.values():
+        assert np.isfinite(states(out, channel)[:, VELOCITY]).any()
+
+
+def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> None:
+    """Stages work on all numbers; only the file holds fewer and rounder ones."""
+    options = "output.derivatives=all", "output.precision=full"
+    small, full = run_to(tmp_path / "small"), run_to(tmp_path / "full", "", "hiros", *options)
+    for channel in LETTERS.values():
+        some, others = states(small, channel), states(full, channel)
+        columns = slice(0, STATE if channel == "filtered" else ORIENTATION.stop)
+        some, others = some[:, columns], others[:, columns]
+        assert np.array_equal(np.isnan(some), np.isnan(others))
+        known = ~np.isnan(some)
+        off = np.abs(some[known] - others[known])
+        assert off.max() > 0
+        assert np.all(off <= np.abs(others[known]) * 2.0**-21)
+    assert small.stat().st_size < 0.3 * full.stat().st_size
 
 
 def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
