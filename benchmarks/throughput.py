@@ -2,8 +2,9 @@
 
     python benchmarks/throughput.py [SECONDS [PEOPLE [CAMERAS]]]
 
-Prints times real time, CPU per merged frame of each step, and peak memory. The log is kept in the
-temporary folder and used again. The first run in a process also loads the compiled kernels.
+Prints times real time, CPU per merged frame of each step, the size of the output and how much of it
+is copied input, and peak memory. The log stays in the temporary folder for the next time. The first
+run of a process also loads the compiled kernels.
 """
 
 from __future__ import annotations
@@ -41,10 +42,12 @@ def main() -> None:
             wall, cpu = time.perf_counter(), time.process_time()
             summary = process(log, Path(out) / "out.mcap")
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            size = (Path(out) / "out.mcap").stat().st_size / 1e6
         frames = summary.written["/hiros/merged"]
         print(
             f"\nwall {wall:.2f} s, CPU {cpu:.2f} s (all threads), "
             f"{summary.log_s / wall:.1f} times real time, "
+            f"output {size:.0f} MB, {log.stat().st_size / 1e6:.0f} MB of it copied, "
             f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB"
         )
         for stage in summary.stages:

@@ -10,7 +10,7 @@ import difflib
 import math
 import textwrap
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from pydantic import Field, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.params import Params, explain
+from hiros_mcap.params import Params, explain, is_advanced
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
 from hiros_mcap.stages.filter import FilterParams
@@ -51,11 +51,22 @@ class OutputParams(Params):
 
     log_time: Literal["causal", "stamp"] = Field(
         "causal",
-        description="Log time of what is written, by which players and ros2 bag play go. causal: "
-        "that of the message which let a result be known, so that a replay shows what a live "
-        "system would have known by then; with the default look-ahead this is seconds after the "
-        "data. stamp: the time of the data, as in the header, so that Foxglove, Lichtblick and "
-        "RViz show results beside the recording.",
+        description="Log time of results, which players and `ros2 bag play` follow. causal: when "
+        "a live system could have produced them, with the default look-ahead seconds after the "
+        "data. stamp: the time of the data, as in the header; Foxglove, Lichtblick and RViz then "
+        "show results beside the recording.",
+    )
+    derivatives: Literal["filtered", "all"] = Field(
+        "filtered",
+        description="Where velocities and accelerations are written. filtered: in the last channel "
+        "of the chain, which is /hiros/filtered if the system filters; the other channels hold "
+        "poses. all: in every channel whose stage knows them.",
+    )
+    precision: Literal["micrometre", "full"] = Field(
+        "micrometre",
+        description="How exactly numbers are written. micrometre: 20 bits of mantissa, which is "
+        "an error of at most 0.5 um at 1 m, 1 um at 2 m; halves the compressed size. full: every "
+        "bit.",
     )
 
 
@@ -298,15 +309,38 @@ def _explained(error: ValidationError, origins: Mapping[tuple[str, ...], str]) -
     return ConfigError(": ".join([*([origin] if origin else []), key, message]))
 
 
-def to_toml(config: Config) -> str:
-    """Return ``config`` as TOML that :func:`load_config` reads back, documented by comments."""
-    blocks = [f"# hiros {__version__}: every parameter, with the value in effect.\n"]
-    for section, field in Config.model_fields.items():
-        blocks.append(f"# {field.description}\n[{section}]\n")
+def to_toml(
+    config: Config, sections: Collection[str] = Config.model_fields, *, everything: bool = True
+) -> str:
+    """Return ``config`` as TOML that :func:`load_config` reads back, documented by comments.
+
+    Parameters
+    ----------
+    sections : those to print, such as :func:`hiros_mcap.systems.sections_of` a system.
+    everything : also print advanced parameters that have their default values.
+    """
+    blocks = [f"# hiros {__version__}: parameters with the values in effect.\n"]
+    hidden = 0
+    for section in (name for name in Config.model_fields if name in sections):
         params: Params = getattr(config, section)
-        schema = params.model_json_schema()["properties"]
-        blocks += [_entry(params, name, schema[name]) for name in type(params).model_fields]
+        names = [
+            name for name in type(params).model_fields if everything or _is_shown(params, name)
+        ]
+        hidden += len(type(params).model_fields) - len(names)
+        if names:
+            schema = params.model_json_schema()["properties"]
+            blocks.append(f"# {Config.model_fields[section].description}\n[{section}]\n")
+            blocks += [_entry(params, name, schema[name]) for name in names]
+    if hidden:
+        blocks.append(f"# {hidden} advanced parameters have their defaults; --all shows them.\n")
     return "\n".join(blocks)
+
+
+def _is_shown(params: Params, name: str) -> bool:
+    """Whether users touch a parameter, or somebody changed it."""
+    field = type(params).model_fields[name]
+    default = field.get_default(call_default_factory=True)
+    return not is_advanced(field) or getattr(params, name) != default
 
 
 def _entry(params: Params, name: str, schema: Mapping[str, Any]) -> str:

@@ -1,18 +1,45 @@
-"""What the stages did besides their output: counted, so that nothing is dropped in silence."""
+"""What the stages did besides their output. Whatever they drop is counted here."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
+from hiros_mcap.summary import quantity
+
 TOO_LATE = "too late to be merged"
-"""Counts whole messages, by source, that no result is made of: the merged time is past theirs."""
+"""Counts messages, by source, that came after their time had been merged."""
+
+COUNTED: Mapping[str, tuple[str, str]] = {
+    "bridged": ("skeleton", "carried on while no camera saw the person"),
+    "calibration rejected": ("calibration", "rejected: limb lengths stay as measured"),
+    "filter: cut-off lowered": ("filter", "with a lower cut-off: the rate is too low"),
+    "filter: time not increasing": ("skeleton", "not filtered: not later than the one before"),
+    "limbs left free": ("limb", "left as measured: their lengths varied too much"),
+    "low confidence": ("detection", "ignored: confidence below track.min_skeleton_confidence"),
+    "no markers": ("detection", "ignored: no marker that is confident enough"),
+    "not confirmed": ("detection", "ignored: seen too briefly or by too few cameras"),
+    "optimizer not converged": ("skeleton", "for which the optimizer stopped early"),
+    "predict: time not increasing": ("skeleton", "not filtered: not later than the one before"),
+    "second body": ("detection", "ignored: the same camera had already reported the person"),
+    "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
+}
+"""Kind of an event that a stage counts -> noun, what happened to it."""
+
+
+def counted(kind: str, n: int) -> str:
+    """Return in words what was counted."""
+    if kind not in COUNTED:
+        return f"{kind}: {n}"
+    noun, what = COUNTED[kind]
+    return f"{quantity(n, noun)} {what}"
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at an instant and that a person may want to see."""
+    """Something that happened at an instant and that a user may want to see."""
 
     stamp: int
     """ns since the epoch."""

@@ -1,4 +1,4 @@
-"""Files that a run writes: which may be replaced, and how none is ever left half written."""
+"""Files that a run writes: which ones it may replace, and how each appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -38,18 +38,17 @@ def check_outputs(
     force: bool = False,
     remedy: str = "force=True",
 ) -> None:
-    """Refuse what must not be written, before a run starts.
+    """Refuse outputs that must not be written, before a run starts.
 
-    A file that hiros wrote is replaced by one of its kind without asking, because trying
-    parameters means running again and the run can always be repeated. So is an empty file
-    (``mktemp``). Anything else may be the only copy of a recording.
+    hiros overwrites its own files by files of the same kind, since a run can be repeated, and
+    empty files (``mktemp``). Anything else may be the only copy of a recording.
 
     Parameters
     ----------
-    outputs : files with what is to become of them; None = not asked for.
+    outputs : files with their kinds; None = not asked for.
     inputs : files that the run reads, or folders with a log in them.
-    force : replace whatever regular file there is, except an input.
-    remedy : how the user would say ``force``.
+    force : replace any regular file except an input.
+    remedy : how the user asks for ``force``.
 
     Raises
     ------
@@ -129,7 +128,7 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a path beside ``path`` to write to; it gets that name when the block succeeds.
 
-    Until then a former file stays what it was, and after an error or a signal nothing is left.
+    Until then an older file stays as it is. An error or a signal leaves nothing behind.
 
     Raises
     ------
@@ -142,8 +141,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(target)
     except OSError as error:
-        said = error.strerror or str(error)
-        raise LogError(f"cannot be written: {said}", path=path) from error
+        fault = error.strerror or str(error)
+        raise LogError(f"cannot be written: {fault}", path=path) from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 _UNKNOWN = "extra_forbidden"
 _PLAIN = {_UNKNOWN: "there is no such key", "missing": "is missing"}
@@ -25,6 +26,11 @@ class Params(BaseModel):
 def advanced(default: Any, **options: Any) -> Any:
     """Return a Field that ``hiros config`` shows only with ``--all``."""
     return Field(default, json_schema_extra={"advanced": True}, **options)
+
+
+def is_advanced(field: FieldInfo) -> bool:
+    """Whether a field was made by :func:`advanced`."""
+    return isinstance(field.json_schema_extra, dict) and "advanced" in field.json_schema_extra
 
 
 def explain(error: ValidationError) -> tuple[list[str], str]:

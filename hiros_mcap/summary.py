@@ -14,7 +14,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class CameraSummary:
-    """What one camera's channel gave and what became of it. ``messages`` = used + skipped."""
+    """What became of the messages of one camera's channel: ``messages`` = used + skipped."""
 
     name: str
     topic: str
@@ -23,13 +23,13 @@ class CameraSummary:
     messages: int
     """Messages read from the channel."""
     used: int
-    """Messages that results are made of."""
+    """Messages that contributed to results."""
     skipped: Mapping[str, int] = field(default_factory=dict)
     """Messages that were left out, by reason: not read, or read and not merged."""
     flips: int = 0
-    """Detections set aside because left and right were swapped."""
+    """Detections left out because left and right were swapped."""
     outliers: int = 0
-    """Markers and links set aside because the other cameras disagreed."""
+    """Markers and links left out because the other cameras disagreed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,10 @@ class LimbSummary:
     """The calibration of one person's limb lengths."""
 
     frames: int
-    """Frames that the lengths were taken from."""
+    """Frames that the lengths were measured in."""
     median_cv: float
-    """Coefficient of variation of half of the links before optimizing; NaN if not measured."""
+    """Median over the links of the coefficient of variation of the measured length; NaN if not
+    measured."""
     worst_cv: float
     """Largest coefficient of variation (standard deviation / mean) of a link's length."""
     worst_link: str
@@ -74,7 +75,7 @@ class PersonSummary:
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """What one step cost: some of them work at the same time."""
+    """What one step cost. Some steps run at the same time."""
 
     name: str
     cpu_s: float
@@ -99,7 +100,7 @@ class Summary:
     written: Mapping[str, int] = field(default_factory=dict)
     """Messages written, by output channel."""
     notes: tuple[str, ...] = ()
-    """What a person should know and nobody asked: warnings, one line each."""
+    """What a user should know: warnings, one line each."""
 
     @property
     def times_real_time(self) -> float:
@@ -127,6 +128,41 @@ class Summary:
         """
         varying = {"source", "target", "wall_s", "times_real_time", "stages"}
         return {key: value for key, value in self.to_dict().items() if key not in varying}
+
+
+CLEANED: Mapping[str, tuple[str, str]] = {
+    "absurd number": ("vector", "left out: infinite, or a number beyond 10000"),
+    "incomplete vector": ("vector", "left out: some of its numbers are missing"),
+    "quaternion of length 0": ("orientation", "left out: a quaternion of length 0"),
+    "quaternion normalised": ("quaternion", "normalized"),
+    "confidence above 1": ("confidence", "above 1 taken as 1"),
+    "negative confidence": ("negative confidence", "taken as not given"),
+}
+"""Kind of a number that cannot be true (see codec.clean) -> noun, what was done about it."""
+
+
+def cleaned(kind: str, n: int) -> str:
+    """Return which numbers could not be true, and what was done about them."""
+    noun, what = CLEANED[kind]
+    return f"{quantity(n, noun)} {what}"
+
+
+def quantity(n: int, noun: str) -> str:
+    """Return a number of things: 1 detection, 14 detections."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def number(value: float, digits: int, unit: str = "") -> str:
+    """Return a number with its unit, a dash for NaN."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}{unit}"
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that fits: 3.2 s, 100.0 s, 1.0 hours, 3.2 years."""
+    for unit, length in (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3_600.0)):
+        if seconds >= length:
+            return f"{seconds / length:.1f} {unit}"
+    return f"{seconds:.1f} s"
 
 
 def plain(record: Any) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Several processes that work through a list of tasks, and stop when they are told to.
+"""Several processes that work through a list of tasks.
 
-A Ctrl-C reaches every process of a terminal. Here the first process alone decides: it stops the
-others, which clean up after themselves and say nothing.
+A Ctrl-C reaches every process of a terminal. The workers ignore it: the first process stops them,
+and they clean up without a message.
 """
 
 from __future__ import annotations
@@ -22,46 +22,46 @@ from hiros_mcap.errors import HirosError
 
 Result = TypeVar("Result")
 
-_PATIENCE_S = 10.0
-_AGAIN_S = 2.0
+_JOIN_S = 10.0
+_RAISE_AGAIN_S = 2.0
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
-_told_to_leave: list[int] = []
-"""The exit code, in a process that the first one has stopped."""
+_exit_codes: list[int] = []
+"""The exit code of a worker that the first process has stopped."""
 _STOPPING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
 _HELD = [*_STOPPING, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else [])]
-"""Those, and that by which a program may put what they mean off."""
+"""Those, and the alarm that :func:`_raise_exit_after` sets."""
 
 
 def run_tasks(
     function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], jobs: int = 0
 ) -> Iterator[tuple[int, Result]]:
-    """Yield (number of the task, what the function gives for it) as they get ready.
+    """Yield (number of the task, result of the function) as they get ready.
 
     Parameters
     ----------
-    function : of a module, so that other processes find it. tasks : its arguments.
-    jobs : processes at once; 0 = one per core that this process may use. With one, everything
-        happens in this process.
+    function : at the top level of a module. tasks : its arguments.
+    jobs : processes at once; 0 = one per core that this process may use. With 1, this process
+        does everything.
 
     Raises
     ------
     HirosError
-        A process was killed. What ``function`` raises is raised here, and the others are stopped.
+        A process was killed. Errors of ``function`` are raised here, and the others are stopped.
     """
     n = min(jobs or _cores(), len(tasks))
     if n <= 1:
         for k, task in enumerate(tasks):
             yield k, function(*task)
         return
-    crew = _Crew()
+    pool = _Pool()
     try:
-        crew.hire(n)
-        yield from crew.work(function, tasks)
+        pool.start(n)
+        yield from pool.work(function, tasks)
     except BaseException:
-        crew.stop()
+        pool.stop()
         raise
     finally:
-        crew.dismiss()
+        pool.close()
 
 
 def _cores() -> int:
@@ -71,18 +71,18 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-class _Crew:
+class _Pool:
     """The processes, each with the pipe to it."""
 
     def __init__(self) -> None:
         self._workers: dict[Connection, SpawnProcess] = {}
 
-    def hire(self, n: int) -> None:
+    def start(self, n: int) -> None:
         """Start ``n`` processes."""
         context = get_context("spawn")
         with _safe_path():
             if os.name == "posix":
-                # Started later, it would lift the block of the signals.
+                # If it were started later, it would unblock the signals.
                 resource_tracker.ensure_running()
             with _signals_held():
                 for _ in range(n):
@@ -95,7 +95,7 @@ class _Crew:
     def work(
         self, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
     ) -> Iterator[tuple[int, Result]]:
-        """Hand out the tasks in order, a new one to whoever is ready."""
+        """Hand out the tasks in order, the next one to the first process that is ready."""
         waiting = iter(enumerate(tasks))
         busy: dict[Connection, int] = {}
         for connection, (k, task) in zip(self._workers, waiting, strict=False):
@@ -116,35 +116,35 @@ class _Crew:
         try:
             connection.send(item)
         except OSError:
-            raise self._lost(connection) from None
+            raise self._ended(connection) from None
 
     def _receive(self, connection: Connection) -> Any:
         try:
             succeeded, result = connection.recv()
         except (EOFError, OSError):
-            raise self._lost(connection) from None
+            raise self._ended(connection) from None
         if not succeeded:
             raise result
         return result
 
-    def _lost(self, connection: Connection) -> HirosError:
+    def _ended(self, connection: Connection) -> HirosError:
         worker = self._workers[connection]
-        worker.join(_PATIENCE_S)
+        worker.join(_JOIN_S)
         code = worker.exitcode or 0
         how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
         return HirosError(f"a process {how}; is there enough memory? --jobs 1 takes the least")
 
     def stop(self) -> None:
-        """Interrupt whoever is at work."""
+        """Interrupt all processes."""
         for worker in self._workers.values():
             worker.terminate()
 
-    def dismiss(self) -> None:
-        """Wait until all have ended, but not for ever."""
+    def close(self) -> None:
+        """Wait until all have ended; kill those that take too long."""
         for connection in self._workers:
             connection.close()
         for worker in self._workers.values():
-            worker.join(_PATIENCE_S)
+            worker.join(_JOIN_S)
             if worker.is_alive():
                 worker.kill()
                 worker.join()
@@ -152,7 +152,7 @@ class _Crew:
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Have processes that are started in the block not take modules from the current folder.
+    """Start processes that import nothing from the current folder.
 
     They get this process's path afterwards.
     """
@@ -169,9 +169,9 @@ def _safe_path() -> Iterator[None]:
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Put signals off, also for processes that are started in the block, for as long as they like.
+    """Block signals, also in processes that are started meanwhile, until these unblock them.
 
-    A process that begins cannot handle a signal yet: it would end with a traceback.
+    A process that is starting cannot handle a signal yet and would end with a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -185,72 +185,72 @@ def _signals_held() -> Iterator[None]:
 
 def _work(connection: Connection) -> None:
     """Do tasks until there are no more, in a process of its own."""
-    _obey()
+    _handle_signals()
     try:
         function = connection.recv()
         while True:
             _answer(connection, function, connection.recv())
     except (EOFError, OSError):
-        return  # the first process has no more tasks, or is gone
+        return  # the first process has no more tasks, or has ended
     except Exception:
-        # Python turns what is raised while it makes a class into an error of its own.
-        if _told_to_leave:
-            raise SystemExit(_told_to_leave[0]) from None
+        # Python wraps an exit that is raised while it creates a class.
+        if _exit_codes:
+            raise SystemExit(_exit_codes[0]) from None
         raise
 
 
-def _obey() -> None:
-    """Leave Ctrl-C to the first process, and end quietly when that says so."""
-    sys.unraisablehook = _only_faults
+def _handle_signals() -> None:
+    """Ignore Ctrl-C, and end without a message when the first process asks for it."""
+    sys.unraisablehook = _report_unraisable
     for signum in _STOPPING:
         if signum == signal.SIGINT:
             signal.signal(signum, signal.SIG_IGN)
         elif signal.getsignal(signum) is not signal.SIG_IGN:
-            signal.signal(signum, _leave)
+            signal.signal(signum, _stop)
     if hasattr(signal, "SIGALRM"):
-        signal.signal(signal.SIGALRM, _insist)
+        signal.signal(signal.SIGALRM, _raise_exit)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _HELD)
 
 
-def _leave(signum: int, _: FrameType | None) -> None:
-    # Nothing shall interrupt the cleaning up. SIG_IGN would make Python complain about a signal
-    # that has already come and waits for its handler.
+def _stop(signum: int, _: FrameType | None) -> None:
+    # Nothing may interrupt the cleaning up. With SIG_IGN, Python would complain about a signal
+    # that has already arrived and waits for its handler.
     for each in _STOPPING:
-        signal.signal(each, _go_on)
-    _told_to_leave.append(128 + signum)
-    _insist_after(_AGAIN_S)
-    raise SystemExit(_told_to_leave[0])
+        signal.signal(each, _ignore)
+    _exit_codes.append(128 + signum)
+    _raise_exit_after(_RAISE_AGAIN_S)
+    raise SystemExit(_exit_codes[0])
 
 
-def _insist_after(seconds: float) -> None:
-    """Leave once more then: some libraries drop the exception, or catch it and go on."""
+def _raise_exit_after(seconds: float) -> None:
+    """Raise the exit again then: some libraries drop the exception or catch it."""
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def _insist(_: int, __: FrameType | None) -> None:
-    _insist_after(_AGAIN_S)
-    raise SystemExit(_told_to_leave[0])
+def _raise_exit(_: int, __: FrameType | None) -> None:
+    _raise_exit_after(_RAISE_AGAIN_S)
+    raise SystemExit(_exit_codes[0])
 
 
-def _go_on(_: int, __: FrameType | None) -> None:
+def _ignore(_: int, __: FrameType | None) -> None:
     """Do nothing."""
 
 
-def _only_faults(unraisable: Any) -> None:
-    """Keep quiet about a ``SystemExit`` that Python dropped, and about what comes of it."""
-    if _told_to_leave and isinstance(unraisable.exc_value, SystemExit):
-        _insist_after(0.01)
-    elif not (_told_to_leave or isinstance(unraisable.exc_value, SystemExit)):
+def _report_unraisable(unraisable: Any) -> None:
+    """Do not report a ``SystemExit`` that Python dropped, nor its consequences."""
+    if _exit_codes and isinstance(unraisable.exc_value, SystemExit):
+        _raise_exit_after(0.01)
+    elif not (_exit_codes or isinstance(unraisable.exc_value, SystemExit)):
         sys.__unraisablehook__(unraisable)
 
 
 def _answer(connection: Connection, function: Callable[..., Any], task: tuple[Any, ...]) -> None:
     try:
         answer = True, function(*task)
-    except Exception as error:  # raised again by whoever asked for the task
-        if _told_to_leave:
+    except Exception as error:  # the first process raises it again
+        if _exit_codes:
             raise
         error.add_note(f"in a process of its own:\n{traceback.format_exc()}")
         answer = False, error

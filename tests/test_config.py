@@ -5,11 +5,19 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
+from pydantic import Field
+from pydantic.fields import FieldInfo
+from pytest import MonkeyPatch
+from stick_figures import MODEL
 
 from hiros_mcap.config import PRESETS, Config, load_config, to_toml
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.systems import SYSTEMS, Run, sections_of, system
 
 
 def test_without_anything_the_defaults_hold() -> None:
@@ -34,6 +42,64 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
             assert field.description, f"{section}.{name} has no description"
             # What it cites, a user must be able to look up: a paper's section, an equation.
             assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
+
+
+class Reads:
+    """A configuration that notes which sections are read."""
+
+    def __init__(self, config: Config) -> None:
+        self.config, self.sections = config, set[str]()
+
+    def __getattr__(self, name: str) -> object:
+        self.sections.add(name)
+        return getattr(self.config, name)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_system_states_the_sections_that_it_reads(name: str) -> None:
+    reads = Reads(load_config(system=name))
+    stages = system(name).stages(Run(MODEL, config=cast(Config, reads)))
+    left_out = {"predict"} if len(stages) > len(system(name).chains[-1]) else set()  # of lee
+    assert reads.sections - left_out == {*system(name).sections}
+    assert sections_of(name) == ("input", "output", *system(name).sections)
+
+
+def test_only_the_sections_asked_for_are_printed() -> None:
+    printed = tomllib.loads(to_toml(Config(), ["filter", "input"]))
+    assert [*printed] == ["input", "filter"]
+
+
+class _Section(Params):
+    common: int = Field(1, description="For users.")
+    rare: int = advanced(2, description="For experts.")
+
+
+@pytest.mark.parametrize(
+    ("values", "everything", "printed"),
+    [
+        ({}, False, {"common": 1}),
+        ({}, True, {"common": 1, "rare": 2}),
+        ({"rare": 3}, False, {"common": 1, "rare": 3}),
+        ({"rare": 2}, False, {"common": 1}),
+    ],
+)
+def test_advanced_parameters_are_printed_if_asked_for_or_changed(
+    values: dict[str, int], everything: bool, printed: dict[str, int], monkeypatch: MonkeyPatch
+) -> None:
+    fields = {"input": FieldInfo(annotation=_Section, description="A section.")}
+    monkeypatch.setattr(Config, "__pydantic_fields__", fields)
+    config = SimpleNamespace(input=_Section(**values))
+    text = to_toml(cast(Config, config), ["input"], everything=everything)
+    assert tomllib.loads(text) == {"input": printed}
+    assert ("1 advanced parameters" in text) == (len(printed) == 1)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_what_config_prints_gives_the_same_configuration(name: str, tmp_path: Path) -> None:
+    config = load_config(overrides=["output.precision=full"], system=name)
+    (tmp_path / "hiros.toml").write_text(to_toml(config, sections_of(name), everything=False))
+    assert load_config(tmp_path / "hiros.toml", system=name) == config
+    assert load_config(tmp_path / "hiros.toml") == config
 
 
 def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:

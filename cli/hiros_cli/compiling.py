@@ -5,44 +5,87 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
+import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+import hiros_mcap
 
 NOTICE = "hiros: compiling kernels for this machine, once (about 20 s with two cores)"
 
+RUN = ("hiros_mcap.running.pipeline",)
+"""What a run imports."""
+ALL = ("hiros_mcap.kernels.*",)
+"""Every kernel."""
+
 _SPACE = 32 << 20  # bytes; all kernels take half of that
-
-RUN = (
-    ("tracking", "averaging", "merging", "record_index"),
-    ("cdr", "encode", "batch", "gathering", "optimizing", "state_space", "link_lengths"),
-)
-"""Modules that a run by the default system needs, in parts that take about as long to compile and
-share nothing that is to be compiled."""
-ALL = (
-    (*RUN[0], "clustering", "joint_filter", "limb_lengths", "predicting"),
-    (*RUN[1], "butterworth", "cleaning", "drawing", "transforming", "distance"),
-)
-"""Every module, in such parts."""
+_PACKAGE = Path(hiros_mcap.__file__).parent
+_KERNELS = "hiros_mcap.kernels."
+_IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 
 
-def prepare(*, quiet: bool, parts: Sequence[Sequence[str]] = ()) -> None:
+def prepare(*, quiet: bool, roots: Sequence[str] = ()) -> None:
     """Announce a compilation that is about to happen. Call before anything imports numba.
 
-    ``parts`` are modules of kernels that will be needed: those that are not compiled yet are
-    compiled here and now, each part in a process of its own.
+    ``roots`` are modules that will be imported. Kernels that they need and that are not compiled
+    yet are compiled now, in several processes.
     """
     from hiros_mcap import kernels
 
     _ensure_writable()
     done = kernels.compiled()
-    needed = [[name for name in part if name not in done] for part in parts]
-    if any(needed) if parts else not done:
+    needed = needed_by(roots, kernels.sources()) if roots else {}
+    missing = {name: text for name, text in needed.items() if name not in done}
+    if missing if roots else not done:
         if not quiet:
             print(NOTICE, file=sys.stderr, flush=True)
-        _compile([(part,) for part in needed if part])
+        _compile([(group,) for group in independent(missing)])
+
+
+def needed_by(roots: Sequence[str], sources: Mapping[str, str]) -> dict[str, str]:
+    """Return those of the ``sources`` of kernels that are compiled when ``roots`` are imported."""
+    if roots == ALL:
+        return dict(sources)
+    found: set[str] = set()
+    waiting = list(roots)
+    while waiting:
+        name = waiting.pop()
+        if name and name not in found:
+            found.add(name)
+            waiting += [name.rpartition(".")[0], *_imports(name)]
+    return {name: text for name, text in sources.items() if _KERNELS + name in found}
+
+
+def _imports(module: str) -> list[str]:
+    """Return what a module imports of this package when it is imported itself."""
+    path = _PACKAGE.joinpath(*module.split(".")[1:])
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return imported(path.read_text()) if path.is_file() else []
+
+
+def imported(source: str) -> list[str]:
+    """Return the modules of this package that a source names in imports at its top level."""
+    modules = []
+    for package, many, few in _IMPORT.findall(source):
+        names = re.findall(r"(\w+)(?: as \w+)?", many or few.partition("#")[0])
+        modules += [package, *(f"{package}.{name}" for name in names)]
+    return modules
+
+
+def independent(sources: Mapping[str, str]) -> list[list[str]]:
+    """Return modules of kernels in groups that do not import each other, the longest first."""
+    groups: list[set[str]] = []
+    for name, text in sources.items():
+        imports = {module.removeprefix(_KERNELS) for module in imported(text)}
+        joined = {name, *(imports & sources.keys())}
+        linked = [group for group in groups if group & joined]
+        groups = [group for group in groups if not group & joined]
+        groups.append(joined.union(*linked))
+    groups.sort(key=lambda group: -sum(len(sources[name]) for name in group))
+    return [sorted(group) for group in groups]
 
 
 def _compile(tasks: Sequence[tuple[Sequence[str]]]) -> None:

@@ -15,7 +15,7 @@ from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.evaluate.match import strangers
 from hiros_mcap.evaluate.paper import Experiments
-from hiros_mcap.text import number
+from hiros_mcap.summary import number
 
 
 def show_truth(

@@ -10,8 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hiros_cli.printable import printable
-from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary
-from hiros_mcap.text import number
+from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary, number
 
 PIPE_WIDTH = 160
 STEPS = ("read", "tracked", "merged", "optimized", "filtered", "write")
@@ -108,12 +107,20 @@ def _limbs(limbs: LimbSummary | None) -> str:
         return "-"
     if not limbs.accepted:
         return f"not calibrated, passed through: {limbs.reason}"
-    worst = f", {limbs.worst_link} {limbs.worst_cv:.0%}" if limbs.worst_link else ""
-    return f"from {limbs.frames} frames, +-{limbs.median_cv:.0%} before{worst}"
+    if not limbs.worst_link:
+        return f"{limbs.frames} frames"
+    return (
+        f"{limbs.frames} frames; raw lengths varied by {_percent(limbs.median_cv)} "
+        f"(worst: {limbs.worst_link}, {_percent(limbs.worst_cv)})"
+    )
+
+
+def _percent(ratio: float) -> str:
+    return number(100 * ratio, 0, " %")
 
 
 def _times(summary: Summary) -> Table:
-    """Return the steps in the order in which a frame passes them, any other at the end."""
+    """Return the steps in the order in which a frame passes them; unknown ones come last."""
     order = {name: k for k, name in enumerate(STEPS)}
     return table(
         "Step",

@@ -17,7 +17,7 @@ from hiros_mcap.evaluate.published import (
     MALAGUTI_MS_PER_PERSON,
     Pair,
 )
-from hiros_mcap.text import number
+from hiros_mcap.summary import number
 
 Rows = list[tuple[str, ...]]
 

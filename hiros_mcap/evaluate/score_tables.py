@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from hiros_mcap.evaluate.leave_one_out import LeftOut
 from hiros_mcap.evaluate.parts import PARTS
 from hiros_mcap.evaluate.scores import ErrorStats, Scores
-from hiros_mcap.text import number
+from hiros_mcap.summary import number
 
 Rows = list[tuple[str, ...]]
 Table = tuple[tuple[str, ...], Rows]

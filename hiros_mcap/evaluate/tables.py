@@ -14,7 +14,7 @@ from hiros_mcap.evaluate.paper import (
 )
 from hiros_mcap.evaluate.published import ANGLES, TIMES
 from hiros_mcap.evaluate.score_tables import pair
-from hiros_mcap.text import number
+from hiros_mcap.summary import number
 
 ANGLE_HEADER = ("People", "Action", *CONFIGURATIONS, "T-TMF", "T-TMOF")
 POSITION_HEADER = (

@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
-from hiros_mcap.skeletons import BOX, STATE, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, Frame, People, SkeletonModel
 
 _FAULTS = {
     cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
@@ -48,6 +48,8 @@ _ENCAPSULATIONS = {
     0x000B: "PL_CDR2_LE (XCDR2)",
 }
 _NOT_TEXT = "message has a string that is not UTF-8"
+Precision = Literal["micrometre", "full"]
+_DROPPED = 32  # of the 52 bits of a mantissa: 20 are left
 
 
 class ModelBuilder:
@@ -407,12 +409,29 @@ def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:
 
 
 class Encoder:
-    """Turns Frames of one model into messages."""
+    """Turns Frames of one model into messages.
 
-    def __init__(self, model: SkeletonModel) -> None:
+    Parameters
+    ----------
+    model : of the frames.
+    derivatives : write velocities and accelerations; else they are NaN in every message.
+    precision : "full" keeps every bit; "micrometre" rounds to 20 bits of mantissa, a relative
+        error of at most 2**-21 (0.5 um at 1 m, 1 um at 2 m), which halves the compressed size.
+    """
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        *,
+        derivatives: bool = True,
+        precision: Precision = "full",
+    ) -> None:
         self.model = model
-        self._tables = model_tables(model)
-        self._most = np.array([model.max_markers, model.max_links], np.int64)
+        self._hierarchy = encode.Hierarchy(
+            np.array([model.max_markers, model.max_links], np.int64), *model_tables(model)
+        )
+        columns = STATE if derivatives else ORIENTATION.stop
+        self._format = encode.Format(columns, 0 if precision == "full" else _DROPPED)
         self._out = np.empty(0, np.uint8)
 
     def encode(self, frame: Frame, source: str | None = None) -> bytes:
@@ -443,29 +462,33 @@ class Encoder:
         message ends, or how many bytes are enough if there is no room for one. Raises as
         :meth:`encode` does.
         """
-        texts: dict[str, tuple[int, int]] = {}
-        joined = b""
-        places = []
-        for pair in zip(block.frame_ids[first:], block.sources[first:], strict=True):
-            for text in pair:
-                if text not in texts:
-                    data = text.encode()
-                    texts[text] = len(joined), len(joined) + len(data)
-                    joined += data
-            places.append((*texts[pair[0]], *texts[pair[1]]))
-        ends = np.empty(len(places), np.int64)
-        people = block.people
+        messages = _messages(block, first)
+        ends = np.empty(len(messages.stamps), np.int64)
         n = encode.encode(
-            out, gap, limit, _as_array(joined), np.array(places, np.int64), block.stamps[first:],
-            block.rows[first:], self._most, *self._tables, people.ids, people.stamps,
-            people.confidences, people.markers, people.marker_confidences, people.links,
-            people.link_confidences, people.boxes, ends,
-        )  # fmt: skip
+            out, gap, limit, messages, self._hierarchy, block.people, self._format, ends
+        )
         if n == -encode.SHAPE:
             raise ValueError("the arrays of the frame do not fit each other or the model")
         if n == -encode.STAMP:
             raise LogError("a stamp lies outside the years 1901 to 2038")
         return -int(n) if n < 0 else ends[:n].tolist()
+
+
+def _messages(block: Block, first: int) -> encode.Messages:
+    """Return what the messages of a block from frame ``first`` on hold besides people."""
+    texts: dict[str, tuple[int, int]] = {}
+    joined = b""
+    places = []
+    for pair in zip(block.frame_ids[first:], block.sources[first:], strict=True):
+        for text in pair:
+            if text not in texts:
+                data = text.encode()
+                texts[text] = len(joined), len(joined) + len(data)
+                joined += data
+        places.append((*texts[pair[0]], *texts[pair[1]]))
+    return encode.Messages(
+        _as_array(joined), np.array(places, np.int64), block.stamps[first:], block.rows[first:]
+    )
 
 
 def _as_array(data: Bytes) -> npt.NDArray[np.uint8]:

@@ -13,10 +13,20 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+
+# A kernel that states its signature; one without is compiled into its callers.
+_SIGNED = re.compile(r"^@(?:kernel|njit)\((?!\s*\w+=)", re.MULTILINE)
+
+
+def sources() -> Mapping[str, str]:
+    """Name -> source of every module that is compiled when it is imported."""
+    texts = {path.stem: path.read_text() for path in sorted(Path(__file__).parent.glob("*.py"))}
+    return {name: text for name, text in texts.items() if _SIGNED.search(text)}
 
 
 def cache_folder() -> Path:

@@ -1,4 +1,4 @@
-"""What a viewer draws of bodies, in its precision: joints, bones, label and root in one pass."""
+"""What a viewer draws of people, in its precision: joints, bones and places of labels."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 Singles = npt.NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _size(largest: float, confidence: float) -> Any:
-    """Size of a joint by its confidence: half for a guess, full if sure or unknown."""
-    sure = 1.0 if isnan(confidence) else min(max(confidence, 0.0), 1.0)
-    return np.float32(largest * (0.5 + 0.5 * sure))
+    """Return a joint's size: half at confidence 0, full at 1 or if it is unknown."""
+    known = 1.0 if isnan(confidence) else min(max(confidence, 0.0), 1.0)
+    return np.float32(largest * (0.5 + 0.5 * known))
 
 
-@njit(
-    "void(float64[:,:,::1], float64[:,::1], int64[::1], float64, float32[:,:,::1], float32[:,::1])",
-    cache=True,
-    nogil=True,
+@kernel(
+    "void(float64[:,:,::1], float64[:,::1], int64[::1], float64, float32[:,:,::1], float32[:,::1])"
 )
 def draw_joints(
     poses: Floats,
@@ -43,13 +41,9 @@ def draw_joints(
             radii[r, m] = _size(largest, confidences[n, m])
 
 
-@njit(
-    "int64(float32[:,:,::1], int32[:,::1], float32[:,:,::1], int32[::1])",
-    cache=True,
-    nogil=True,
-)
+@kernel("int64(float32[:,:,::1], int32[:,::1], float32[:,:,::1], int32[::1])")
 def draw_bones(joints: Singles, ends: Ints, bones: Singles, counts: Ints) -> int:
-    """Write the bones that have both ends, and how many each body has; return how many in all.
+    """Write the bones that have both ends, and how many each pose has; return how many in all.
 
     ``joints`` (R, M, 3), ``ends`` (B, 2) slots, ``bones`` (at least R B, 2, 3), ``counts`` (R,).
     """
@@ -68,9 +62,9 @@ def draw_bones(joints: Singles, ends: Ints, bones: Singles, counts: Ints) -> int
     return total
 
 
-@njit("void(float64[:,:,::1], int64[::1], float64[:,::1])", cache=True, nogil=True)
+@kernel("void(float64[:,:,::1], int64[::1], float64[:,::1])")
 def tops(poses: Floats, rows: Stamps, out: Floats) -> None:
-    """Write the highest point above the middle of each body (R, 3), m; NaN if it has no joint."""
+    """Write the mean x and y and the largest z of each pose (R, 3), m; NaN if it has no joint."""
     for r in range(rows.shape[0]):
         n, known = rows[r], 0
         x, y, z = 0.0, 0.0, -np.inf

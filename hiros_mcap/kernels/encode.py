@@ -9,13 +9,15 @@ large as the largest message of so many people, or nothing is written.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.bytes import copy, store32, store64
+from hiros_mcap.kernels.bytes import load64, store32, store64
 from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel, named_tuple
+from hiros_mcap.skeletons import Floats, People
 
 # Faults of a frame.
 SHAPE = 1
@@ -23,9 +25,57 @@ STAMP = 2
 
 _SLACK = 16
 
-_BYTES = types.Array(types.uint8, 1, "C", readonly=True)
-_I1, _I2 = types.int64[::1], types.int64[:, ::1]
-_F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_ABSENT = np.uint64(0x7FF8000000000000)  # the NaN of numpy
+_SIGN = np.uint64(1 << 63)
+_INFINITY = np.uint64(0x7FF0000000000000)  # every larger magnitude is a NaN
+_ONE = np.uint64(1)
+
+
+class Hierarchy(NamedTuple):
+    """What every message repeats of the skeleton model."""
+
+    most: Table
+    """(2,) max_markers and max_links."""
+    markers: Table
+    links: Table
+    words: Words
+
+
+class Messages(NamedTuple):
+    """What N messages hold besides their people."""
+
+    texts: Bytes
+    places: Table
+    """(N, 4) first byte of ``texts`` and the one after the last, of frame_id and of src_frame."""
+    stamps: Table
+    """(N,) ns."""
+    rows: Table
+    """(N, 2) first row of the people, and the row after the last."""
+
+
+class Format(NamedTuple):
+    """Which numbers are written, and how exactly."""
+
+    columns: int
+    """How many of the numbers of a KinematicState: all, or the pose only. The others are NaN."""
+    dropped: int
+    """How many of the 52 bits of the mantissa are rounded away, the lowest ones."""
+
+
+_HIERARCHY = named_tuple(Hierarchy, I1, I2, I2, types.uint64[::1])
+_MESSAGES = named_tuple(Messages, types.Array(types.uint8, 1, "C", readonly=True), I2, I1, I2)
+_FORMAT: Any = types.NamedUniTuple(types.int64, 2, Format)  # type: ignore[no-untyped-call]
+
+
+@kernel
+def _rounded(word: Any, dropped: int) -> Any:
+    """Round the bits of a float64 to the nearest, ties away from zero.
+
+    Infinities and NaNs keep their bits. So do finite numbers that would become infinite.
+    """
+    unit = _ONE << np.uint64(dropped)
+    magnitude = ((word & ~_SIGN) + (unit >> _ONE)) & ~(unit - _ONE)
+    return word if magnitude >= _INFINITY else magnitude | (word & _SIGN)
 
 
 @kernel
@@ -41,9 +91,20 @@ def _put(out: Bytes, at: int, value: int) -> int:
 
 
 @kernel
-def _put_doubles(out: Bytes, at: int, values: Floats, first: int, n: int) -> int:
-    copy(out, at, values, 8 * first, 8 * n)
+def _put_numbers(out: Bytes, at: int, values: Floats, first: int, n: int, dropped: int) -> int:
+    for k in range(n):
+        store64(out, at + 8 * k, _rounded(load64(values, 8 * (first + k)), dropped))
     return at + 8 * n
+
+
+@kernel
+def _put_state(out: Bytes, at: int, values: Floats, first: int, form: Format) -> int:
+    """Write a KinematicState, of which some columns may be left out."""
+    at = _put_numbers(out, at, values, first, form.columns, form.dropped)
+    for _ in range(STATE - form.columns):
+        store64(out, at, _ABSENT)
+        at += 8
+    return at
 
 
 @kernel
@@ -70,13 +131,27 @@ def _has_seconds(stamp: int) -> bool:
 
 
 @kernel
-def _is_present(states: Floats, confidences: Floats, row: int) -> bool:
+def _is_present(states: Floats, confidences: Floats, row: int, columns: int) -> bool:
+    """Whether any of the numbers that would be written is known."""
     present = not np.isnan(confidences[row])
     k = row * STATE
-    while not present and k < (row + 1) * STATE:
+    while not present and k < row * STATE + columns:
         present = not np.isnan(states[k])
         k += 1
     return present
+
+
+@kernel
+def _put_element(out: Bytes, at: int, table: Table, slot: int, words: Words) -> int:
+    """Write what a marker or a link starts with: its id, its name and a link's ends."""
+    first, length = table[slot, 1], table[slot, 2]
+    for k in range((length + 7) >> 3):
+        store64(out, at + 8 * k, words[first + k])
+    at += length
+    if table.shape[1] == 5:
+        store32(out, at, np.uint32(0))
+        at = _put(out, _put(out, align4(at), table[slot, 3]), table[slot, 4])
+    return _pad8(out, at)
 
 
 @kernel
@@ -88,25 +163,18 @@ def _put_elements(
     states: Floats,
     confidences: Floats,
     person: int,
+    form: Format,
 ) -> int:
     """Write the markers or the links of a person that are present, after their count."""
-    count_at = at
-    count = 0
+    count_at, count = at, 0
     at += 4
     for slot in range(len(table)):
         row = person * len(table) + slot
-        if not _is_present(states, confidences, row):
-            continue
-        count += 1
-        first, length = table[slot, 1], table[slot, 2]
-        for k in range((length + 7) >> 3):
-            store64(out, at + 8 * k, words[first + k])
-        at += length
-        if table.shape[1] == 5:
-            store32(out, at, np.uint32(0))
-            at = _put(out, _put(out, align4(at), table[slot, 3]), table[slot, 4])
-        at = _put_doubles(out, _pad8(out, at), confidences, row, 1)
-        at = _put_doubles(out, at, states, row * STATE, STATE)
+        if _is_present(states, confidences, row, form.columns):
+            count += 1
+            at = _put_element(out, at, table, slot, words)
+            at = _put_numbers(out, at, confidences, row, 1, form.dropped)
+            at = _put_state(out, at, states, row * STATE, form)
     _put(out, count_at, count)
     return at
 
@@ -123,73 +191,69 @@ def _size(n_people: int, texts: int, marker_table: Table, link_table: Table) -> 
 
 
 @kernel
-def _encode(
-    out: Bytes,
-    frame_id: Bytes,
-    source: Bytes,
-    stamp: int,
-    most: Table,
-    marker_table: Table,
-    link_table: Table,
-    words: Words,
-    ids: Ints,
-    stamps: Table,
-    confidences: Floats,
-    flat_markers: Floats,
-    flat_marker_confidences: Floats,
-    flat_links: Floats,
-    flat_link_confidences: Floats,
-    flat_boxes: Floats,
-    begin: int,
-    end: int,
+def _put_person(
+    out: Bytes, at: int, source: Bytes, person: int, model: Hierarchy, flat: People, form: Format
 ) -> int:
-    """Write the message of the people from row ``begin`` to ``end``, which ``out`` has room for."""
-    if not _has_seconds(stamp):
-        return -STAMP
-    at = _put(out, 0, 0x0100)
-    at = _put_string(out, _put_stamp(out, at, stamp), frame_id)
-    at = _put(out, at, end - begin)
+    """Write a person; ``flat`` are arrays of one dimension."""
+    at = _put_stamp(out, _put(out, at, flat.ids[person]), flat.stamps[person])
+    at = _put_string(out, at, source)
+    at = _pad8(out, _put(out, _put(out, at, model.most[0]), model.most[1]))
+    at = _put_numbers(out, at, flat.confidences, person, 1, form.dropped)
+    at = _put_state(out, at, flat.boxes, person * BOX, form)
+    at = _put_numbers(out, at, flat.boxes, person * BOX + STATE, BOX - STATE, form.dropped)
+    at = _put_elements(
+        out, at, model.markers, model.words, flat.markers, flat.marker_confidences, person, form
+    )
+    return _put_elements(
+        out, at, model.links, model.words, flat.links, flat.link_confidences, person, form
+    )
+
+
+@kernel
+def _put_message(
+    out: Bytes, messages: Messages, i: int, model: Hierarchy, flat: People, form: Format
+) -> int:
+    """Write message ``i``, which ``out`` has room for; return its length, or minus a fault."""
+    begin, end = messages.rows[i, 0], messages.rows[i, 1]
+    in_range = _has_seconds(messages.stamps[i])
     for person in range(begin, end):
-        if not _has_seconds(stamps[person]):
-            return -STAMP
-        at = _put_stamp(out, _put(out, at, ids[person]), stamps[person])
-        at = _put_string(out, at, source)
-        at = _pad8(out, _put(out, _put(out, at, most[0]), most[1]))
-        at = _put_doubles(out, at, confidences, person, 1)
-        at = _put_doubles(out, at, flat_boxes, person * BOX, BOX)
-        at = _put_elements(
-            out, at, marker_table, words, flat_markers, flat_marker_confidences, person
-        )
-        at = _put_elements(out, at, link_table, words, flat_links, flat_link_confidences, person)
+        in_range &= _has_seconds(flat.stamps[person])
+    if not in_range:
+        return -STAMP
+    places = messages.places[i]
+    source = messages.texts[places[2] : places[3]]
+    at = _put_stamp(out, _put(out, 0, 0x0100), messages.stamps[i])
+    at = _put(out, _put_string(out, at, messages.texts[places[0] : places[1]]), end - begin)
+    for person in range(begin, end):
+        at = _put_person(out, at, source, person, model, flat, form)
     return at
+
+
+@kernel
+def _fits(people: People, model: Hierarchy) -> bool:
+    """Whether the arrays are for the same people, and for this model."""
+    n, m, n_links = len(people.ids), len(model.markers), len(model.links)
+    return (
+        len(people.stamps) == n and len(people.confidences) == n and people.boxes.shape == (n, BOX)
+        and people.markers.shape == (n, m, STATE) and people.marker_confidences.shape == (n, m)
+        and people.links.shape == (n, n_links, STATE)
+        and people.link_confidences.shape == (n, n_links)
+    )  # fmt: skip
 
 
 @kernel(
     types.int64(
-        types.uint8[::1], types.int64, types.int64, _BYTES, _I2, _I1, _I2, _I1,
-        _I2, _I2, types.uint64[::1], types.int32[::1], _I1, _F1, _F3, _F2, _F3, _F2, _F2, _I1,
+        types.uint8[::1], types.int64, types.int64, _MESSAGES, _HIERARCHY, PEOPLE, _FORMAT, I1
     ),
-)  # fmt: skip
+)
 def encode(
     out: Bytes,
     gap: int,
     limit: int,
-    names: Bytes,
-    name_places: Table,
-    message_stamps: Table,
-    rows: Table,
-    most: Table,
-    marker_table: Table,
-    link_table: Table,
-    words: Words,
-    ids: Ints,
-    stamps: Table,
-    confidences: Floats,
-    markers: Floats,
-    marker_confidences: Floats,
-    links: Floats,
-    link_confidences: Floats,
-    boxes: Floats,
+    messages: Messages,
+    model: Hierarchy,
+    people: People,
+    form: Format,
     ends: Table,
 ) -> int:
     """Write messages, little-endian, one after the other into ``out``.
@@ -198,11 +262,8 @@ def encode(
     ----------
     gap : bytes that are left free before each message.
     limit : no message is begun at this byte of ``out`` or later; the first one is.
-    names, name_places : texts; (N, 4) first byte and the one after the last, of each message's
-        frame_id and of its people's src_frame.
-    message_stamps, rows : (N,) ns; (N, 2) first row of its people, and the row after the last.
-    most : max_markers and max_links.
-    marker_table, link_table, words : of the model. ids to boxes : (P, ...).
+    messages, people : what is written. model : its markers and links.
+    form : which numbers are written, and how exactly.
     ends : (N,) byte after each message that was written.
 
     Returns
@@ -210,32 +271,27 @@ def encode(
     How many messages were written. If there is no room for the first one, minus the size that
     ``out`` must have; -SHAPE or -STAMP for frames that cannot be written.
     """
-    n, m, n_links = len(ids), len(marker_table), len(link_table)
-    if (
-        len(stamps) != n or len(confidences) != n or boxes.shape != (n, BOX)
-        or markers.shape != (n, m, STATE) or marker_confidences.shape != (n, m)
-        or links.shape != (n, n_links, STATE) or link_confidences.shape != (n, n_links)
-    ):  # fmt: skip
+    if not _fits(people, model):
         return -SHAPE
+    flat = People(
+        people.ids, people.stamps, people.confidences, people.markers.reshape(-1),
+        people.marker_confidences.reshape(-1), people.links.reshape(-1),
+        people.link_confidences.reshape(-1), people.boxes.reshape(-1),
+    )  # fmt: skip
     at = 0
-    for i in range(len(rows)):
-        begin, end = rows[i, 0], rows[i, 1]
-        texts = name_places[i, 1] - name_places[i, 0] + name_places[i, 3] - name_places[i, 2]
-        size = at + gap + _size(end - begin, texts, marker_table, link_table)
+    for i in range(len(messages.rows)):
+        places = messages.places[i]
+        texts = places[1] - places[0] + places[3] - places[2]
+        n_people = messages.rows[i, 1] - messages.rows[i, 0]
+        size = at + gap + _size(n_people, texts, model.markers, model.links)
         if i > 0 and (at >= limit or len(out) < size):
             return i
         if len(out) < size:
             return -size
         at += gap
-        length = _encode(
-            out[at:], names[name_places[i, 0] : name_places[i, 1]],
-            names[name_places[i, 2] : name_places[i, 3]], message_stamps[i], most, marker_table,
-            link_table, words, ids, stamps, confidences, markers.reshape(-1),
-            marker_confidences.reshape(-1), links.reshape(-1), link_confidences.reshape(-1),
-            boxes.reshape(-1), begin, end,
-        )  # fmt: skip
+        length = _put_message(out[at:], messages, i, model, flat, form)
         if length < 0:
             return length
         at += length
         ends[i] = at
-    return len(rows)
+    return len(messages.rows)

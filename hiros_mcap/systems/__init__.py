@@ -18,32 +18,68 @@ LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _LEE = ("T", "TM", "TMF")
 
+_HIROS_SECTIONS = ("track", "merge", "optimize", "filter")
+
 SYSTEMS: dict[str, System] = {
     "hiros": System(
         "Hi-ROS 2023: track, merge, optimize, filter, with what real logs need beyond the paper",
         hiros,
         _HIROS,
+        _HIROS_SECTIONS,
     ),
     "hiros-realtime": System(
-        "hiros with the preset realtime: no stage waits for later frames", hiros, _HIROS
+        "hiros with the preset realtime: no stage waits for later frames",
+        hiros,
+        _HIROS,
+        _HIROS_SECTIONS,
     ),
     "malaguti": System(
         "Malaguti 2019: centroids, a Kalman filter per person fed by every message, limb lengths",
         malaguti,
         ("T", "TM", "TMO"),
+        ("associate", "kalman", "straighten"),
     ),
     "openptrack": System(
-        "OpenPTrack's filter per joint, as Malaguti 2019 compares it", openptrack, ("T", "TM")
+        "OpenPTrack's filter per joint, as Malaguti 2019 compares it",
+        openptrack,
+        ("T", "TM"),
+        ("associate", "kalman"),
     ),
-    "maf": System("moving average of each person's last detections", maf, ("T", "TM")),
-    "average": System("plain mean of what the cameras see at one time", average, ("T", "TM")),
-    "raw": System("detections as they are, with ids of the association by centroids", raw, ("T",)),
-    "lee": System("Lee 2022: sides re-arranged, joints clustered, Kalman filter", lee, _LEE),
-    "lee-a1": System("Lee's A1: mean of the cameras", lee, _LEE[:2]),
-    "lee-a2": System("Lee's A2: sides re-arranged, mean of the cameras", lee, _LEE[:2]),
-    "lee-a3": System("Lee's A3: sides re-arranged, DBSCAN", lee, _LEE[:2]),
-    "lee-a4": System("Lee's A4: A3 with the previous position", lee, _LEE[:2]),
-    "lee-a5": System("Lee's A5: A4 and the Kalman filter", lee, _LEE),
+    "maf": System(
+        "moving average of each person's last detections",
+        maf,
+        ("T", "TM"),
+        ("associate", "moving_average"),
+    ),
+    "average": System(
+        "plain mean of what the cameras see at one time",
+        average,
+        ("T", "TM"),
+        ("associate", "merge"),
+    ),
+    "raw": System(
+        "detections as they are, with ids of the association by centroids",
+        raw,
+        ("T",),
+        ("associate",),
+    ),
+    "lee": System(
+        "Lee 2022: sides re-arranged, joints clustered, Kalman filter",
+        lee,
+        _LEE,
+        ("track", "cluster", "predict"),
+    ),
+    "lee-a1": System("Lee's A1: mean of the cameras", lee, _LEE[:2], ("track", "cluster")),
+    "lee-a2": System(
+        "Lee's A2: sides re-arranged, mean of the cameras", lee, _LEE[:2], ("track", "cluster")
+    ),
+    "lee-a3": System("Lee's A3: sides re-arranged, DBSCAN", lee, _LEE[:2], ("track", "cluster")),
+    "lee-a4": System(
+        "Lee's A4: A3 with the previous position", lee, _LEE[:2], ("track", "cluster")
+    ),
+    "lee-a5": System(
+        "Lee's A5: A4 and the Kalman filter", lee, _LEE, ("track", "cluster", "predict")
+    ),
 }
 
 
@@ -58,6 +94,11 @@ def system(name: str) -> System:
     if name not in SYSTEMS:
         raise ConfigError(f"no system {name!r} (there are: {', '.join(SYSTEMS)})")
     return SYSTEMS[name]
+
+
+def sections_of(name: str) -> tuple[str, ...]:
+    """Return the sections of the configuration that a system reads; ConfigError as in system."""
+    return ("input", "output", *system(name).sections)
 
 
 def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
@@ -88,5 +129,6 @@ __all__ = [
     "hiros",
     "lee",
     "merging_order",
+    "sections_of",
     "system",
 ]

@@ -49,3 +49,5 @@ class System:
     runs are neither compiled nor loaded."""
     chains: tuple[str, ...]
     """Legal selections of the stages by their letters (T M O F); the last one is all of them."""
+    sections: tuple[str, ...]
+    """Sections of the configuration that its stages read."""

@@ -9,6 +9,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +19,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_cli.commands.simulate import _params
-from hiros_cli.compiling import ALL, prepare
+from hiros_cli.compiling import ALL, RUN, imported, independent, needed_by, prepare
 from hiros_mcap import kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
@@ -128,27 +130,86 @@ def test_config_prints_what_config_reads(
     assert load_config(path) == load_config(overrides=["filter.cutoff=5"], preset="paper")
 
 
+def test_config_prints_the_sections_of_the_system(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["config", "--system", "malaguti", "--all"]) == 0
+    sections = tomllib.loads(capsys.readouterr().out).keys()
+    assert [*sections] == ["input", "output", "associate", "kalman", "straighten"]
+    assert run(["config", "--system", "nobody"]) == 2
+
+
+def test_config_shows_advanced_parameters_if_asked_or_changed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    printed = []
+    for options in ([], ["--all"]):
+        assert run(["config", *options]) == 0
+        printed.append(capsys.readouterr().out)
+    few, everything = map(tomllib.loads, printed)
+    for section, values in few.items():
+        assert values.keys() <= everything[section].keys()
+    n = sum(map(len, everything.values())) - sum(map(len, few.values()))
+    if n:
+        assert f"# {n} advanced parameters have their defaults; --all shows them." in printed[0]
+
+
 def test_warmup_says_when_it_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["warmup"]) == 0
     assert capsys.readouterr().out.startswith("kernels ready after ")
 
 
-def test_kernels_are_compiled_in_advance_each_by_one_process() -> None:
-    folder = Path(kernels.__file__).parent
-    # Made for its callers only, so that there is nothing to compile.
-    names = {path.stem for path in folder.glob("*.py")} - {"__init__", "bytes", "compile"}
-    assert sorted(chain(*ALL)) == sorted(names)
-    for part in ALL:
-        for name in part:
-            text = (folder / f"{name}.py").read_text()
-            needed = set(re.findall(r"^from hiros_mcap\.kernels\.(\w+)", text, re.MULTILINE))
-            assert needed - {"unaligned"} <= set(part)
+def test_every_kernel_with_a_signature_is_found() -> None:
+    for name, source in kernels.sources().items():
+        module = import_module(f"hiros_mcap.kernels.{name}")
+        compiled = [kernel for kernel in vars(module).values() if getattr(kernel, "signatures", ())]
+        assert compiled, f"{name} compiles nothing when it is imported:\n{source[:300]}"
+    assert not {"bytes", "compile", "__init__"} & kernels.sources().keys()
+
+
+def test_a_run_needs_its_own_kernels_only() -> None:
+    needed = needed_by(RUN, kernels.sources())
+    assert {"tracking", "merging", "optimizing", "filtering", "encode"} <= needed.keys()
+    assert not {"clustering", "predicting", "drawing", "butterworth"} & needed.keys()
+    assert needed_by(ALL, kernels.sources()) == kernels.sources()
+
+
+def test_imports_at_the_top_level_are_found() -> None:
+    source = (
+        "from hiros_mcap.kernels import cdr, batch as b  # both\n"
+        "from hiros_mcap.frames import (\n    Block,\n    join,\n)\n"
+        "import numpy\n"
+        "def f():\n    from hiros_mcap.kernels import drawing\n"
+    )
+    names = imported(source)
+    assert {"hiros_mcap.kernels.cdr", "hiros_mcap.kernels.batch", "hiros_mcap.frames"} <= {*names}
+    assert not any("drawing" in name for name in names)
+
+
+def test_no_kernel_is_compiled_by_two_processes() -> None:
+    sources = kernels.sources()
+    groups = independent(sources)
+    assert sorted(chain(*groups)) == sorted(sources)
+    for group in groups:
+        for name in group:
+            used = {module.rpartition(".")[2] for module in imported(sources[name])}
+            assert used & sources.keys() <= {*group}
+
+
+def test_modules_that_share_a_third_are_compiled_together() -> None:
+    use = "from hiros_mcap.kernels.{} import f"
+    texts = {"a": "", "b": use.format("a"), "c": use.format("a"), "d": "longer than all others" * 9}
+    assert independent(texts) == [["d"], ["a", "b", "c"]]
+
+
+def test_two_cores_share_the_compilation_of_a_run() -> None:
+    sources = needed_by(RUN, kernels.sources())
+    largest = sum(len(sources[name]) for name in independent(sources)[0])
+    assert largest < 0.6 * sum(map(len, sources.values()))
 
 
 def test_a_run_compiles_nothing_that_was_not_compiled_before_it(tmp_path: Path) -> None:
     folder = tmp_path / "kernels"
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    code = "from hiros_cli.compiling import RUN, prepare; prepare(quiet=True, parts=RUN)"
+    code = "from hiros_cli.compiling import RUN, prepare; prepare(quiet=True, roots=RUN)"
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
     compiled = {path.name for path in folder.rglob("*.nb?")}
     assert any(name.startswith("merging.") for name in compiled)

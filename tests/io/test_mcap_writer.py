@@ -150,7 +150,7 @@ def test_messages_can_be_written_where_they_are_to_lie(out):
         return ends
 
     with McapWriter(out, chunk_size=500) as writer:
-        writer._batch.room = writer._batch.room[:50]
+        writer._batch.buffer = writer._batch.buffer[:50]
         channel = writer.add_channel("/a", 0)
         writer.write_into(channel, range(60), fill)
         writer.write(channel, 60, b"last")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +16,17 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 import hiros_mcap
+from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
+from hiros_mcap.events import Events
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.log import open_log
+from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
 from hiros_mcap.systems import LETTERS, SYSTEMS
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -180,6 +186,63 @@ def test_an_output_may_be_logged_at_the_time_of_its_data(tmp_path: Path) -> None
     assert scores[0] == scores[1]
 
 
+def states(path: Path, channel: str) -> np.ndarray:
+    """Every number of the markers and links of a channel."""
+    frames, _, _ = read_channel(path, f"/hiros/{channel}")
+    rows = [np.concatenate([f.markers, f.links], axis=1).reshape(-1, STATE) for f in frames]
+    return np.concatenate(rows)
+
+
+def run_to(path: Path, stages: str = "", system: str = "hiros", *assignments: str) -> Path:
+    options = ProcessOptions(system=system, stages=stages, keep=())
+    process(WALKING, path, config=load_config(None, assignments, system=system), options=options)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("system", "stages", "derived"),
+    [
+        ("hiros", "TMOF", "filtered"),
+        ("hiros", "TM", "merged"),
+        ("hiros", "T", "tracked"),
+        ("malaguti", "TMO", "optimized"),
+        ("lee", "TMF", "filtered"),
+    ],
+)
+def test_derivatives_are_in_the_last_channel_of_the_chain(
+    system: str, stages: str, derived: str, tmp_path: Path
+) -> None:
+    out = run_to(tmp_path / "out.mcap", stages, system)
+    for letter in stages:
+        numbers = states(out, LETTERS[letter])
+        assert np.isfinite(numbers[:, VELOCITY]).any() == (LETTERS[letter] == derived)
+        assert np.isfinite(numbers[:, ACCELERATION.start :]).any() <= (LETTERS[letter] == derived)
+        assert np.isfinite(numbers[:, POSITION]).any()
+        assert np.isfinite(numbers[:, ORIENTATION]).any()
+
+
+def test_derivatives_of_all_channels_can_be_written(tmp_path: Path) -> None:
+    out = run_to(tmp_path / "out.mcap", "", "hiros", "output.derivatives=all")
+    for channel in LETTERS.values():
+        assert np.isfinite(states(out, channel)[:, VELOCITY]).any()
+
+
+def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> None:
+    """Stages work on all numbers; only the file holds fewer and rounder ones."""
+    options = "output.derivatives=all", "output.precision=full"
+    small, full = run_to(tmp_path / "small"), run_to(tmp_path / "full", "", "hiros", *options)
+    for channel in LETTERS.values():
+        some, others = states(small, channel), states(full, channel)
+        columns = slice(0, STATE if channel == "filtered" else ORIENTATION.stop)
+        some, others = some[:, columns], others[:, columns]
+        assert np.array_equal(np.isnan(some), np.isnan(others))
+        known = ~np.isnan(some)
+        off = np.abs(some[known] - others[known])
+        assert off.max() > 0
+        assert np.all(off <= np.abs(others[known]) * 2.0**-21)
+    assert small.stat().st_size < 0.3 * full.stat().st_size
+
+
 def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     process(WALKING, tmp_path / "out.mcap")
     with McapReader(tmp_path / "out.mcap") as reader:
@@ -217,3 +280,76 @@ def test_a_system_or_a_chain_that_does_not_exist() -> None:
         process(WALKING, None, options=ProcessOptions(system="hydra"))
     with pytest.raises(ConfigError, match="system hiros has no chain of stages 'FT'"):
         process(WALKING, None, options=ProcessOptions(stages="FT"))
+
+
+def test_limb_lengths_that_are_given_are_not_measured_again(tmp_path: Path) -> None:
+    given, saved = tmp_path / "given.toml", tmp_path / "saved.toml"
+    process(WALKING, None, options=ProcessOptions(limbs_out=given))
+    longer = LimbTable.load(given)
+    for limbs in longer.people.values():
+        limbs.update(
+            {name: replace(limb, length=1.01 * limb.length) for name, limb in limbs.items()}
+        )
+    longer.save(given)
+    options = ProcessOptions(limbs_in=given, limbs_out=saved)
+    process(
+        WALKING, None, config=load_config(None, ["optimize.calibration=two-pass"]), options=options
+    )
+    assert LimbTable.load(saved).people == LimbTable.load(given).people
+
+
+def topics_of(path: Path) -> list[str]:
+    with McapReader(path) as reader:
+        return sorted(channel.topic for channel in reader.channels.values())
+
+
+def test_transforms_that_a_file_replaces_are_not_copied(tmp_path: Path) -> None:
+    poses = "translation = [0.0, 0.0, 2.0]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
+    with open_log(WALKING) as log:
+        frames = [camera.frames[0] for camera in log.cameras]
+    extrinsics = tmp_path / "cameras.toml"
+    extrinsics.write_text("".join(f'[[camera]]\nframe = "{name}"\n{poses}' for name in frames))
+    process(WALKING, tmp_path / "own")
+    process(WALKING, tmp_path / "file", options=ProcessOptions(extrinsics=extrinsics))
+    assert "/tf_static" in topics_of(tmp_path / "own")
+    assert "/tf_static" not in topics_of(tmp_path / "file")
+
+
+def test_a_result_that_is_processed_again_has_new_results_only(tmp_path: Path) -> None:
+    process(WALKING, tmp_path / "a")
+    process(tmp_path / "a", tmp_path / "b", options=ProcessOptions(keep=("*",)))
+    assert topics_of(tmp_path / "b") == topics_of(tmp_path / "a")
+    assert states(tmp_path / "a", "filtered").shape == states(tmp_path / "b", "filtered").shape
+
+
+def test_a_watcher_sees_every_frame_as_the_stages_made_it(tmp_path: Path) -> None:
+    calls: list[str] = []
+
+    class Sees:
+        def begin(self, log: Log, chain: Sequence[str]) -> None:
+            calls.append(f"begin {','.join(chain)}")
+
+        def frame(self, channel: str, frame: Frame) -> None:
+            calls.append(channel)
+            velocities.setdefault(channel, []).append(frame.velocities)
+
+        def end(self, events: Events) -> None:
+            calls.append("end")
+
+    velocities: dict[str, list[np.ndarray]] = {}
+    options = ProcessOptions(stages="TM")
+    summary = process(WALKING, tmp_path / "out", options=options, watcher=Sees())
+    assert (calls[0], calls[-1]) == ("begin tracked,merged", "end")
+    assert calls.count("merged") == summary.written["/hiros/merged"]
+    assert calls.count("detections") >= calls.count("tracked") > 0
+    assert np.isfinite(np.concatenate(velocities["tracked"])).any()
+
+
+def test_provenance_of_a_plain_mean_says_so(tmp_path: Path) -> None:
+    run_to(tmp_path / "out", "TM", "average")
+    with McapReader(tmp_path / "out") as reader:
+        ((_, provenance),) = reader.contents.metadata
+        config = next(a for a in reader.contents.attachments if a.name == "hiros/config.toml")
+        sections = tomllib.loads(bytes(reader.attachment(config)).decode())
+    assert provenance["merging"] == "mean"
+    assert [*sections] == ["input", "output", "merge", "associate"]

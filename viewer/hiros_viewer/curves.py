@@ -17,7 +17,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.text import number
+from hiros_mcap.summary import number
 from hiros_viewer.figures import RESULT, angle_figure, new_figure, tidy, with_gaps
 from hiros_viewer.page import Page
 from hiros_viewer.scene import limb_links

@@ -12,7 +12,7 @@ from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.evaluate.paper import CONFIGURATIONS, Experiments
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.text import number
+from hiros_mcap.summary import number
 from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, new_figure, tidy
 from hiros_viewer.page import Page
 

@@ -42,7 +42,7 @@ def noise(
     from hiros_mcap.calibrate.noise import measure_noise
     from hiros_mcap.io.log import open_log
     from hiros_mcap.stages.associate import associate
-    from hiros_mcap.text import number
+    from hiros_mcap.summary import number
 
     with open_log(log) as opened:
         start = opened.span[0]

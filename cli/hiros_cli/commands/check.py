@@ -81,7 +81,7 @@ def check(
         for_log={"--golden": golden, "--tolerances": tolerances, "--channel": channel},
         for_suite={"--only": only, "--keep": keep, "--junit": junit, "--markdown": markdown},
     )
-    prepare(quiet=quiet or json, parts=RUN if is_suite else ())
+    prepare(quiet=quiet or json, roots=RUN if is_suite else ())
     if is_suite:
         reports = _Reports(junit, markdown)
         results = _run_suite(

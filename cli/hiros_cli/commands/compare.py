@@ -71,7 +71,7 @@ def compare(
     check_outputs(
         (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
     )
-    prepare(quiet=quiet or json, parts=ALL)
+    prepare(quiet=quiet or json, roots=ALL)
     from hiros_cli.progress import bar
     from hiros_mcap.evaluate.comparison import comparison
 

@@ -46,7 +46,7 @@ def _show(overview: Overview) -> None:
 
     from hiros_cli.printable import printable
     from hiros_cli.run_report import console
-    from hiros_mcap.text import number
+    from hiros_mcap.summary import number
 
     out = console()
     out.print(
@@ -74,7 +74,7 @@ def _channels(overview: Overview) -> Any:
 
 def _cameras(overview: Overview) -> Any:
     from hiros_cli.run_report import table
-    from hiros_mcap.text import number
+    from hiros_mcap.summary import number
 
     return table(
         "Camera",

@@ -106,8 +106,8 @@ def process(
 ) -> None:
     """Track, merge, optimize and filter the skeletons of a multi-camera recording.
 
-    Writes /hiros/tracked, /hiros/merged, /hiros/optimized and /hiros/filtered, with the channels
-    that were read beside them, and prints what was done.
+    Writes /hiros/tracked, /hiros/merged, /hiros/optimized and /hiros/filtered beside the channels
+    that were read, and prints a summary.
     """
     from hiros_cli.compiling import RUN, prepare
     from hiros_cli.output import beside, check_outputs
@@ -122,7 +122,7 @@ def process(
         force=force,
     )
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
-    prepare(quiet=quiet, parts=RUN)
+    prepare(quiet=quiet, roots=RUN)
 
     from hiros_mcap.config import load_config
     from hiros_mcap.running.pipeline import ProcessOptions
@@ -178,7 +178,7 @@ def _live(source: Path) -> AbstractContextManager[Watcher]:
 def _shortcuts(
     fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
 ) -> dict[str, Table]:
-    """Return the parameters that the options with a name of their own stand for."""
+    """Return the parameters that options with a name of their own set."""
     named: dict[str, Table] = {}
     if fixed_frame is not None:
         named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
@@ -200,14 +200,14 @@ def _window(text: str) -> tuple[float, float]:
 
 
 def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> None:
-    """Refuse options about limb lengths that would change nothing."""
-    from hiros_mcap.systems import chain_of
+    """Refuse options on limb lengths that would change nothing."""
+    from hiros_mcap.systems import chain_of, sections_of
 
     if "optimized" not in chain_of(system, stages):
         what = f"--stages {stages}" if stages else f"--system {system}"
         unused, why = set(given), f"{what} optimizes nothing"
-    elif system != "hiros":
-        # Its optimizer finds lengths of its own, which can be saved.
+    elif "optimize" not in sections_of(system):
+        # It calibrates in its own way; the lengths can be saved.
         unused, why = {*given} - {"--save-limbs"}, f"--system {system} has an optimizer of its own"
     elif given["--limbs"]:
         unused, why = {"--two-pass"}, "the limb lengths come from --limbs"

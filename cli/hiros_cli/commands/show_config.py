@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from hiros_cli.options import Assignments, ConfigFile, Preset, SystemName
 
 
@@ -10,11 +14,16 @@ def config(
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also print advanced parameters that nobody changed.")
+    ] = False,
 ) -> None:
-    """Print every parameter with its meaning and value, as TOML that --config reads back."""
+    """Print the parameters of a system with meaning and value, as TOML that --config reads back."""
     from hiros_cli.compiling import prepare
 
     prepare(quiet=False)
     from hiros_mcap.config import load_config, to_toml
+    from hiros_mcap.systems import sections_of
 
-    print(to_toml(load_config(config, assignments or (), preset, system)), end="")
+    effective = load_config(config, assignments or (), preset, system)
+    print(to_toml(effective, sections_of(system), everything=everything), end="")

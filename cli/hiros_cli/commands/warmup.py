@@ -13,8 +13,7 @@ def warmup(quiet: Quiet = False) -> None:
     from hiros_mcap import kernels
 
     started = time.perf_counter()
-    prepare(quiet=quiet, parts=ALL)
-    for part in ALL:
-        kernels.load(part)
+    prepare(quiet=quiet, roots=ALL)
+    kernels.load(list(kernels.sources()))
     if not quiet:
         print(f"kernels ready after {time.perf_counter() - started:.1f} s")

@@ -15,8 +15,8 @@ from isal.isal_zlib import crc32
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.records import Bytes
 
-_BEGIN = 16 << 20
-_PARTS = 64  # POSIX allows 16 at the least, every system of today 1024
+_BEGIN = 16 << 20  # bytes
+_PARTS = 64  # POSIX guarantees 16, every current system 1024
 
 
 def _write(file: FileIO, parts: list[memoryview]) -> int:
@@ -29,11 +29,11 @@ def _write(file: FileIO, parts: list[memoryview]) -> int:
 class OutputFile:
     """A temporary file beside the output, renamed to it by ``publish`` and never left behind.
 
-    The name is ``.hiros-*.tmp`` in the output's folder (a rename does not cross file systems); a
-    run that is killed leaves it there and harms nothing else.
+    Its name is ``.hiros-*.tmp``, in the output's folder because a rename cannot cross file systems.
+    A run that is killed leaves it there and changes nothing else.
 
-    Raises LogError when the output is one of ``inputs`` under whatever name, is not a regular
-    file, or cannot be written.
+    Raises LogError if the output is one of ``inputs`` under any name, is not a regular file, or
+    cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]):
@@ -45,7 +45,7 @@ class OutputFile:
             self._target = Path(os.path.realpath(path))
             self._refuse(inputs)
             self.temp = self._target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
-            # A signal may raise anywhere, even before a caller's `with` has taken over.
+            # A signal may raise anywhere, even before the caller's `with` block begins.
             self._remove = weakref.finalize(self, self.temp.unlink, missing_ok=True)
             # Mode 0666 less the umask, as for any file that a program makes.
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
@@ -54,21 +54,21 @@ class OutputFile:
             raise self._error(error) from None
 
     def write(self, *parts: Bytes) -> None:
-        """Append; ``offset`` and ``crc`` (of everything so far) follow."""
+        """Append, and update ``offset`` and ``crc``, which cover everything so far."""
         try:
             left = [memoryview(part) for part in parts if len(part)]
             for part in left:
                 self.crc = crc32(part, self.crc)
                 self.offset += len(part)
             while left:
-                # All parts at once where the system can: every call hands over the GIL twice.
+                # One system call for all parts: each one releases and takes the GIL.
                 n = _write(self._file, left)
                 while left and n >= len(left[0]):
                     n -= len(left.pop(0))
                 if n:
                     left[0] = left[0][n:]
             if self.offset - self._begun >= _BEGIN and hasattr(os, "posix_fadvise"):
-                # Has the system begin to bring it to the disk, so that `sync` finds little to do.
+                # The system begins to write to the disk, which leaves `sync` little to do.
                 length, start = self.offset - self._begun, self._begun
                 with contextlib.suppress(OSError):  # not every file system takes advice
                     os.posix_fadvise(self._file.fileno(), start, length, os.POSIX_FADV_DONTNEED)
@@ -77,7 +77,7 @@ class OutputFile:
             raise self._error(error) from None
 
     def sync(self) -> None:
-        """Bring everything to the disk and close."""
+        """Write everything to the disk and close."""
         try:
             os.fsync(self._file.fileno())
             self._file.close()
@@ -114,5 +114,5 @@ class OutputFile:
                 raise LogError("is the input; choose another output", path=self.path)
 
     def _error(self, error: Exception) -> LogError:
-        said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        return LogError(f"cannot be written: {said}", path=self.path)
+        fault = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        return LogError(f"cannot be written: {fault}", path=self.path)

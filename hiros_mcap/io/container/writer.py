@@ -1,8 +1,7 @@
 """Writes an MCAP file: chunked, indexed, with every checksum, the same bytes for the same calls.
 
-Messages are laid out, compressed and written by one background thread, in the order of the calls,
-so that neither timing nor the number of cores can change a byte. Neither clock nor host nor path
-gets into the file.
+One background thread encodes, compresses and writes messages in the order of the calls. Timing and
+the number of cores therefore change no byte. Clock, host and paths do not get into the file.
 """
 
 from __future__ import annotations
@@ -40,8 +39,8 @@ _MAX_ID = 0xFFFF
 _MESSAGE = struct.Struct("<BQHIQQ")
 
 
-Room = npt.NDArray[np.uint8]
-Fill = Callable[[Room, int, int, int], list[int] | int]
+Buffer = npt.NDArray[np.uint8]
+Fill = Callable[[Buffer, int, int, int], list[int] | int]
 """See :meth:`McapWriter.write_into`."""
 
 
@@ -59,12 +58,12 @@ class _Batch:
     """The chunk that is being filled, by the background thread alone."""
 
     def __init__(self, size: int) -> None:
-        self.room: Room = np.empty(size, np.uint8)
+        self.buffer: Buffer = np.empty(size, np.uint8)
         """Its records, one after the other, and space for more."""
         self.clear()
 
     def clear(self) -> None:
-        """Begin the next chunk in the same room, which is in the caches."""
+        """Begin the next chunk in the same buffer, which is in the caches."""
         self.size = 0
         self.index: dict[int, list[tuple[int, int]]] = {}
         self.start_time, self.end_time = 2**64, 0
@@ -72,8 +71,8 @@ class _Batch:
     def enlarge(self, size: int) -> None:
         """Make room for ``size`` bytes in all."""
         bigger = np.empty(size, np.uint8)
-        bigger[: self.size] = self.room[: self.size]
-        self.room = bigger
+        bigger[: self.size] = self.buffer[: self.size]
+        self.buffer = bigger
 
 
 class McapWriter:
@@ -136,9 +135,9 @@ class McapWriter:
     # -- definitions ---------------------------------------------------------------------------
 
     def copy_definitions(self, reader: McapReader, channels: Iterable[int]) -> None:
-        """Take over channels with their ids, schemas and metadata.
+        """Copy channels with their ids, schemas and metadata.
 
-        Ids given out later lie above every id of that file, also of channels not taken over.
+        New ids will be larger than every id of that file, also of channels that are not copied.
         """
         contents = reader.contents
         self._reserved = (
@@ -223,13 +222,13 @@ class McapWriter:
             self._hand_over()
 
     def write_into(self, channel_id: int, log_times: Sequence[int], fill: Fill) -> None:
-        """Add messages that ``fill`` writes where they are to lie, which spares a copy.
+        """Add messages that ``fill`` writes into the chunk itself, without a copy.
 
         ``fill(space, first, gap, limit)`` writes messages from number ``first`` on into ``space``,
-        each ``gap`` bytes behind the one before it, the first too, up to the one that reaches byte
-        ``limit`` or for which there is no room. It returns where each of them ends, or, if there is
-        no room for one, how many bytes are enough; then it is called again. The background thread
-        calls it, after this has returned; what it raises is raised by a later call.
+        each ``gap`` bytes behind the one before it, the first too. It stops behind the message that
+        reaches byte ``limit``, or before one that does not fit. It returns where each of them ends.
+        If not even one fits, it returns how many bytes are enough and is called again. The
+        background thread calls it later; a later call of the writer raises its errors.
         """
         self._submit(
             self._fill, channel_id, log_times, self._number(channel_id, len(log_times)), fill
@@ -243,10 +242,10 @@ class McapWriter:
         return self.counts[channel_id] - n
 
     def copy_chunk(self, reader: McapReader, chunk: r.Chunk) -> None:
-        """Copy a chunk's messages of the channels taken over, bytes, times and numbers unchanged.
+        """Copy a chunk's messages of the copied channels; bytes, times and numbers stay.
 
-        If nothing in the chunk is to be left out, the compressed chunk is copied as it is, once
-        it is known to be sound; otherwise its messages are added one by one.
+        A chunk of which everything is kept is checked and copied in its compressed form. Of any
+        other chunk, the messages are added one by one.
         """
         counts = {i: n for i, n in (chunk.counts or {}).items() if n}
         if not any(i in self.channels for i in counts):
@@ -290,7 +289,7 @@ class McapWriter:
         self._out.sync()
         check = LogFile(self._out.temp)
         try:
-            # The checksum is of the very bytes that were handed over; their order is looked at.
+            # The checksum was computed from the bytes written; the order of records is checked.
             scan(check, checksum=False)
         finally:
             check.close()
@@ -322,13 +321,13 @@ class McapWriter:
             self.cpu_s += time.thread_time() - start
 
     def _add(self, singles: list[_Single]) -> None:
-        """Lay out messages that are there already."""
+        """Add messages that are complete."""
         batch = self._batch
         for single in singles:
             end = batch.size + _MESSAGE.size + len(single.data)
-            if len(batch.room) < end:
+            if len(batch.buffer) < end:
                 batch.enlarge(end)
-            batch.room.data[end - len(single.data) : end] = single.data
+            batch.buffer.data[end - len(single.data) : end] = single.data
             self._head(
                 single.channel_id, single.sequence, single.log_time, single.publish_time, end
             )
@@ -336,11 +335,11 @@ class McapWriter:
                 self._flush()
 
     def _fill(self, channel_id: int, log_times: Sequence[int], number: int, fill: Fill) -> None:
-        """Have messages laid out, see :meth:`write_into`; ``number`` is that of the first."""
+        """Let messages be written, see :meth:`write_into`; ``number`` is that of the first."""
         batch, first = self._batch, 0
         while first < len(log_times):
             begin = batch.size
-            ends = fill(batch.room[begin:], first, _MESSAGE.size, self._chunk_size - begin)
+            ends = fill(batch.buffer[begin:], first, _MESSAGE.size, self._chunk_size - begin)
             if isinstance(ends, int):
                 batch.enlarge(begin + ends)
                 continue
@@ -359,7 +358,7 @@ class McapWriter:
         batch = self._batch
         at, batch.size = batch.size, end
         _MESSAGE.pack_into(
-            batch.room.data, at, Opcode.MESSAGE, end - at - r.HEAD.size, channel_id, sequence,
+            batch.buffer.data, at, Opcode.MESSAGE, end - at - r.HEAD.size, channel_id, sequence,
             log_time, publish_time,
         )  # fmt: skip
         batch.index.setdefault(channel_id, []).append((log_time, at))
@@ -376,7 +375,7 @@ class McapWriter:
     def _emit_batch(self) -> None:
         batch = self._batch
         self._times += (batch.start_time, batch.end_time)
-        data = batch.room.data[: batch.size]
+        data = batch.buffer.data[: batch.size]
         packed = compress(data, self._compression)
         head = r.CHUNK_HEAD.pack(batch.start_time, batch.end_time, len(data), crc32(data))
         fixed = head + r.text(self._compression) + struct.pack("<Q", len(packed))
@@ -482,11 +481,11 @@ class McapWriter:
 
 
 class ChunkCopier:
-    """Copies chosen channels of a log chunk by chunk, in step with what is written besides.
+    """Copies chosen channels of a log chunk by chunk, in step with what else is written.
 
     Parameters
     ----------
-    reader, writer : from where and to where; the definitions are taken over at once.
+    reader, writer : source and target; the definitions are copied at once.
     channels : ids of the channels to copy.
     """
 

@@ -7,6 +7,8 @@ strips; it would join those of a LINE_LIST to a single line.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 import hiros_schemas
@@ -21,7 +23,7 @@ from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 MARKERS, LABELS = f"{OUTPUT_PREFIX}/markers", f"{OUTPUT_PREFIX}/labels"
 JOINTS, LOG = f"{OUTPUT_PREFIX}/joint_states", f"{OUTPUT_PREFIX}/log"
 LIFETIME_NS = 250_000_000
-"""Markers vanish by themselves when their person is not there any more."""
+"""Markers vanish by themselves when their person has left."""
 _LINE_STRIP, _TEXT, _ADD = 4, 9, 0
 _INFO, _WARN = 20, 30
 _WIDTH_M, _TEXT_M, _ABOVE_M = 0.03, 0.15, 0.2
@@ -34,7 +36,7 @@ class MarkerExport:
     Parameters
     ----------
     writer : the output. model : of the frames. events : of the run; written as they come.
-    by_stamp : log times are those of the data, not of the message that let them be known.
+    by_stamp : log times are those of the data, not of the message that caused the result.
     """
 
     def __init__(
@@ -94,7 +96,7 @@ def marker_array(frame: Frame, chains: tuple[tuple[int, ...], ...]) -> bytes:
     out = CdrWriter()
     out.uint32(len(strips))
     for person, k, points in strips:
-        _marker(out, frame, f"person {person}", k, _LINE_STRIP, points=points, person=person)
+        _put(out, frame, _Marker(person, f"person {person}", k, _LINE_STRIP, points=points))
     return out.finish()
 
 
@@ -106,7 +108,7 @@ def label_array(frame: Frame) -> bytes:
     out.uint32(len(tops))
     for row, top in tops:
         person = int(frame.ids[row])
-        _marker(out, frame, "names", person, _TEXT, person=person, at=top, text=str(person))
+        _put(out, frame, _Marker(person, "names", person, _TEXT, position=top, text=str(person)))
     return out.finish()
 
 
@@ -130,38 +132,40 @@ def _top(positions: Floats) -> Floats | None:
     return np.array([*known[:, :2].mean(axis=0), known[:, 2].max() + _ABOVE_M])
 
 
-def _marker(
-    out: CdrWriter,
-    frame: Frame,
-    namespace: str,
-    ident: int,
-    kind: int,
-    *,
-    person: int,
-    points: Floats | None = None,
-    at: Floats | None = None,
-    text: str = "",
-) -> None:
-    """One visualization_msgs/Marker, fields in the order of its definition."""
+class _Marker(NamedTuple):
+    """What markers differ in."""
+
+    person: int
+    namespace: str
+    id: int
+    kind: int
+    position: Floats = np.zeros(3)
+    """m."""
+    points: Floats = np.zeros((0, 3))
+    """(K, 3), m."""
+    text: str = ""
+
+
+def _put(out: CdrWriter, frame: Frame, marker: _Marker) -> None:
+    """Write a visualization_msgs/Marker, fields in the order of its definition."""
     out.header(frame.stamp, frame.frame_id)
-    out.string(namespace)
-    out.int32(ident, kind, _ADD)
-    out.array(np.zeros(3) if at is None else at)
+    out.string(marker.namespace)
+    out.int32(marker.id, marker.kind, _ADD)
+    out.array(marker.position)
     out.float64(0.0, 0.0, 0.0, 1.0)
-    out.float64(_WIDTH_M, 0.0, _TEXT_M if kind == _TEXT else 0.0)
-    out.float32(*(part / 255 for part in person_colour(person)), 1.0)
+    out.float64(_WIDTH_M, 0.0, _TEXT_M if marker.kind == _TEXT else 0.0)
+    out.float32(*(part / 255 for part in person_colour(marker.person)), 1.0)
     out.time(LIFETIME_NS)
     out.byte(0)  # frame_locked
-    out.uint32(0 if points is None else len(points))
-    if points is not None:
-        out.array(points)
+    out.uint32(len(marker.points))
+    out.array(marker.points)
     out.uint32(0)  # colors
     out.string("")  # texture_resource
     out.header(0, "")  # texture: format, data
     out.string("")
     out.uint32(0)
     out.uint32(0)  # uv_coordinates
-    out.string(text)
+    out.string(marker.text)
     out.string("")  # mesh_resource
     out.string("")  # mesh_file: filename, data
     out.uint32(0)
@@ -172,12 +176,12 @@ def joint_state(frame: Frame, model: SkeletonModel) -> bytes:
     """sensor_msgs/JointState: the eight flexions of everybody with an id, rad."""
     names: list[str] = []
     angles: list[float] = []
-    bends = flexions(model, frame.positions)
+    flexed = flexions(model, frame.positions)
     for row, person in enumerate(frame.ids.tolist()):
         if person != UNTRACKED:
-            known = [k for k in range(len(ANGLES)) if not np.isnan(bends[row, k])]
+            known = [k for k in range(len(ANGLES)) if not np.isnan(flexed[row, k])]
             names += [f"person_{person}/{ANGLES[k].replace(' ', '_')}" for k in known]
-            angles += [float(bends[row, k]) for k in known]
+            angles += [float(flexed[row, k]) for k in known]
     out = CdrWriter()
     out.header(frame.stamp, frame.frame_id)
     out.strings(names)

@@ -1,0 +1,65 @@
+"""What a run reads and writes, and who follows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from hiros_mcap.events import Events
+from hiros_mcap.io.log import Log
+from hiros_mcap.skeletons import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessOptions:
+    """What is read, run and written, besides the parameters of the stages."""
+
+    system: str = "hiros"
+    """A key of :data:`hiros_mcap.systems.SYSTEMS`."""
+    stages: str = ""
+    """One of the system's chains of T tracker, M merger, O optimizer, F filter; "" = all."""
+    topics: tuple[str, ...] = ()
+    """Globs of the detection channels; empty = every SkeletonGroup channel."""
+    keep: tuple[str, ...] | None = None
+    """Globs of the input channels to copy; None = those read, the transforms and a /truth."""
+    extrinsics: Path | None = None
+    """File with the cameras' poses. It replaces the log's transforms."""
+    limbs_in: Path | None = None
+    """File with limb lengths of an earlier session."""
+    limbs_out: Path | None = None
+    """Where to save the limb lengths."""
+    strict: bool = False
+    """Refuse a log if any of its messages has to be skipped."""
+    markers: bool = False
+    """Also write the last stage as MarkerArray and JointState, and the events as Log."""
+    compression: str = "zstd"
+    """Of the output: zstd, lz4 or "" for none."""
+
+
+class Progress(Protocol):
+    """Follows how far a run is."""
+
+    def update(self, done: int, total: int) -> None:
+        """Take note that ``done`` of ``total`` ns of the log are done."""
+
+
+class Silent:
+    """A progress that nobody follows."""
+
+    def update(self, done: int, total: int) -> None:
+        """Do nothing."""
+
+
+class Watcher(Protocol):
+    """Sees every frame while a run goes on, such as a live view."""
+
+    def begin(self, log: Log, chain: Sequence[str]) -> None:
+        """Take note of the log that is read, and of the output channels."""
+
+    def frame(self, channel: str, frame: Frame) -> None:
+        """Show a frame of "detections", in the fixed frame, or of a stage. Not to be changed."""
+
+    def end(self, events: Events) -> None:
+        """Show what happened, after the last frame."""

@@ -1,0 +1,137 @@
+"""The summary of a run: cameras, people, times, and notes on what a user should know."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.events import TOO_LATE, counted
+from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.io.log import Account, CameraChannel, Log
+from hiros_mcap.running.observe import Observer, Presence, clock_notes
+from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.summary import (
+    CameraSummary,
+    LimbSummary,
+    PersonSummary,
+    StageTime,
+    Summary,
+    cleaned,
+)
+from hiros_mcap.systems import Run
+
+_IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
+"""Kinds of events that a summary's tables count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What is known of a run; it can be asked again while the run goes on."""
+
+    log: Log
+    run: Run
+    observer: Observer
+    watch: Stopwatch
+    notes: Sequence[str] = ()
+    """What the summary says first."""
+
+    def summary(self, target: str | None) -> Summary:
+        """Return everything that is known so far."""
+        start, end = self.log.span
+        people, chain, cpu = self.observer.people, self.observer.chain, self.watch.cpu
+        steps = [name for name in ("read", *chain, "write") if name in cpu]
+        return Summary(
+            source=str(self.log.path),
+            target=target,
+            log_s=(end - start) * 1e-9,
+            wall_s=time.perf_counter() - self.watch.started,
+            cameras=tuple(map(self._camera, self.log.cameras)),
+            people=tuple(self._person(i, people[i]) for i in sorted(people)),
+            stages=tuple(StageTime(name, cpu[name]) for name in steps),
+            written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
+            notes=tuple(self._all_notes()),
+        )
+
+    def _camera(self, camera: CameraChannel) -> CameraSummary:
+        """Return what became of a camera's messages."""
+        counts, clocks = self.run.events.counts, self.observer.clocks
+        account = self.log.accounts[camera.channel.topic]
+        sources = sorted(camera.sources.values())
+        rates = [clocks[source].rate for source in sources if source in clocks]
+        # Cameras that share messages: the one that lost most, since each lost a part of them.
+        late = max(counts[TOO_LATE, source] for source in sources)
+        return CameraSummary(
+            name=", ".join(sources),
+            topic=camera.channel.topic,
+            rate_hz=sum(rates) / len(rates) if rates else math.nan,
+            messages=account.read,
+            used=account.used - late,
+            skipped={**account.skipped, **({TOO_LATE: late} if late else {})},
+            flips=sum(counts["flip", source] for source in sources),
+            outliers=sum(counts["outlier", source] for source in sources),
+        )
+
+    def _person(self, person: int, presence: Presence) -> PersonSummary:
+        return PersonSummary(
+            id=person,
+            first_ns=presence.first,
+            last_ns=presence.last,
+            frames=presence.frames,
+            cameras=self.observer.cameras_of(person),
+            limbs=self._limbs(person),
+        )
+
+    def _limbs(self, person: int) -> LimbSummary | None:
+        if "optimized" not in self.observer.chain:
+            return None
+        if limbs := self.run.limbs.people.get(person):
+            variation = {name: limb.deviation / limb.length for name, limb in limbs.items()}
+            worst = max(variation, key=lambda name: variation[name])
+            frames = max(limb.frames for limb in limbs.values())
+            median = float(np.median(list(variation.values())))
+            return LimbSummary(frames, median, variation[worst], worst, accepted=True)
+        for event in reversed(self.run.events.log):
+            if event.kind == "calibration rejected" and event.person == person:
+                return LimbSummary(0, math.nan, math.nan, "", accepted=False, reason=event.detail)
+        return None
+
+    def _all_notes(self) -> Iterator[str]:
+        """Yield what nobody asked for but should know."""
+        yield from self.notes
+        yield from self.log.remarks
+        if not self.observer.people:
+            yield from self.observer.sample.reasons()
+        for account in self.log.accounts.values():
+            yield from _input_notes(account)
+        totals: Counter[str] = Counter()
+        for (kind, _), n in self.run.events.counts.items():
+            totals[kind] += n
+        for kind in sorted(totals.keys() - _IN_TABLES):
+            yield counted(kind, totals[kind])
+        windows = self.run.config.optimize.calibration_windows
+        measured = self.run.limbs.people or totals["calibration rejected"]
+        optimized = self.observer.people and "optimized" in self.observer.chain
+        if windows and optimized and not measured:
+            yield "limb lengths: nobody was seen in the calibration windows"
+        yield from clock_notes(self.observer.clocks)
+
+
+def _input_notes(account: Account) -> Iterator[str]:
+    """Yield what was odd in the messages of a topic."""
+    topic = account.topic
+    if account.stale:
+        yield f"{topic}: {account.stale} stale repeats of a skeleton left out"
+    for kind, n in sorted(account.cleaned.items()):
+        yield f"{topic}: {cleaned(kind, n)}"
+    if account.untimed:
+        yield (
+            f"{topic}: {account.untimed} messages have no time, or one before 1970; hiros uses "
+            "their log time"
+        )
+    if account.first_error:
+        yield f"{topic}: first fault of a message: {account.first_error}"

@@ -1,0 +1,179 @@
+"""Writes the output log: copied input, one channel per stage, and how it came about."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from hiros_mcap._version import __version__
+from hiros_mcap.config import to_toml
+from hiros_mcap.frames import Block
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import ChunkCopier, McapWriter
+from hiros_mcap.io.log import Log
+from hiros_mcap.running.observe import DETECTIONS
+from hiros_mcap.running.options import ProcessOptions
+from hiros_mcap.summary import Summary
+from hiros_mcap.systems import LETTERS, Run, merging_order, sections_of
+
+LIMBS_ATTACHMENT = "hiros/limbs.toml"
+EVENTS_ATTACHMENT = "hiros/events.json"
+
+
+class Output(Protocol):
+    """Where the frames of a run go."""
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the background thread, s."""
+
+    def write(self, channel: str, block: Block) -> None:
+        """Write what came out of a stage, or went into the first one ("detections")."""
+
+    def commit(self, summary: Summary) -> None:
+        """Finish the log and let it appear under its name."""
+
+
+class NoOutput:
+    """A run of which only the summary is wanted."""
+
+    cpu_s = 0.0
+
+    def write(self, channel: str, block: Block) -> None:
+        """Do nothing."""
+
+    def commit(self, summary: Summary) -> None:
+        """Do nothing."""
+
+
+@contextmanager
+def open_output(
+    target: Path | None, log: Log, run: Run, chain: Sequence[str], options: ProcessOptions
+) -> Iterator[Output]:
+    """Yield the output of a run; nothing appears at ``target`` without a commit.
+
+    Raises
+    ------
+    LogError
+        ``target`` is the input or cannot be written.
+    """
+    if target is None:
+        yield NoOutput()
+        return
+    with McapWriter(target, inputs=[log.path], compression=options.compression) as writer:
+        yield LogOutput(writer, log, run, chain, options)
+
+
+class LogOutput:
+    """An MCAP file with the input and the results."""
+
+    def __init__(
+        self,
+        writer: McapWriter,
+        log: Log,
+        run: Run,
+        chain: Sequence[str],
+        options: ProcessOptions,
+    ) -> None:
+        params = run.config.output
+        self._writer, self._run, self._chain = writer, run, chain
+        self._copier = ChunkCopier(log.reader, writer, kept_channels(log, options))
+        self._channels = {
+            name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
+        }
+        self._encoders = {
+            name: Encoder(
+                log.model,
+                derivatives=params.derivatives == "all" or name == chain[-1],
+                precision=params.precision,
+            )
+            for name in chain
+        }
+        self._by_stamp = params.log_time == "stamp"
+        self._input_messages = log.reader.counts
+        self._export = None
+        if options.markers:
+            from hiros_mcap.io.export.markers import MarkerExport
+
+            self._export = MarkerExport(writer, log.model, run.events, by_stamp=self._by_stamp)
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the writer's thread, s."""
+        return self._writer.cpu_s
+
+    def write(self, channel: str, block: Block) -> None:
+        """Write the frames of a stage, behind the input up to that time."""
+        if channel == DETECTIONS:
+            return
+        self._copier.until(int(block.log_times[0]))
+        times = block.stamps if self._by_stamp else block.log_times
+        fill = partial(self._encoders[channel].encode_into, block)
+        self._writer.write_into(self._channels[channel], times.tolist(), fill)
+        if self._export is not None and channel == self._chain[-1]:
+            for frame in block.frames():
+                self._export.write(frame)
+
+    def commit(self, summary: Summary) -> None:
+        """Copy the rest of the input, add the provenance, and let the file appear."""
+        self._copier.finish()
+        self._add_provenance(summary)
+        self._writer.commit()
+
+    def _add_provenance(self, summary: Summary) -> None:
+        """Add how the file came about; nothing that differs from run to run."""
+        run, writer = self._run, self._writer
+        sections = sections_of(run.system)
+        config = to_toml(run.config, sections).encode()
+        provenance = {
+            "version": __version__,
+            "system": run.system,
+            "stages": ",".join(self._chain),
+            "fixed_frame": run.fixed_frame,
+            "config_sha256": hashlib.sha256(config).hexdigest(),
+            "input_messages": str(sum(self._input_messages.values())),
+        }
+        if "merge" in sections and LETTERS["M"] in self._chain:
+            provenance["merging"] = ",".join(merging_order(run.config.merge))
+        writer.add_metadata("hiros.provenance", provenance)
+        writer.add_attachment("hiros/config.toml", config, "application/toml")
+        writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
+        writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")
+        report = json.dumps(summary.reproducible(), indent=1, sort_keys=True)
+        writer.add_attachment("hiros/report.json", report.encode(), "application/json")
+
+
+def kept_channels(log: Log, options: ProcessOptions) -> list[int]:
+    """Return the ids of the input channels that are copied."""
+    if options.keep is None:
+        read = {camera.channel.id for camera in log.cameras}
+        # Transforms that a file replaced would contradict the result.
+        transforms = () if options.extrinsics else TF_TOPICS
+        return [
+            i.id
+            for i in log.channels
+            if i.id in read or i.topic in transforms or i.topic.startswith(f"{TRUTH_PREFIX}/")
+        ]
+    outputs = {f"{OUTPUT_PREFIX}/{name}" for name in LETTERS.values()}
+    return [
+        info.id
+        for info in log.channels
+        if info.topic not in outputs and any(fnmatchcase(info.topic, g) for g in options.keep)
+    ]
+
+
+def unmatched_globs(log: Log, options: ProcessOptions) -> list[str]:
+    """Return a note for each glob of ``keep`` that fits no channel."""
+    topics = [info.topic for info in log.channels]
+    return [
+        f"keep: the log has no channel {glob}"
+        for glob in options.keep or ()
+        if not any(fnmatchcase(topic, glob) for topic in topics)
+    ]

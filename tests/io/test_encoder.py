@@ -1,0 +1,151 @@
+"""What the encoder leaves out, and how it rounds."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hiros_mcap.io.codec import Decoder, Encoder
+from hiros_mcap.skeletons import STATE, Frame, SkeletonModel
+
+MODEL = SkeletonModel.of(["HEAD", "NECK"], [("HEAD_LINK", 1, 0)])
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False)
+VALUES = st.floats(-4.0, 4.0)
+
+
+def frame_of(value: float) -> Frame:
+    """One person all of whose numbers are ``value``."""
+    frame = Frame.empty(1, MODEL, source="cam", frame_id="map")
+    for array in (frame.confidences, frame.markers, frame.marker_confidences, frame.links,
+                  frame.link_confidences, frame.boxes):  # fmt: skip
+        array.fill(value)
+    return frame
+
+
+def written(frame: Frame, **options: Any) -> Frame:
+    return Decoder(MODEL).decode(Encoder(MODEL, **options).encode(frame), 0)
+
+
+def rounded(value: float) -> float:
+    return float(written(frame_of(value), precision="micrometre").markers[0, 0, 0])
+
+
+def bits(value: float) -> int:
+    (word,) = struct.unpack("<Q", struct.pack("<d", value))
+    return int(word)
+
+
+def double(word: int) -> float:
+    (value,) = struct.unpack("<d", struct.pack("<Q", word))
+    return float(value)
+
+
+@settings(deadline=None, max_examples=60)
+@given(DOUBLES.filter(lambda x: abs(x) > 1e-300))
+def test_rounding_keeps_20_bits_of_the_mantissa_and_takes_the_nearest(value: float) -> None:
+    new = rounded(value)
+    assert abs(new - value) <= abs(value) * 2.0**-21 or bits(new) == bits(value)
+    assert bits(new) & 0xFFFFFFFF == 0 or abs(value) > 1.79e308
+    assert rounded(-value) == -new
+
+
+@settings(deadline=None, max_examples=60)
+@given(VALUES)
+def test_a_coordinate_in_a_laboratory_moves_by_less_than_a_micrometre(value: float) -> None:
+    assert abs(rounded(value) - value) < 1e-6
+
+
+@settings(deadline=None, max_examples=40)
+@given(DOUBLES)
+def test_what_was_rounded_is_not_rounded_again(value: float) -> None:
+    assert bits(rounded(rounded(value))) == bits(rounded(value))
+
+
+@settings(deadline=None, max_examples=40)
+@given(VALUES, st.floats(0, 1e-6))
+def test_rounding_keeps_the_order(value: float, step: float) -> None:
+    assert rounded(value) <= rounded(value + step)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.5, 0.75, 1.0, -0.0, 3.0])
+def test_round_numbers_stay(value: float) -> None:
+    assert bits(rounded(value)) == bits(value)
+
+
+def test_a_tie_goes_away_from_zero() -> None:
+    one = bits(1.0)
+    assert rounded(double(one + (1 << 31) - 1)) == 1.0
+    assert rounded(double(one + (1 << 31))) == 1.0 + 2.0**-20
+    assert rounded(-double(one + (1 << 31))) == -1.0 - 2.0**-20
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        bits(np.inf), bits(-np.inf), bits(np.finfo(float).max), bits(np.finfo(float).min),
+        0x7FF8000000000001, 0xFFF8000000000000, 0x7FFFFFFFFFFFFFFF, 0x7FF80000FFFFFFFF,
+    ],
+)  # fmt: skip
+def test_what_is_not_finite_or_would_not_be_keeps_its_bits(word: int) -> None:
+    frame = frame_of(1.0)
+    frame.markers[0, 0, :1].view(np.uint64)[0] = word
+    new = written(frame, precision="micrometre")
+    assert new.markers[0, 0, :1].view(np.uint64)[0] == word
+
+
+def test_every_number_of_a_message_is_rounded() -> None:
+    new, there = written(frame_of(0.1), precision="micrometre"), rounded(0.1)
+    assert there != 0.1
+    for array in (new.confidences, new.markers, new.marker_confidences, new.links,
+                  new.link_confidences, new.boxes):  # fmt: skip
+        assert np.all(array == there)
+    assert (new.ids.tolist(), new.stamps.tolist(), new.source) == ([-1], [0], "cam")
+
+
+def test_by_default_every_bit_is_written() -> None:
+    new = written(frame_of(0.1))
+    assert np.all(new.markers == 0.1)
+    assert np.all(new.boxes == 0.1)
+
+
+def test_without_derivatives_there_are_poses_and_the_size_of_the_box() -> None:
+    new = written(frame_of(0.25), derivatives=False)
+    for states in (new.markers, new.links, new.boxes[:, None, :STATE]):
+        assert np.all(states[..., :7] == 0.25)
+        assert np.all(np.isnan(states[..., 7:]))
+    assert np.all(new.boxes[:, STATE:] == 0.25)
+    assert np.all(new.marker_confidences == 0.25)
+
+
+@pytest.mark.parametrize("derivatives", [True, False])
+def test_a_marker_or_link_with_only_a_confidence_is_written(derivatives: bool) -> None:
+    frame = Frame.empty(1, MODEL)
+    frame.marker_confidences[0, 1] = frame.link_confidences[0, 0] = 0.0
+    new = written(frame, derivatives=derivatives)
+    assert new.marker_confidences[0].tolist()[1] == 0.0
+    assert np.isnan(new.marker_confidences[0, 0])
+    assert new.link_confidences[0, 0] == 0.0
+    assert count_of_markers(frame, derivatives=derivatives) == 1
+
+
+@pytest.mark.parametrize("column", range(STATE))
+def test_a_marker_is_written_if_any_of_its_written_numbers_is_known(column: int) -> None:
+    frame = Frame.empty(1, MODEL)
+    frame.markers[0, 1, column] = 1.0
+    assert count_of_markers(frame) == 1
+    assert count_of_markers(frame, derivatives=False) == (column < 7)
+
+
+def count_of_markers(frame: Frame, **options: Any) -> int:
+    """Markers in the message of a frame without links, by its length."""
+    empty = len(Encoder(MODEL, **options).encode(Frame.empty(1, MODEL)))
+    one = Frame.empty(1, MODEL)
+    one.marker_confidences[0, 0] = 1.0
+    plain = frame.replace(links=one.links, link_confidences=one.link_confidences)
+    size = len(Encoder(MODEL).encode(one)) - empty
+    return round((len(Encoder(MODEL, **options).encode(plain)) - empty) / size)

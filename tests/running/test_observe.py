@@ -1,0 +1,161 @@
+"""What is noted about cameras and people while a run goes on, and the words for it."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stick_figures import at, person, seen
+
+from hiros_cli.run_report import _limbs
+from hiros_mcap import stages
+from hiros_mcap.events import COUNTED, TOO_LATE, counted
+from hiros_mcap.frames import Block
+from hiros_mcap.running.observe import (
+    DETECTIONS,
+    CameraClock,
+    DetectionSample,
+    Observer,
+    clock_notes,
+)
+from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.summary import LimbSummary, cleaned, duration, number, quantity
+
+MS, S = 1_000_000, 1_000_000_000
+
+
+def clock(*times: tuple[float, float]) -> CameraClock:
+    """A clock that got messages stamped and logged at these times, s."""
+    result = CameraClock()
+    for stamp, logged in times:
+        result.add(round((100 + stamp) * S), round((100 + logged) * S))
+    return result
+
+
+def test_the_rate_is_that_of_the_intervals_without_pauses() -> None:
+    assert clock((0, 0), (0.1, 0.1), (0.2, 0.2), (5.0, 5.0), (5.1, 5.1)).rate == pytest.approx(10)
+    assert np.isnan(clock((0, 0)).rate)
+
+
+def test_a_message_out_of_order_does_not_count_for_the_rate() -> None:
+    assert clock((0, 0), (0.1, 0.1), (0.05, 0.2), (0.15, 0.3)).rate == pytest.approx(10)
+
+
+def test_a_clock_jumps_if_the_delay_changes_by_more_than_ten_seconds() -> None:
+    assert clock((0, 0), (0.1, 10.0), (0.2, 10.1)).jumps == 0
+    assert clock((0, 0), (20.0, 0.1), (0.2, 0.2)).jumps == 2
+    (note,) = clock_notes({"k1": clock((0, 0), (20.0, 0.1), (20.1, 0.2))})
+    assert note.startswith("the clock of k1 jumps (1 times, by up to 19.9 s)")
+
+
+def test_clocks_that_differ_are_named_the_earlier_lag_first() -> None:
+    clocks = {"a": clock((0, 0.5), (1, 1.5)), "b": clock((0, 0.1)), "c": clock((0, 0.2))}
+    assert list(clock_notes(clocks)) == ["the clocks of b and a seem to differ by 0.40 s"]
+    assert list(clock_notes({"a": clock((0, 0.25)), "b": clock((0, 0.1))})) == []
+
+
+def sample(scale: float, confidence: float) -> DetectionSample:
+    result = DetectionSample()
+    frame = seen([person()], at(0))
+    frame.markers[..., :3] *= scale
+    frame.marker_confidences[...] = confidence
+    result.add(Block.of(frame))
+    return result
+
+
+@pytest.mark.parametrize(
+    ("scale", "confidence", "words"),
+    [
+        (1000.0, 1.0, ["looks like millimetres"]),
+        (1.0, 0.0, ["confidence 0"]),
+        (1000.0, 0.0, ["looks like millimetres", "confidence 0"]),
+        (1.0, 0.5, []),
+        (1.0, np.nan, []),
+    ],
+)
+def test_why_nobody_is_found(scale: float, confidence: float, words: list[str]) -> None:
+    reasons = list(sample(scale, confidence).reasons())
+    assert len(reasons) == len(words)
+    assert all(word in reason for word, reason in zip(words, reasons, strict=True))
+
+
+def test_people_are_those_of_the_last_channel_cameras_those_of_the_tracker() -> None:
+    observer = Observer(["tracked", "merged"])
+    for k, source in enumerate("aab"):
+        frame = seen([person()], at(k), ids=[7]).replace(source=source)
+        observer.see(DETECTIONS, Block.of(frame.replace(ids=np.array([-1], np.int32))))
+        observer.see("tracked", Block.of(frame))
+    for k in (2, 1):
+        observer.see("merged", Block.of(seen([person(), person()], at(k), ids=[7, -1])))
+    assert observer.cameras_of(7) == ("a", "b")
+    assert [*observer.people] == [7]
+    presence = observer.people[7]
+    assert (presence.first, presence.last, presence.frames) == (at(1), at(2), 2)
+    assert observer.written == {"tracked": 3, "merged": 2}
+
+
+def test_each_step_is_charged_with_its_own_time_only() -> None:
+    def work(seconds: float) -> None:
+        end = time.thread_time() + seconds
+        while time.thread_time() < end:
+            pass
+
+    def blocks():
+        work(0.03)
+        yield Block.of(seen([person()], at(0)))
+
+    def stage(given):
+        for block in given:
+            work(0.01)
+            yield block
+
+    watch = Stopwatch()
+    read = watch.timed("read", blocks(), lambda _: work(0.02))
+    for _ in watch.timed("tracked", stage(read), lambda _: None):
+        work(0.05)
+    watch.charge("read", 1.0)
+    assert watch.cpu["read"] == pytest.approx(1.03, abs=0.005)
+    assert watch.cpu["tracked"] == pytest.approx(0.01, abs=0.005)
+    assert watch.cpu["write"] == pytest.approx(0.02, abs=0.005)
+
+
+def test_every_event_that_a_stage_counts_has_words() -> None:
+    found: defaultdict[str, list[str]] = defaultdict(list)
+    for path in Path(stages.__file__).parent.glob("*.py"):
+        for kind in re.findall(r'\.count\(\s*"([^"]+)"', path.read_text()):
+            found[kind].append(path.name)
+    shown = {"flip", "outlier", "optimizer outlier", TOO_LATE}
+    assert found.keys() - shown <= COUNTED.keys()
+
+
+def test_numbers_of_things_are_told_in_words() -> None:
+    assert counted("not confirmed", 14) == (
+        "14 detections ignored: seen too briefly or by too few cameras"
+    )
+    assert counted("not confirmed", 1).startswith("1 detection ignored")
+    assert counted("something new", 3) == "something new: 3"
+    assert cleaned("confidence above 1", 2) == "2 confidences above 1 taken as 1"
+    assert quantity(0, "limb") == "0 limbs"
+    assert (number(np.nan, 1), number(2.25, 1, " s")) == ("-", "2.2 s")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(3.21, "3.2 s"), (3599.0, "3599.0 s"), (3600.0, "1.0 hours"), (86400.0, "1.0 days"),
+     (2 * 31_557_600.0, "2.0 years")],
+)  # fmt: skip
+def test_a_duration_has_the_unit_that_fits(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_limb_lengths_are_told_in_words() -> None:
+    limbs = LimbSummary(150, 0.12, 0.45, "HAND_LEFT", accepted=True)
+    assert _limbs(limbs) == "150 frames; raw lengths varied by 12 % (worst: HAND_LEFT, 45 %)"
+    assert _limbs(LimbSummary(9, np.nan, np.nan, "", accepted=True)) == "9 frames"
+    rejected = LimbSummary(0, np.nan, np.nan, "", accepted=False, reason="seen for 0.3 s")
+    assert _limbs(rejected) == "not calibrated, passed through: seen for 0.3 s"
+    assert _limbs(None) == "-"
