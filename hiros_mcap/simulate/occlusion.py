@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.simulate.body import MARKERS, SLOT
+from hiros_mcap.simulate.body_model import MARKERS, SLOT
 from hiros_mcap.simulate.settings import RigParams
 from hiros_mcap.skeletons import Floats
 

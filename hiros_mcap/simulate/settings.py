@@ -109,11 +109,13 @@ class DetectorParams(Params):
     range_growth: NonNegativeFloat = Field(
         1.0, description="Errors grow with this power of the distance from the camera."
     )
-    turn_coloured: NonNegativeFloat = Field(
+    orientation_coloured: NonNegativeFloat = Field(
         3.0, description="SD of the slow part of a link's orientation error, per axis, deg."
     )
-    turn_white: NonNegativeFloat = Field(1.5, description="SD of its white part, per axis, deg.")
-    turn_bias: NonNegativeFloat = Field(1.5, description="SD of its bias, per axis, deg.")
+    orientation_white: NonNegativeFloat = Field(
+        1.5, description="SD of its white part, per axis, deg."
+    )
+    orientation_bias: NonNegativeFloat = Field(1.5, description="SD of its bias, per axis, deg.")
     guess: NonNegativeFloat = Field(
         0.05, description="SD of an occluded trunk joint's additional error, per axis, m."
     )
@@ -121,7 +123,7 @@ class DetectorParams(Params):
         2.2, description="How much larger the error of guessed hands and feet is."
     )
     guess_seconds: PositiveFloat = Field(0.4, description="Time over which a guess changes, s.")
-    guess_turn: NonNegativeFloat = Field(
+    guess_orientation: NonNegativeFloat = Field(
         8.0, description="SD of an occluded link's additional orientation error, per axis, deg."
     )
     confidence_seen: Share = Field(0.66, description="Confidence of a joint that is seen.")
@@ -134,7 +136,7 @@ class DetectorParams(Params):
         1.5, description="Left-right confusions per minute, camera and person seen from behind."
     )
     flip_seconds: PositiveRange = Field((0.1, 3.0), description="Shortest and longest flip, s.")
-    turn_share: Share = Field(
+    reversal_share: Share = Field(
         0.5,
         description="Share of flips that turn the body by 180 deg; the others swap sides only.",
     )

@@ -9,12 +9,13 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.truth import load_truth
+from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.asf_amc import read_amc, read_asf
-from hiros_mcap.simulate.body import MODEL, SLOT
+from hiros_mcap.simulate.body_model import MODEL, SLOT
 from hiros_mcap.simulate.bvh import read_bvh
-from hiros_mcap.simulate.clip import euler, load_clip
+from hiros_mcap.simulate.clip import euler
+from hiros_mcap.simulate.performer import load_clip
 
 ASF = """# two bones
 :version 1.10
@@ -101,8 +102,8 @@ def write(folder: Path, name: str, text: str) -> Path:
 
 def test_rotations_are_multiplied_in_the_order_of_the_letters() -> None:
     quarter = np.array([[np.pi / 2, np.pi / 2]])
-    assert euler(quarter, "ZX")[0] @ [0, 1, 0] == pytest.approx([0, 0, 1])  # x first: y to z
-    assert euler(quarter, "XZ")[0] @ [0, 1, 0] == pytest.approx([-1, 0, 0])  # z first: y to -x
+    assert euler(quarter, "ZX").apply([0, 1, 0])[0] == pytest.approx([0, 0, 1])  # x first: y to z
+    assert euler(quarter, "XZ").apply([0, 1, 0])[0] == pytest.approx([-1, 0, 0])  # z first: y to -x
 
 
 def test_two_bones_of_an_asf_file_by_hand(tmp_path: Path) -> None:
@@ -118,8 +119,8 @@ def test_two_bones_of_an_asf_file_by_hand(tmp_path: Path) -> None:
     assert clip.joints["root"][0].tolist() == [1, -3, 2]
     assert clip.joints["upper"][0] == pytest.approx([1, -3, 0])
     assert clip.joints["lower"][0] == pytest.approx([1, -3, -1])
-    turn = euler(np.array([[np.pi / 2]]), "Z")[0]
-    about_y = euler(np.array([[np.pi / 2]]), "Y")[0]
+    turn = euler(np.array([[np.pi / 2]]), "Z").as_matrix()[0]
+    about_y = euler(np.array([[np.pi / 2]]), "Y").as_matrix()[0]
     upper = turn @ about_y
     first = upper @ [0, -2, 0]
     second = first + upper @ turn @ [0, -1, 0]
