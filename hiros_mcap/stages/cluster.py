@@ -46,7 +46,7 @@ class ClusterParams(Params):
         "right",
         description="Swap a camera's left and right joints back if its right one is farther from "
         "the right reference position than its left one (2.2.1), or if the distances of both sides "
-        "together say so, which is slightly safer (benchmarks/accuracy_lee.py).",
+        "together say so, which is slightly safer (benchmarks/papers/lee_2022.py).",
     )
     medium_confidence: float = Field(
         0.5,

@@ -122,7 +122,7 @@ def test_frames_outside_the_truth_do_not_count() -> None:
 
 def test_turned_links() -> None:
     scores = evaluate(still(turn=0.5), Truth.of(still()), MODEL)
-    assert scores.turn_error == pytest.approx(math.degrees(0.5))
+    assert scores.orientation_error == pytest.approx(math.degrees(0.5))
 
 
 def test_95_percent_of_the_errors_are_below() -> None:
@@ -211,7 +211,7 @@ def test_limb_error_against_the_true_length() -> None:
     assert evaluate(result, Truth.of(still()), MODEL).limb_error == pytest.approx(20 / 7)
 
 
-def test_h54_a_constant_bias_of_five_degrees() -> None:
+def test_a_constant_bias_of_five_degrees() -> None:
     truth = Truth.of(arms(np.full(20, 1.0)))
     elbow = evaluate(arms(np.full(20, 1.0 + math.radians(5))), truth, ARM).angles["left elbow"]
     assert (elbow.rmse, elbow.deviation, elbow.bias) == pytest.approx((5, 0, 5), abs=1e-9)

@@ -71,7 +71,7 @@ def test_a_turned_link() -> None:
     assert result.orientation_max == pytest.approx(0.5)
     assert faults(new)[0].startswith("orientations: up to 0.5 deg; worst SHOULDER_RIGHT 0.5 deg")
     assert result.first is not None
-    assert "link SHOULDER_RIGHT of person 0 is turned by 0.5 deg" in result.first.what
+    assert "link SHOULDER_RIGHT of person 0 is off by 0.5 deg" in result.first.what
 
 
 def test_missing_and_extra_frames() -> None:

@@ -1,18 +1,47 @@
-"""The truth from files of motion capture: TRC (OpenSim, Cortex) and CSV."""
+"""The truth from a log, or from files of motion capture: TRC (OpenSim, Cortex) and CSV."""
 
 from __future__ import annotations
 
 import csv
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+
+
+def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
+    """Read the truth from a log's SkeletonGroup channel, or from a TRC or CSV file.
+
+    Parameters
+    ----------
+    path : an MCAP log, ``.trc`` or ``.csv``.
+    topic : glob of the channel in a log; the ids of its skeletons are the true people.
+
+    Raises
+    ------
+    LogError, ConfigError
+        The file cannot be read, or holds no truth.
+    """
+    readers = {".trc": read_trc, ".csv": read_csv}
+    if (read := readers.get(Path(path).suffix.lower())) is not None:
+        return read(Path(path))
+    with open_log(path, topics=[topic], output_prefix="/none") as log:
+        if len(log.cameras) > 1:
+            topics = ", ".join(camera.channel.topic for camera in log.cameras)
+            raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
+        frames = list(log.detections())
+        if not frames:
+            raise LogError("holds no true skeletons", path=path, topic=topic)
+        return Truth.of(frames, log.model)
 
 
 def read_trc(path: Path) -> Truth:
@@ -93,8 +122,8 @@ def _truth(
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise ConfigError(f"{path}: needs at least two instants whose times increase")
     stamps = np.rint(times * 1e9).astype(np.int64)
-    turns = np.full((*positions.shape[:2], 0, 4), np.nan)
-    return Truth(stamps, positions, turns, people, SkeletonModel.of(names, []))
+    orientations = np.full((*positions.shape[:2], 0, 4), np.nan)
+    return Truth(stamps, positions, orientations, people, SkeletonModel.of(names, []))
 
 
 def _lines(path: Path) -> list[str]:
