@@ -80,7 +80,7 @@ def _match_frame(
         track.stamps.append(frame.stamp)
         track.poses.append(frame.positions[row].copy())
     pairs = best_pairs(np.where(distance < max_distance, distance, np.inf))
-    for true_row, column in pairs:
+    for true_row, column in sorted(pairs, key=lambda pair: pair[1]):  # as the frame has them
         person, ident, row = int(present[true_row]), ids[column], rows[column]
         result.switches += last_ids.get(person, ident) != ident
         last_ids[person] = ident

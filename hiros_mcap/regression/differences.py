@@ -167,7 +167,7 @@ def compare_logs(
         if topic in there:
             comparison.channels.append(_compare_channel(topic, output, golden, tolerances))
     ids = {k: v for channel in comparison.channels for k, v in channel.ids.items()}
-    comparison.lengths = _compare_limbs(limbs_of(output), limbs_of(golden), ids)
+    comparison.lengths = compare_limbs(limbs_of(output), limbs_of(golden), ids)
     return comparison
 
 
@@ -370,7 +370,7 @@ def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
     return LimbTable()
 
 
-def _compare_limbs(
+def compare_limbs(
     new: LimbTable, golden: LimbTable, ids: Mapping[int, int]
 ) -> dict[tuple[int, str], float]:
     """Difference of the lengths of every link of a golden person that either log has calibrated.

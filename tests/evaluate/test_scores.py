@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from stick_figures import MODEL, POSE, at, person, seen
+from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.angles import flexions
 from hiros_mcap.evaluate import Truth, evaluate
@@ -49,6 +49,16 @@ def test_a_late_result_has_that_lag() -> None:
     late = [f.select([0]) for f in frames(late=1.5)]
     truth = Truth.of(seen([moving(k)], at(k), ids=[0]) for k in range(60))
     assert evaluate(late, truth, MODEL).lag == pytest.approx(50, abs=2)
+
+
+@pytest.mark.parametrize("late_ms", [-31.5, -3.5, 1.5, 3.5, 51.5, 58.5])
+def test_a_lag_between_those_that_are_tried(late_ms: float) -> None:
+    """Lags are tried every 5 ms; the truth at 200 Hz."""
+    x = [0.3 * math.sin(0.03 * k) for k in range(400)]
+    truth = Truth.of(seen([person(x[k])], START + k * 5_000_000, ids=[0]) for k in range(400))
+    late = round(late_ms * 1e6)
+    result = [seen([person(x[k])], START + k * 5_000_000 + late, ids=[0]) for k in range(400)]
+    assert evaluate(result, truth, MODEL).lag == pytest.approx(late_ms, abs=0.2)
 
 
 def test_who_is_missing_false_or_renamed() -> None:

@@ -13,12 +13,19 @@ import numpy as np
 import pytest
 
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.frames import by_block, by_frame
 from hiros_mcap.regression import check_report
 from hiros_mcap.regression.differences import compare_logs
 from hiros_mcap.regression.golden import write_golden
-from hiros_mcap.regression.metrics import Threshold, load_metrics, save_metrics, worse
+from hiros_mcap.regression.metrics import (
+    Threshold,
+    load_metrics,
+    metrics_of,
+    save_metrics,
+    worse,
+)
 from hiros_mcap.regression.suite import CaseResult, SuiteOptions, load_suite, run_suite
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.running.pipeline import ProcessOptions, process
@@ -265,11 +272,45 @@ def test_metrics_that_got_worse_or_better() -> None:
     assert worse({"mpjpe": 20.9}, {"mpjpe": 20.0}, 0.05) == ([], [])
 
 
+@pytest.mark.parametrize("count", ["missing", "false", "id_switches", "people", "frames"])
+def test_golden_counts_may_not_grow_at_all(count: str) -> None:
+    faults, _ = worse({count: 101.0}, {count: 100.0}, 0.05)
+    assert faults == [f"{count}: was 100, is 101"]
+
+
+@pytest.mark.parametrize(
+    ("name", "was", "worst", "too_bad"),
+    [
+        ("mpjpe", 20.0, 21.0, 21.01),
+        ("pck_50", 80.0, 76.0, 75.9),
+        ("hota", 0.8, 0.7601, 0.759),
+        ("jitter", 0.5, 0.6, 0.61),
+        ("limb_cv", 0.001, 0.002, 0.0021),
+        ("lag", 2.0, 3.0, 3.1),
+    ],
+)
+def test_golden_metrics_may_get_worse_by_their_share_or_their_floor(
+    name: str, was: float, worst: float, too_bad: float
+) -> None:
+    assert worse({name: worst - 1e-9 * (worst > was)}, {name: was}, 0.05) == ([], [])
+    assert len(worse({name: too_bad}, {name: was}, 0.05)[0]) == 1
+
+
+def test_an_early_result_is_as_bad_as_a_late_one(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    process(walking, out)
+    truth = load_truth(walking)
+    for seconds in (-0.03, 0.03):
+        metrics = metrics_of(out, "/hiros/filtered", truth.moved(seconds))
+        assert metrics["lag"] == pytest.approx(30, abs=2)
+
+
 def test_metrics_files(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
     save_metrics(path, "/hiros/filtered", {"mpjpe": 1 / 3, "people": 2})
     assert load_metrics(path) == ("/hiros/filtered", {"mpjpe": 0.333333, "people": 2})
-    for text in ("{", "[]", "{}", '{"hiros_golden_metrics": 1, "metrics": {"a": "b"}}'):
+    named = '{"hiros_golden_metrics": 1, "metrics": {%s}}'
+    for text in ("{", "[]", "{}", named % '"a": 1', named % '"mpjpe": "b"', named % '"mpjpe": NaN'):
         path.write_text(text)
         with pytest.raises(ConfigError, match=r"m\.json"):
             load_metrics(path)
@@ -281,6 +322,11 @@ def test_metrics_files(tmp_path: Path) -> None:
         ("mpjpe <= 25 mm", {"mpjpe": 25.0}, ""),
         ("mpjpe < 25", {"mpjpe": 25.0}, "mpjpe < 25: is 25 mm"),
         ("people=2", {"people": 2.0}, ""),
+        ("people == 2", {"people": 3.0}, "people == 2: is 3"),
+        ("people != 2", {"people": 2.0}, "people != 2: is 2"),
+        ("mpjpe <= 25", {"mpjpe": 25.1}, "mpjpe <= 25: is 25.1 mm"),
+        ("mota > 0.5", {"mota": 0.5}, "mota > 0.5: is 0.5"),
+        ("hota >= 0.9", {"hota": 0.9}, ""),
         ("hota >= 0.9", {"hota": 0.8}, "hota >= 0.9: is 0.8"),
         ("mota > 0", {}, "mota > 0: mota is not known (no truth, or nothing to measure)"),
     ],
