@@ -1,4 +1,4 @@
-"""The sixteen actions of the Hi-ROS evaluation (Table 5): who is where, and what he does there."""
+"""The sixteen actions of the Hi-ROS evaluation (Table 5): where people are and what they do."""
 
 from __future__ import annotations
 

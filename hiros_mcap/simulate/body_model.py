@@ -9,7 +9,7 @@ in the proximal one: hip, shoulder and elbow flexion are positive about z, knee 
 
 A link carries the orientation of the segment that it lies in: the link called ELBOW_LEFT, from
 SHOULDER_LEFT to ELBOW_LEFT, is the left upper arm; links that only join a segment to the next joint
-(HIP_LEFT, CLAVICLE_LEFT, SHOULDER_LEFT, ...) turn with the pelvis or the thorax.
+(HIP_LEFT, CLAVICLE_LEFT, SHOULDER_LEFT, ...) rotate with the pelvis or the thorax.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ MODEL = SkeletonModel.of(
     ),
 )
 LINK_SEGMENTS = np.array([SEGMENTS.index(segment) for _, segment, _ in _BONES])
-"""(L,) segment that each link turns with."""
+"""(L,) segment that each link rotates with."""
 
 SYMMETRY = symmetry_of(MODEL)
 

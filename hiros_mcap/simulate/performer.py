@@ -115,7 +115,7 @@ class Performer:
         frame = np.mod(np.maximum(t, 0.0) * self.clip.rate, 2 * last)
         frame = np.where(frame > last, 2 * last - frame, frame)
         joints = {role: path(frame) for role, path in self.paths.items()}
-        rotations = segment_rotations(self.body, joints)
+        rotations = recorded_rotations(self.body, joints)
         recorded_hips = (joints["left hip"] + joints["right hip"]) / 2
         hips = (self.body.offset("HIP_LEFT") + self.body.offset("HIP_RIGHT")) / 2
         pelvis = self.scale * (recorded_hips - self.centre) - rotations[:, 0] @ hips
@@ -159,7 +159,7 @@ def perform_files(
 def _placed(
     performer: Performer, others: Sequence[Performer], seconds: float, rng: np.random.Generator
 ) -> Performer:
-    """Try places and headings until everybody is a step apart; the best one if none is."""
+    """Try places and headings until nobody comes closer than a step; the best one if none does."""
     times = np.arange(0.0, seconds, 0.1)
     taken = [other.pose(times)[0][:, 0, :2] for other in others]
     best, farthest = performer, -1.0
@@ -209,7 +209,7 @@ def _some(clip: Clip) -> str:
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
-def segment_rotations(body: BodyModel, joints: Mapping[str, Floats]) -> Floats:
+def recorded_rotations(body: BodyModel, joints: Mapping[str, Floats]) -> Floats:
     """(n, S, 3, 3) Rotation of every segment so that limbs lie as the joints (n, 3) do.
 
     x forward, y up along the bone, z to the right. A limb's z is the axis of its hinge, elbow or

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
@@ -227,3 +230,30 @@ def test_faulty_acclaim_files(tmp_path: Path, asf: str, amc: str, fault: str) ->
     skeleton, motion = write(tmp_path, "a.asf", asf), write(tmp_path, "a.amc", amc)
     with pytest.raises(ConfigError, match=fault):
         load_clip(motion, skeleton)
+
+
+@settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(kind=st.sampled_from(["bvh", "asf", "amc"]), at=st.floats(0, 1), text=st.text(max_size=12))
+def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, text: str) -> None:
+    """Whatever is written into the middle of a file: a clip, or an error that names the file."""
+    texts = {"bvh": bvh(4), "asf": ASF, "amc": AMC}
+    where = round(at * len(texts[kind]))
+    texts[kind] = texts[kind][:where] + text + texts[kind][where + len(text) :]
+    paths = {name: write(tmp_path, f"a.{name}", content) for name, content in texts.items()}
+    motion = paths["bvh" if kind == "bvh" else "amc"]
+    try:
+        assert load_clip(motion, paths["asf"]).frames >= 2
+    except ConfigError as error:
+        assert str(tmp_path) in str(error)
+
+
+@given(st.lists(st.floats(-9, 9), min_size=1, max_size=4), st.text("XYZ", min_size=4, max_size=4))
+@settings(deadline=None)
+def test_euler_angles_of_any_axes(angles: list[float], axes: str) -> None:
+    axes = axes[: len(angles)]
+    expected = np.eye(3)
+    for angle, axis in zip(angles, axes, strict=True):
+        expected = expected @ Rotation.from_rotvec(angle * np.eye(3)["XYZ".index(axis)]).as_matrix()
+    assert euler(np.array([angles]), axes).as_matrix()[0] == pytest.approx(expected, abs=1e-9)
