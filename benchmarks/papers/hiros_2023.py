@@ -25,8 +25,8 @@ from hiros_2023_tables import (
     position_table,
     time_table,
 )
+from paper_report import Claim, PaperReport, arguments
 from published import ANGLES
-from report import Claim, Report, arguments
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.evaluate.logs import evaluate_log
@@ -139,7 +139,7 @@ def _names(sequences: Sequence[ActionRun]) -> str:
     return ", ".join(f"{s.action} of {s.people}" for s in sequences)
 
 
-def report(runs: Sequence[ActionRun], seconds: float) -> Report:
+def report(runs: Sequence[ActionRun], seconds: float) -> PaperReport:
     """Return Tables 6, 7 and 8 with ours beside, and what the paper claims."""
     single, several = ([s for s in runs if (s.people > 1) == many] for many in (False, True))
     tables = [
@@ -148,7 +148,7 @@ def report(runs: Sequence[ActionRun], seconds: float) -> Report:
         position_table(runs),
         time_table(runs),
     ]
-    return Report(
+    return PaperReport(
         f"The experiments of Hi-ROS on simulated logs of {seconds:g} s",
         "the paper's numbers come from other data: real people, Azure Kinects, inertial suits. "
         + TIME_NOTE,

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from paper_report import Rows, Table
 from published import ANGLES, TIMES, Pair
-from report import Rows, Table
 
 from hiros_mcap.evaluate import Scores
 from hiros_mcap.evaluate.score_tables import pair

@@ -16,8 +16,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+from paper_report import Claim, PaperReport, Rows, Table, arguments, check_order, mean
 from published import LEE, LEE_CAMERAS, LEE_RADII, Pair
-from report import Claim, Report, Rows, Table, arguments, check_order, mean
 
 from hiros_mcap.evaluate import ErrorStats
 from hiros_mcap.evaluate.comparison import (
@@ -157,7 +157,7 @@ def check_cameras(errors: Mapping[str, Mapping[int, Pair]]) -> Iterator[Claim]:
             )
 
 
-def report(study: str, logs: Sequence[Path], jobs: int) -> Report:
+def report(study: str, logs: Sequence[Path], jobs: int) -> PaperReport:
     """Run a study on logs."""
     tasks = [Task(log, Entry.parse(text)) for log in logs for text in ENTRIES[study]]
     note = "the paper's numbers come from other data: Azure Kinects, the camera in front as truth"
@@ -165,7 +165,7 @@ def report(study: str, logs: Sequence[Path], jobs: int) -> Report:
         tasks = [subset for task in tasks for subset in camera_subsets(task)]
         errors = by_number_of_cameras(comparison(tasks, jobs=jobs))
         table = camera_table(errors)
-        return Report("Lee et al. 2022: cameras", note, [table], list(check_cameras(errors)))
+        return PaperReport("Lee et al. 2022: cameras", note, [table], list(check_cameras(errors)))
     outcomes = comparison(tasks, jobs=jobs)
     if study == "choices":
         tables = [
@@ -174,7 +174,7 @@ def report(study: str, logs: Sequence[Path], jobs: int) -> Report:
         ]
     else:
         tables = [part_table("By part, mm", outcomes), joint_table(outcomes)]
-    return Report(f"Lee et al. 2022: {study}", note, tables, list(check_claims(outcomes)))
+    return PaperReport(f"Lee et al. 2022: {study}", note, tables, list(check_claims(outcomes)))
 
 
 def simulated(folder: Path) -> list[Path]:

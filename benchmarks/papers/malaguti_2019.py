@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from paper_report import Claim, PaperReport, Rows, Table, arguments, check_order, mean
 from published import MALAGUTI, MALAGUTI_COLUMNS, MALAGUTI_MS_PER_PERSON
-from report import Claim, Report, Rows, Table, arguments, check_order, mean
 
 from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, comparison
 
@@ -44,7 +44,7 @@ def _cm(error: float, deviation: float) -> str:
 def time_table(outcomes: Sequence[Outcome]) -> Table:
     """Table II: time for 1 to 6 people, by the mean time that one person takes."""
     each = mean(
-        o.milliseconds / o.people for o in outcomes if o.name == "malaguti" and o.people >= 1
+        o.milliseconds / o.people for o in outcomes if o.name == "malaguti" and o.people > 0
     )
     rows: Rows = []
     for n in range(1, MOST_PEOPLE + 1):
@@ -72,7 +72,7 @@ def main() -> None:
     given = parser.parse_args()
     tasks = [Task(log, Entry(name)) for log in given.logs for name in MALAGUTI_COLUMNS]
     outcomes = comparison(tasks, jobs=given.jobs)
-    Report(
+    PaperReport(
         "Malaguti et al. 2019",
         "the paper's numbers come from other data: Kinects v2, a marker-based system as truth",
         [error_table(outcomes), time_table(outcomes)],

@@ -29,7 +29,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
 
 SIMULTANEOUS_NS = 50_000_000
-"""Views of two cameras are compared when they are at most this far apart."""
+"""Largest difference in time of two cameras' views that are compared."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,7 @@ def _match_frame(
 
 
 def explain_no_match(matches: Matches, truth: Truth) -> str:
-    """Say how far apart result and truth are where nobody was matched; "" if somebody was."""
+    """Return the distance of result and truth in words if nobody was matched, else ""."""
     if matches.people or not math.isfinite(matches.nearest):
         return ""
     found = np.stack([pose for track in matches.tracks.values() for pose in track.poses])

@@ -14,7 +14,7 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 SHIFTS_MS = range(-60, 181, 5)
 """Delays that are tried: filters of this field lag by up to 150 ms."""
 _SAMPLES = 400
-"""Matches that the lag is measured on: as many tell it as well as all."""
+"""The lag is measured on about this many matches; more do not change it."""
 _STANDS_STILL = 4e-6
 """m2: somebody who moves less than 2 mm in 60 ms shows no lag."""
 _PAUSE = 2.5

@@ -39,7 +39,7 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class PaperReport:
     """Everything that is reproduced of a paper."""
 
     title: str
