@@ -76,7 +76,7 @@ def _lean(posture: Posture, forward: Floats) -> None:
 
 
 def idle(posture: Posture, t: Floats, style: Style) -> None:
-    """Nobody stands like a statue: slow sway of a few millimetres, breathing, relaxed arms."""
+    """Sway slowly by a few millimetres, breathe, let the arms hang."""
     slow, breath = TURN * (0.21 * t + style.phase), TURN * (0.27 * t + 2 * style.phase)
     posture.pelvis += np.stack(
         [0.006 * np.sin(slow), 0.005 * np.sin(1.7 * slow), np.zeros_like(t)], axis=-1

@@ -7,7 +7,7 @@ seen and guessed joints, loses people and finds them again in a wrong pose, and 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -74,13 +74,8 @@ class SimulatedDetections:
     def beside(self, others: list[SimulatedDetections]) -> SimulatedDetections:
         """All sets of detections as one."""
         sets = [self, *others]
-        return SimulatedDetections(
-            np.concatenate([detections.positions for detections in sets], axis=1),
-            np.concatenate([detections.orientations for detections in sets], axis=1),
-            np.concatenate([detections.confidences for detections in sets], axis=1),
-            np.concatenate([detections.guessed for detections in sets], axis=1),
-            np.concatenate([detections.present for detections in sets], axis=1),
-        )
+        columns = ([getattr(each, field.name) for each in sets] for field in fields(self))
+        return SimulatedDetections(*(np.concatenate(column, axis=1) for column in columns))
 
 
 def detect(
@@ -180,36 +175,20 @@ def _disturb(
     detections: SimulatedDetections, camera: SimulatedCamera, params: SimulateParams
 ) -> None:
     """Add noise and bias to everything, and more to what is guessed."""
-    detector, noise = params.detector, params.noise
+    d = params.detector
     distance = np.linalg.norm(detections.positions[:, :, 0], axis=-1)[..., None, None]
-    growth = (distance / _REFERENCE_RANGE) ** detector.range_growth
-    outwards = EXTREMITY[:, None]
-    wide = noise * (1 + (detector.extremities - 1) * outwards)
-    far = params.occlusion * (1 + (detector.guess_extremities - 1) * outwards)
+    growth = (distance / _REFERENCE_RANGE) ** d.range_growth
+    wide = params.noise * (1 + (d.extremities - 1) * EXTREMITY[:, None])
+    far = params.occlusion * (1 + (d.guess_extremities - 1) * EXTREMITY[:, None])
+    joints = _Deviations(d.coloured * wide * growth, d.white * wide * growth, d.bias * wide,
+                         d.guess * far)  # fmt: skip
     rng = stream(params.seed, "joint errors", camera.index)
-    detections.positions += _errors(
-        rng,
-        _Deviations(
-            slow=detector.coloured * wide * growth,
-            white=detector.white * wide * growth,
-            bias=detector.bias * wide,
-            guess=detector.guess * far,
-        ),
-        detections.guessed,
-        params,
-    )
+    detections.positions += _errors(rng, joints, detections.guessed, params)
+    wide, far = np.radians(wide[1:]), np.radians(far[1:])
+    links = _Deviations(d.orientation_coloured * wide * growth, d.orientation_white * wide * growth,
+                        d.orientation_bias * wide, d.guess_orientation * far)  # fmt: skip
     rng = stream(params.seed, "link errors", camera.index)
-    rotation = _errors(
-        rng,
-        _Deviations(
-            slow=np.radians(detector.orientation_coloured) * wide[1:] * growth,
-            white=np.radians(detector.orientation_white) * wide[1:] * growth,
-            bias=np.radians(detector.orientation_bias) * wide[1:],
-            guess=np.radians(detector.guess_orientation) * far[1:],
-        ),
-        guessed_links(detections.guessed),
-        params,
-    )
+    rotation = _errors(rng, links, guessed_links(detections.guessed), params)
     detections.orientations[:] = multiply(from_vector(rotation), detections.orientations)
 
 

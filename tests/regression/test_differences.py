@@ -160,7 +160,9 @@ def test_a_frame_within_a_microsecond_is_the_same_frame(late: int, equal: bool) 
 def test_an_extra_frame_diverges_at_its_own_time() -> None:
     golden = frames()
     extra = golden.pop(6)
-    first = compare_frames(frames(), golden, MODEL).first
+    result = compare_frames(frames(), golden, MODEL)
+    assert result.faults(Tolerances()) == ["frames: 0 missing, 1 extra of 19"]
+    first = result.first
     assert first is not None
     assert (first.frame, first.stamp, first.what) == (5, extra.stamp, "an extra frame")
     assert first.seconds == pytest.approx(6 / 30, abs=1e-6)
