@@ -18,13 +18,13 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 
-COLUMNS = "mean  sd    p95   angle  angSD   turn  limbCV  jitter  lag    miss false switch"
+COLUMNS = "mean  sd    p95   angle  angSD orient  limbCV  jitter  lag    miss false switch"
 
 
 def row(name: str, s: Scores) -> str:
     return (
         f"{name:9} {s.mean:5.1f} {s.deviation:5.1f} {s.percentile_95:5.1f} {s.angle_rmse:6.2f} "
-        f"{s.angle_deviation:6.2f} {s.turn_error:6.2f} {s.limb_variation:7.4f} "
+        f"{s.angle_deviation:6.2f} {s.orientation_error:6.2f} {s.limb_variation:7.4f} "
         f"{s.jitter:6.1f} {s.lag:6.1f} "
         f"{s.missing:5d} {s.false:5d} {s.switches:5d}"
     )

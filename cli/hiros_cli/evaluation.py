@@ -10,11 +10,10 @@ from rich.text import Text
 
 from hiros_cli.printable import printable
 from hiros_cli.run_report import console, table
-from hiros_mcap.evaluate import Truth, score_tables, tables
+from hiros_mcap.evaluate import Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
-from hiros_mcap.evaluate.match import strangers
-from hiros_mcap.evaluate.paper import Experiments
+from hiros_mcap.evaluate.match import explain_no_match
 from hiros_mcap.summary import number
 
 
@@ -37,7 +36,7 @@ def show_truth(
     absent = [name for name in result.model.marker_names if name not in result.scores.joints]
     if absent:
         _note(out, f"no truth for {len(absent)} markers: {', '.join(absent)}")
-    if hint := strangers(result.matches, truth):
+    if hint := explain_no_match(result.matches, truth):
         _note(out, hint)
     for topic, result in results.items():
         for reason, count in result.skipped.items():
@@ -66,26 +65,6 @@ def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:
         _show(out, f"Joints of {camera.topic}, mm", score_tables.joint_table(camera.joints))
 
 
-def show_paper(results: Experiments) -> None:
-    """Print Tables 6, 7 and 8 of the Hi-ROS paper with ours beside, and what it claims."""
-    out = console()
-    _title(out, f"Simulated logs of {number(results.seconds, 0)} s, beside the paper's numbers", "")
-    _note(out, "the paper's come from other data: real people, Azure Kinects, inertial suits")
-    for title, several in (("Table 6: one person", False), ("Table 7: several people", True)):
-        rows = tables.angle_rows([s for s in results.sequences if (s.people > 1) == several])
-        title = f"{title}. Flexion angles by links, RMSE (SD), degrees"
-        _show(out, title, (tables.ANGLE_HEADER, rows))
-    rows = tables.position_rows(results.sequences)
-    _show(out, "The same sequences by joint positions", (tables.POSITION_HEADER, rows))
-    title = "Table 8: time per merged frame, ms, mean (SD) [paper]; 5 and 10 people by a line"
-    _show(out, title, (tables.TIME_HEADER, tables.time_rows(results.sequences)))
-    _note(out, tables.TIME_NOTE)
-    _title(out, "What the paper claims")
-    for claim in results.claims:
-        verdict = "holds" if claim.holds else "DOES NOT HOLD"
-        out.print(Text(f"{verdict}: {claim.text}: {printable(claim.detail, 500)}"), soft_wrap=True)
-
-
 def _title(out: Console, text: str, gap: str = "\n") -> None:
     out.print(Text(gap + printable(text, 500), style="bold"), soft_wrap=True)
 
@@ -95,8 +74,7 @@ def _note(out: Console, text: str) -> None:
 
 
 def _show(out: Console, title: str, content: tuple[Sequence[str], Sequence[Sequence[str]]]) -> None:
-    """Print a table: the first column and that of the actions are text, the others numbers."""
+    """Print a table: the first column is text, the others are numbers."""
     header, rows = content
     _title(out, title)
-    sides = (name if k == 0 or name == "Action" else f">{name}" for k, name in enumerate(header))
-    out.print(table(*sides, rows=rows))
+    out.print(table(header[0], *(f">{name}" for name in header[1:]), rows=rows))

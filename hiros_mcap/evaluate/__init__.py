@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
-from hiros_mcap.evaluate.scores import PCK_MM, AngleStats, ErrorStats, Scores, evaluate
-from hiros_mcap.evaluate.truth import Truth, load_truth
+from hiros_mcap.evaluate.scores import PCK_MM, Scores, evaluate
+from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.evaluate.truth_files import load_truth
 
 __all__ = [
     "MATCH_DISTANCE",

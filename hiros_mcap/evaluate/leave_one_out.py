@@ -1,7 +1,7 @@
-"""Without any truth: fuse all cameras but one, and see how far the one left out is from that.
+"""Without a truth: fuse all cameras but one, and measure how far the one left out is from the rest.
 
-The camera's own noise is in the number, so it is an upper bound of the error of the rest; what it
-is good for is comparing cameras, joints and settings on one's own log.
+The distance contains the noise of the camera left out and lacks the errors that all cameras share,
+so it is no error and no bound of one. It compares cameras, joints and settings on one log.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency, output_channels, read_channel
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.parts import parts_of
-from hiros_mcap.evaluate.scores import ErrorStats, mean_of
+from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
 
 SIMULTANEOUS_NS = 50_000_000
-"""Views of two cameras are compared when they are at most this far apart."""
+"""Largest difference in time of two cameras' views that are compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,16 @@ class LeftOut:
 
     topic: str
     detections: int
-    """Skeletons that the camera reports while the others see anybody."""
+    """Skeletons that the camera reports while the others see somebody."""
     unmatched: int
-    """Of these, how many nobody is near to."""
+    """Those that match nobody."""
     mirrored: int
-    """Of these, how many fit better with left and right swapped; not in the errors below."""
+    """Those that fit better with left and right swapped; they are not in the errors below."""
     error: ErrorStats
     median: float
     """Of the joint distances, mm."""
     offset: float
-    """Norm of the mean displacement over all joints, mm: mostly error of the extrinsics."""
+    """Norm of the mean displacement over all joints, mm: mostly the error of the extrinsics."""
     parts: Mapping[str, ErrorStats]
     joints: Mapping[str, ErrorStats]
 
@@ -60,19 +60,20 @@ class SelfScores:
     """Of the result of all cameras, last stage."""
     cameras: tuple[LeftOut, ...]
     disagreement: Mapping[tuple[str, str], float]
-    """Median distance between the same joint in two cameras at one time, mm; both against the
-    result of all, which takes the motion between their exposures out."""
+    """Median distance between the same joint in two cameras at one time, mm. Both are compared
+    with the result of all, so the motion between their exposures does not count."""
 
 
 @dataclass(slots=True)
 class _Residuals:
-    """Detections of a camera that are of somebody."""
+    """R detections of a camera that match somebody."""
 
-    stamps: npt.NDArray[np.int64]
-    people: npt.NDArray[np.int64]
+    stamps: Stamps
+    people: Stamps
+    """(R,) row of the person in the result of the other cameras."""
     displacement: Floats
     """(R, M, 3) detection minus reference, m."""
-    mirrored: npt.NDArray[np.bool_]
+    mirrored: Flags
     unmatched: int
 
 
@@ -155,7 +156,6 @@ def _left_out(
     displacement = found.displacement[~found.mirrored]
     errors = 1000 * np.linalg.norm(displacement, axis=-1)
     known = errors[~np.isnan(errors)]
-    joints = {name: ErrorStats.of(errors[:, k]) for k, name in enumerate(model.marker_names)}
     means = [mean_of(displacement[..., axis]) for axis in range(3)]
     return LeftOut(
         topic=topic,
@@ -166,7 +166,7 @@ def _left_out(
         median=float(np.median(known)) if known.size else np.nan,
         offset=1000 * float(np.linalg.norm(means)),
         parts={part: ErrorStats.of(errors[:, own]) for part, own in parts_of(model).items()},
-        joints={name: joint for name, joint in joints.items() if joint.count},
+        joints=ErrorStats.by_name(model.marker_names, errors),
     )
 
 
@@ -184,7 +184,7 @@ def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonM
     poses, reference = np.stack(matches.poses), np.stack(matches.true_poses)
     displacement = poses - reference
     swapped = poses[:, symmetry_of(model).mirror] - reference
-    size, size_swapped = (_mean_norm(d) for d in (displacement, swapped))
+    size, size_swapped = (nan_mean(np.linalg.norm(d, axis=-1), -1) for d in (displacement, swapped))
     return _Residuals(
         np.array(matches.stamps, np.int64),
         np.array(matches.people, np.int64),
@@ -194,33 +194,25 @@ def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonM
     )
 
 
-def _mean_norm(displacement: Floats) -> Floats:
-    """(R,) Mean length over the joints that are known."""
-    norms = np.linalg.norm(displacement, axis=-1)
-    known = ~np.isnan(norms)
-    total = np.where(known, norms, 0.0).sum(axis=-1)
-    return np.asarray(total / np.maximum(known.sum(axis=-1), 1))
-
-
 def _disagreement(a: _Residuals, b: _Residuals) -> float:
     """Median distance, mm, between joints that two cameras see at one time."""
-    distances = []
+    distances = [np.zeros(0)]
     for person in np.intersect1d(a.people, b.people):
         mine = np.nonzero((a.people == person) & ~a.mirrored)[0]
         theirs = np.nonzero((b.people == person) & ~b.mirrored)[0]
         if not len(mine) or not len(theirs):
             continue
-        after = np.clip(np.searchsorted(b.stamps[theirs], a.stamps[mine]), 1, len(theirs) - 1)
-        if len(theirs) == 1:
-            after[:] = 0
-        near = np.where(
-            a.stamps[mine] - b.stamps[theirs[after - 1]] < b.stamps[theirs[after]] - a.stamps[mine],
-            theirs[after - 1],
-            theirs[after],
-        )
-        close = np.abs(b.stamps[near] - a.stamps[mine]) <= SIMULTANEOUS_NS
-        difference = a.displacement[mine[close]] - b.displacement[near[close]]
+        nearest = theirs[_nearest(b.stamps[theirs], a.stamps[mine])]
+        close = np.abs(b.stamps[nearest] - a.stamps[mine]) <= SIMULTANEOUS_NS
+        difference = a.displacement[mine[close]] - b.displacement[nearest[close]]
         distances.append(np.linalg.norm(difference, axis=-1).ravel())
-    every = np.concatenate([np.zeros(0), *distances])
-    every = every[~np.isnan(every)]
-    return 1000 * float(np.median(every)) if every.size else np.nan
+    known = np.concatenate(distances)
+    known = known[~np.isnan(known)]
+    return 1000 * float(np.median(known)) if known.size else np.nan
+
+
+def _nearest(times: Stamps, asked: Stamps) -> npt.NDArray[np.intp]:
+    """Index of the nearest of increasing times for each time that is asked for."""
+    after = np.searchsorted(times, asked).clip(max=len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(asked - times[before] < times[after] - asked, before, after)

@@ -12,9 +12,11 @@ import numpy as np
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
-from hiros_mcap.evaluate.scores import Scores, mean_of, score_matches
+from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.smoothness import jitter, limb_variations
-from hiros_mcap.evaluate.truth import Truth, load_truth
+from hiros_mcap.evaluate.statistics import mean_of
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.log import open_log, open_reader
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel

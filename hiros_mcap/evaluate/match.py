@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.evaluate.mot import Instant
+from hiros_mcap.evaluate.mot import FrameSimilarity
+from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
 
 MATCH_DISTANCE = 1.0
@@ -39,12 +39,12 @@ class Matches:
     poses: list[Floats] = field(default_factory=list)
     """(M, 3) m each."""
     true_poses: list[Floats] = field(default_factory=list)
-    turns: list[Floats] = field(default_factory=list)
+    orientations: list[Floats] = field(default_factory=list)
     """(L, 4) x y z w each."""
-    true_turns: list[Floats] = field(default_factory=list)
+    true_orientations: list[Floats] = field(default_factory=list)
     tracks: dict[int, Track] = field(default_factory=dict)
     """Every id, matched or not."""
-    instants: list[Instant] = field(default_factory=list)
+    similarities: list[FrameSimilarity] = field(default_factory=list)
     missing: int = 0
     false: int = 0
     switches: int = 0
@@ -60,71 +60,58 @@ def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DIS
     nearest skeleton has another id than at the last match.
     """
     result = Matches()
-    last: dict[int, int] = {}
+    last_ids: dict[int, int] = {}
     for frame in frames:
         if truth.covers(frame.stamp):
-            _match_frame(frame, truth, max_distance, result, last)
+            _match_frame(frame, truth, max_distance, result, last_ids)
     return result
 
 
 def _match_frame(
-    frame: Frame, truth: Truth, max_distance: float, result: Matches, last: dict[int, int]
+    frame: Frame, truth: Truth, max_distance: float, result: Matches, last_ids: dict[int, int]
 ) -> None:
     rows = np.nonzero(frame.ids != UNTRACKED)[0]
-    names = [int(i) for i in frame.ids[rows]]
-    positions, turns = truth.at(frame.stamp)
+    ids: list[int] = frame.ids[rows].tolist()
+    positions, orientations = truth.at(frame.stamp)
     present = np.nonzero(~np.isnan(positions[..., 0]).all(axis=-1))[0]
-    distance = _distances(positions[present], frame.positions[rows])
-    if not np.isnan(distance).all():
-        result.nearest = min(result.nearest, float(np.nanmin(distance)))
-    allowed = np.where(distance < max_distance, distance, np.inf)
-    matched = assign(np.ascontiguousarray(allowed)).tolist()
-    for column, k in enumerate(matched):
-        row = rows[column]
-        track = result.tracks.setdefault(names[column], Track())
+    distance = skeleton_distances(positions[present], frame.positions[rows])
+    for row, ident in zip(rows, ids, strict=True):
+        track = result.tracks.setdefault(ident, Track())
         track.stamps.append(frame.stamp)
         track.poses.append(frame.positions[row].copy())
-        if k < 0:
-            continue
-        person = int(present[k])
-        result.switches += last.get(person, names[column]) != names[column]
-        last[person] = names[column]
+    pairs = best_pairs(np.where(distance < max_distance, distance, np.inf))
+    for true_row, column in sorted(pairs, key=lambda pair: pair[1]):  # as the frame has them
+        person, ident, row = int(present[true_row]), ids[column], rows[column]
+        result.switches += last_ids.get(person, ident) != ident
+        last_ids[person] = ident
         result.stamps.append(frame.stamp)
         result.people.append(person)
-        result.ids.append(names[column])
-        result.poses.append(track.poses[-1])
+        result.ids.append(ident)
+        result.poses.append(frame.positions[row].copy())
         result.true_poses.append(positions[person])
-        result.turns.append(frame.orientations[row].copy())
-        result.true_turns.append(turns[person])
-    hits = sum(k >= 0 for k in matched)
-    result.missing += len(present) - hits
-    result.false += len(rows) - hits
+        result.orientations.append(frame.orientations[row].copy())
+        result.true_orientations.append(orientations[person])
+    result.missing += len(present) - len(pairs)
+    result.false += len(rows) - len(pairs)
     result.frames += 1
-    similarity = np.clip(1 - np.nan_to_num(distance, nan=max_distance) / max_distance, 0, 1)
-    result.instants.append(Instant(tuple(present.tolist()), tuple(names), similarity))
+    result.nearest = min(result.nearest, float(distance.min(initial=math.inf)))
+    similarity = np.clip(1 - distance / max_distance, 0, 1)
+    result.similarities.append(FrameSimilarity(tuple(present.tolist()), tuple(ids), similarity))
 
 
-def strangers(matches: Matches, truth: Truth) -> str:
-    """Say how far apart result and truth are where nobody was matched; "" if somebody was."""
+def explain_no_match(matches: Matches, truth: Truth) -> str:
+    """Return the distance of result and truth in words if nobody was matched, else ""."""
     if matches.people or not math.isfinite(matches.nearest):
         return ""
     found = np.stack([pose for track in matches.tracks.values() for pose in track.poses])
     return (
         f"no skeleton comes nearer than {matches.nearest:.1f} m to a true person. Is the truth in "
         "metres, in the log's fixed frame, with the right --up and --shift? Typical coordinates: "
-        f"truth {_typical(truth.positions)}, result {_typical(found)}"
+        f"truth {_median_text(truth.positions)}, result {_median_text(found)}"
     )
 
 
-def _typical(positions: Floats) -> str:
+def _median_text(positions: Floats) -> str:
     """Median of each coordinate, as text."""
-    middle = np.nanmedian(positions.reshape(-1, 3), axis=0)
-    return f"({', '.join(f'{value:.4g}' for value in middle)})"
-
-
-def _distances(true: Floats, found: Floats) -> Floats:
-    """(N, P) Mean distance over the joints that both have, m; NaN without any."""
-    each = np.linalg.norm(true[:, None] - found[None], axis=-1)
-    known = ~np.isnan(each)
-    total = np.where(known, each, 0.0).sum(axis=-1)
-    return np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.nan)
+    median = np.nanmedian(positions.reshape(-1, 3), axis=0)
+    return f"({', '.join(f'{value:.4g}' for value in median)})"

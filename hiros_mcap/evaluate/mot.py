@@ -11,17 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.kernels.assignment import assign
+from hiros_mcap.evaluate.pairing import best_pairs
 from hiros_mcap.skeletons import Floats
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 """Similarities at which a match counts, averaged over by HOTA (Luiten et al. 2021, eq. 10)."""
 _KEEP = 1000.0
+"""Bonus of a pair that the frame before had, over any similarity."""
 _TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Instant:
+class FrameSimilarity:
     """One frame: true people against skeletons with an id."""
 
     true_ids: tuple[int, ...]
@@ -48,38 +49,35 @@ class TrackingScores:
     ass_a: float
 
 
-def tracking_scores(instants: Sequence[Instant]) -> TrackingScores:
+def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:
     """Compute all measures; NaN where nobody was there to be found."""
-    mota, motp, switches = _clear(instants)
-    return TrackingScores(mota, motp, switches, _idf1(instants), *_hota(instants))
+    mota, motp, switches = _clear(frames)
+    return TrackingScores(mota, motp, switches, _idf1(frames), *_hota(frames))
 
 
-def _best(score: Floats) -> list[tuple[int, int]]:
+def _best_scores(score: Floats) -> list[tuple[int, int]]:
     """Pairs (row, column) of positive score with the largest sum."""
-    if not score.size:
-        return []
-    rows = assign(np.ascontiguousarray(score.max() - score))
-    return [(int(r), c) for c, r in enumerate(rows) if r >= 0 and score[r, c] > _TINY]
+    return [(row, column) for row, column in best_pairs(-score) if score[row, column] > _TINY]
 
 
-def _clear(instants: Sequence[Instant]) -> tuple[float, float, int]:
-    """MOTA, MOTP and switches; pairs of the frame before are kept while they are possible."""
-    before: dict[int, int] = {}
+def _clear(frames: Sequence[FrameSimilarity]) -> tuple[float, float, int]:
+    """MOTA, MOTP and switches; pairs of the previous frame are kept while they are possible."""
+    previous: dict[int, int] = {}
     last: dict[int, int] = {}
     true = found = matched = switches = 0
     similarity = 0.0
-    for now in instants:
+    for now in frames:
         true, found = true + len(now.true_ids), found + len(now.ids)
         if not now.true_ids or not now.ids:
             continue
-        held = np.array([[before.get(t) == i for i in now.ids] for t in now.true_ids])
+        held = np.array([[previous.get(t) == i for i in now.ids] for t in now.true_ids])
         score = (now.similarity > _TINY) * (_KEEP * held + now.similarity)
-        pairs = _best(score)
-        before = {}
+        pairs = _best_scores(score)
+        previous = {}
         for row, column in pairs:
             person, name = now.true_ids[row], now.ids[column]
             switches += last.get(person, name) != name
-            before[person] = last[person] = name
+            previous[person] = last[person] = name
             similarity += float(now.similarity[row, column])
         matched += len(pairs)
     if not true:
@@ -88,40 +86,42 @@ def _clear(instants: Sequence[Instant]) -> tuple[float, float, int]:
     return 1 - wrong / true, similarity / matched if matched else np.nan, switches
 
 
-def _counts(instants: Sequence[Instant]) -> tuple[dict[int, int], dict[int, int], Floats, Floats]:
+def _counts(
+    frames: Sequence[FrameSimilarity],
+) -> tuple[dict[int, int], dict[int, int], Floats, Floats]:
     """Slots of people and of ids, and how often each appears."""
-    people = {i: k for k, i in enumerate(sorted({i for now in instants for i in now.true_ids}))}
-    names = {i: k for k, i in enumerate(sorted({i for now in instants for i in now.ids}))}
+    people = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.true_ids}))}
+    names = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.ids}))}
     true, found = np.zeros(len(people)), np.zeros(len(names))
-    for now in instants:
+    for now in frames:
         true[[people[i] for i in now.true_ids]] += 1
         found[[names[i] for i in now.ids]] += 1
     return people, names, true, found
 
 
-def _idf1(instants: Sequence[Instant]) -> float:
-    people, names, true, found = _counts(instants)
+def _idf1(frames: Sequence[FrameSimilarity]) -> float:
+    people, names, true, found = _counts(frames)
     together = np.zeros((len(people), len(names)))
-    for now in instants:
+    for now in frames:
         for row, person in enumerate(now.true_ids):
             for column, name in enumerate(now.ids):
                 close = now.similarity[row, column] > _TINY
                 together[people[person], names[name]] += close
     total = true.sum() + found.sum()
-    hits = sum(together[row, column] for row, column in _best(together))
+    hits = sum(together[row, column] for row, column in _best_scores(together))
     return float(2 * hits / total) if total else np.nan
 
 
-def _hota(instants: Sequence[Instant]) -> tuple[float, float, float]:
-    people, names, true, found = _counts(instants)
+def _hota(frames: Sequence[FrameSimilarity]) -> tuple[float, float, float]:
+    people, names, true, found = _counts(frames)
     if not true.sum() + found.sum():
         return np.nan, np.nan, np.nan
-    likeness = _alignment(instants, people, names, true, found)
+    alignment = _alignment(frames, people, names, true, found)
     together = np.zeros((len(ALPHAS), len(people), len(names)))
-    for now in instants:
+    for now in frames:
         rows = [people[i] for i in now.true_ids]
         columns = [names[i] for i in now.ids]
-        for r, c in _best(likeness[np.ix_(rows, columns)] * now.similarity):
+        for r, c in _best_scores(alignment[np.ix_(rows, columns)] * now.similarity):
             together[:, rows[r], columns[c]] += now.similarity[r, c] >= ALPHAS - 1e-9
     matched = together.sum(axis=(1, 2))
     detection = matched / (true.sum() + found.sum() - matched)
@@ -133,7 +133,7 @@ def _hota(instants: Sequence[Instant]) -> tuple[float, float, float]:
 
 
 def _alignment(
-    instants: Sequence[Instant],
+    frames: Sequence[FrameSimilarity],
     people: dict[int, int],
     names: dict[int, int],
     true: Floats,
@@ -141,7 +141,7 @@ def _alignment(
 ) -> Floats:
     """(people, names) How well an id follows a person over the whole log, 0..1."""
     shared = np.zeros((len(people), len(names)))
-    for now in instants:
+    for now in frames:
         s = now.similarity
         rows = [people[i] for i in now.true_ids]
         columns = [names[i] for i in now.ids]

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from hiros_mcap.evaluate.leave_one_out import LeftOut
 from hiros_mcap.evaluate.parts import PARTS
-from hiros_mcap.evaluate.scores import ErrorStats, Scores
+from hiros_mcap.evaluate.scores import Scores
+from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.summary import number
 
 Rows = list[tuple[str, ...]]
@@ -40,13 +41,13 @@ def _millimetres(error: ErrorStats | Scores) -> tuple[str, str, str, str]:
 
 def motion_table(scores: Mapping[str, Scores]) -> Table:
     """Angles, limbs, jitter and lag, a row per channel."""
-    header = ("Channel", "Angles, deg", "By links, deg", "Turn, deg", "Limbs, mm", "Limb CV")
+    header = ("Channel", "Angles, deg", "By links, deg", "Orientation, deg", "Limbs, mm", "Limb CV")
     rows: Rows = [
         (
             topic,
             pair(s.angle_rmse, s.angle_deviation),
             pair(s.link_angle_rmse, s.link_angle_deviation),
-            number(s.turn_error, 2),
+            number(s.orientation_error, 2),
             number(s.limb_error, 1),
             number(s.limb_variation, 4),
             number(s.jitter, 1),

@@ -12,63 +12,15 @@ from hiros_mcap.body.rotations import angle
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
 from hiros_mcap.evaluate.parts import parts_of
-from hiros_mcap.evaluate.smoothness import column_mean, jitter, lag, lengths_of, limb_variations
+from hiros_mcap.evaluate.smoothness import jitter, lag, lengths_of, limb_variations
+from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 PCK_MM = tuple(range(0, 201, 5))
 """Thresholds of the PCK curves, mm."""
 FIRST_FRAMES = 5
-"""Frames of a new id that are also scored apart: detectors start bodies in a wrong pose."""
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorStats:
-    """Distances to the truth, mm."""
-
-    mean: float
-    deviation: float
-    rmse: float
-    percentile_95: float
-    count: int
-
-    @classmethod
-    def of(cls, errors: Floats) -> ErrorStats:
-        """Summarise errors in mm, whatever their shape; NaN does not count."""
-        known = errors[~np.isnan(errors)]
-        if not known.size:
-            return cls(np.nan, np.nan, np.nan, np.nan, 0)
-        return cls(
-            float(known.mean()),
-            float(known.std()),
-            float(np.sqrt((known * known).mean())),
-            float(np.percentile(known, 95)),
-            known.size,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class AngleStats:
-    """Errors of a joint's flexion, degrees (Hi-ROS eq. 20, with the mean and SD of the error)."""
-
-    rmse: float
-    deviation: float
-    """Without the constant offset that two conventions may have."""
-    bias: float
-    count: int
-
-    @classmethod
-    def of(cls, errors: Floats) -> AngleStats:
-        """Summarise errors in degrees; NaN does not count."""
-        known = errors[~np.isnan(errors)]
-        if not known.size:
-            return cls(np.nan, np.nan, np.nan, 0)
-        return cls(
-            float(np.sqrt((known * known).mean())),
-            float(known.std()),
-            float(known.mean()),
-            known.size,
-        )
+"""First frames of a new id, which are also scored alone: detectors start in a wrong pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +37,11 @@ class Scores:
     angle_rmse: float
     """Root mean square error of the eight flexions from marker positions, degrees (eq. 20)."""
     angle_deviation: float
-    """Standard deviation of the angles' errors, degrees (the bias-free error)."""
+    """Standard deviation of the angles' errors, degrees: the error without the bias."""
     link_angle_rmse: float
     """The same eight by the links' orientations (eq. 21)."""
     link_angle_deviation: float
-    turn_error: float
+    orientation_error: float
     """Mean angle between a link's orientation and the true one (eq. 10), degrees."""
     limb_error: float
     """Mean absolute difference of a link's length from the person's true one, mm."""
@@ -151,23 +103,27 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
     if not matches.frames:
         raise ValueError("no frame lies within the time of the truth")
     truth = truth.seen_by(model)
-    poses, true_poses = _stack(matches.poses, model), _stack(matches.true_poses, model)
+    markers, links = (model.n_markers, 3), (model.n_links, 4)
+    poses, true_poses = _stack(matches.poses, markers), _stack(matches.true_poses, markers)
+    orientations = _stack(matches.orientations, links)
+    true_orientations = _stack(matches.true_orientations, links)
     errors = 1000 * np.linalg.norm(poses - true_poses, axis=-1)
-    bends = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
-    turns, true_turns = _stack_turns(matches.turns, model), _stack_turns(matches.true_turns, model)
-    link_bends = np.degrees(wrapped(link_flexions(model, turns) - link_flexions(model, true_turns)))
-    every, bend, link_bend = ErrorStats.of(errors), AngleStats.of(bends), AngleStats.of(link_bends)
+    flexion = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
+    by_links = link_flexions(model, orientations) - link_flexions(model, true_orientations)
+    link_flexion = np.degrees(wrapped(by_links))
+    all_errors, all_angles = ErrorStats.of(errors), AngleStats.of(flexion)
+    all_link_angles = AngleStats.of(link_flexion)
     tracks = matches.tracks.values()
     return Scores(
-        mean=every.mean,
-        deviation=every.deviation,
-        rmse=every.rmse,
-        percentile_95=every.percentile_95,
-        angle_rmse=bend.rmse,
-        angle_deviation=bend.deviation,
-        link_angle_rmse=link_bend.rmse,
-        link_angle_deviation=link_bend.deviation,
-        turn_error=mean_of(np.degrees(angle(turns, true_turns))),
+        mean=all_errors.mean,
+        deviation=all_errors.deviation,
+        rmse=all_errors.rmse,
+        percentile_95=all_errors.percentile_95,
+        angle_rmse=all_angles.rmse,
+        angle_deviation=all_angles.deviation,
+        link_angle_rmse=all_link_angles.rmse,
+        link_angle_deviation=all_link_angles.deviation,
+        orientation_error=mean_of(np.degrees(angle(orientations, true_orientations))),
         limb_error=_limb_error(matches, truth, model),
         limb_variation=mean_of(limb_variations(tracks, model)),
         jitter=mean_of(jitter(tracks)),
@@ -177,12 +133,12 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         false=matches.false,
         switches=matches.switches,
         frames=matches.frames,
-        tracking=tracking_scores(matches.instants),
+        tracking=tracking_scores(matches.similarities),
         parts={part: ErrorStats.of(errors[:, own]) for part, own in parts_of(model).items()},
-        joints=_by_name(model.marker_names, errors),
+        joints=ErrorStats.by_name(model.marker_names, errors),
         pck=pck_curves(errors, model),
-        angles={name: AngleStats.of(bends[:, k]) for k, name in enumerate(ANGLES)},
-        link_angles={name: AngleStats.of(link_bends[:, k]) for k, name in enumerate(ANGLES)},
+        angles={name: AngleStats.of(flexion[:, k]) for k, name in enumerate(ANGLES)},
+        link_angles={name: AngleStats.of(link_flexion[:, k]) for k, name in enumerate(ANGLES)},
     )
 
 
@@ -192,27 +148,13 @@ def pck_curves(errors: Floats, model: SkeletonModel) -> dict[str, tuple[float, .
     return {name: _pck(errors[:, own]) for name, own in groups.items()}
 
 
-def mean_of(values: Floats) -> float:
-    """Mean without NaN; NaN if there is nothing else."""
-    return float(column_mean(np.asarray(values).reshape(-1, 1))[0]) if values.size else np.nan
-
-
 def _pck(errors: Floats) -> tuple[float, ...]:
     known = errors[~np.isnan(errors)]
     return tuple(float((known <= t).mean()) if known.size else np.nan for t in PCK_MM)
 
 
-def _stack(poses: list[Floats], model: SkeletonModel) -> Floats:
-    return np.stack(poses) if poses else np.full((0, model.n_markers, 3), np.nan)
-
-
-def _stack_turns(turns: list[Floats], model: SkeletonModel) -> Floats:
-    return np.stack(turns) if turns else np.full((0, model.n_links, 4), np.nan)
-
-
-def _by_name(names: tuple[str, ...], errors: Floats) -> dict[str, ErrorStats]:
-    stats = {name: ErrorStats.of(errors[:, k]) for k, name in enumerate(names)}
-    return {name: joint for name, joint in stats.items() if joint.count}
+def _stack(rows: list[Floats], shape: tuple[int, int]) -> Floats:
+    return np.stack(rows) if rows else np.full((0, *shape), np.nan)
 
 
 def _first_rows(matches: Matches) -> list[int]:

@@ -7,14 +7,18 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from hiros_mcap.evaluate.match import Matches, Track
+from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 SHIFTS_MS = range(-60, 181, 5)
 """Delays that are tried: filters of this field lag by up to 150 ms."""
 _SAMPLES = 400
-_STANDS_STILL = 4e-6  # m2: a truth that moves less than 2 mm in 60 ms tells no time
+"""The lag is measured on about this many matches; more do not change it."""
+_STANDS_STILL = 4e-6
+"""m2: somebody who moves less than 2 mm in 60 ms shows no lag."""
 _PAUSE = 2.5
+"""Usual steps: a longer one interrupts a track."""
 
 
 def lengths_of(poses: Floats, model: SkeletonModel) -> Floats:
@@ -36,7 +40,7 @@ def limb_variations(tracks: Iterable[Track], model: SkeletonModel) -> Floats:
         mean = np.nanmean(lengths[:, seen], axis=0)
         row[seen] = np.nanstd(lengths[:, seen], axis=0) / np.where(mean > 0, mean, np.nan)
         rows.append(row)
-    return column_mean(np.stack(rows))
+    return nan_mean(np.stack(rows), 0)
 
 
 def jitter(tracks: Iterable[Track]) -> Floats:
@@ -52,21 +56,14 @@ def jitter(tracks: Iterable[Track]) -> Floats:
         even = np.maximum(steps[1:], steps[:-1]) <= _PAUSE * np.median(steps)
         second = np.linalg.norm(np.diff(np.stack(track.poses), 2, axis=0), axis=-1)
         parts.append(1000 * second[even])
-    return column_mean(np.concatenate(parts)) if parts else np.array([np.nan])
-
-
-def column_mean(table: Floats) -> Floats:
-    """Mean of each column without NaN; NaN where a column has nothing else."""
-    known = ~np.isnan(table)
-    total = np.where(known, table, 0.0).sum(axis=0)
-    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+    return nan_mean(np.concatenate(parts), 0) if parts else np.array([np.nan])
 
 
 def lag(matches: Matches, truth: Truth, shifts: Sequence[int] = SHIFTS_MS) -> float:
     """By how many ms the result is late: the shift of the truth with the least squared error.
 
-    The peak of the cross-correlation, found on the error, which needs no common mean. A parabola
-    through the best three shifts; NaN when nobody moves or the log is too short.
+    A parabola through the best three shifts gives the fraction; NaN when nobody moves or the log is
+    too short.
     """
     step = max(1, len(matches.stamps) // _SAMPLES)
     chosen = [
@@ -82,18 +79,18 @@ def lag(matches: Matches, truth: Truth, shifts: Sequence[int] = SHIFTS_MS) -> fl
         return np.nan
     best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
     left, middle, right = costs[best - 1 : best + 2]
-    bend = left - 2 * middle + right
-    if costs.max() - costs.min() < _STANDS_STILL or bend <= 0:
+    curvature = left - 2 * middle + right
+    if costs.max() - costs.min() < _STANDS_STILL or curvature <= 0:
         return np.nan
-    return float(shifts[best] + 0.5 * (shifts[1] - shifts[0]) * (left - right) / bend)
+    return float(shifts[best] + 0.5 * (shifts[1] - shifts[0]) * (left - right) / curvature)
 
 
 def _cost(matches: Matches, truth: Truth, chosen: Sequence[int], shift: int) -> float:
     """Mean squared distance to the truth ``shift`` ms earlier, m2."""
-    off = [
+    errors = [
         truth.at(matches.stamps[k] - shift * 1_000_000)[0][matches.people[k]] - matches.poses[k]
         for k in chosen
     ]
-    squares = np.stack(off) ** 2
+    squares = np.stack(errors) ** 2
     known = ~np.isnan(squares)
     return float(squares[known].mean()) if known.any() else np.nan

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from hiros_mcap.body.rotations import multiply
 from hiros_mcap.body.symmetry import split_side
-from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.channels import TRUTH_PREFIX
-from hiros_mcap.io.log import open_log
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 MAX_GAP_NS = 500_000_000
@@ -31,7 +27,7 @@ class Truth:
     """(T,) ns, increasing."""
     positions: Floats
     """(T, N, M, 3) m, NaN where a person or a marker is absent."""
-    turns: Floats
+    orientations: Floats
     """(T, N, L, 4) orientations of the links, x y z w."""
     people: tuple[int, ...] = ()
     """Id of each of the N people."""
@@ -54,13 +50,13 @@ class Truth:
         row = {person: n for n, person in enumerate(people)}
         shape = (len(ordered), len(people))
         positions = np.full((*shape, *ordered[0].markers.shape[1:2], 3), np.nan)
-        turns = np.full((*shape, *ordered[0].links.shape[1:2], 4), np.nan)
+        orientations = np.full((*shape, *ordered[0].links.shape[1:2], 4), np.nan)
         for t, frame in enumerate(ordered):
             for p, person in enumerate(frame.ids):
                 positions[t, row[int(person)]] = frame.positions[p]
-                turns[t, row[int(person)]] = frame.orientations[p]
+                orientations[t, row[int(person)]] = frame.orientations[p]
         stamps = np.array([frame.stamp for frame in ordered], np.int64)
-        return cls(stamps, positions, turns, people, model)
+        return cls(stamps, positions, orientations, people, model)
 
     def covers(self, stamp: int) -> bool:
         """Whether ``stamp`` lies between the first and the last true instant."""
@@ -73,18 +69,20 @@ class Truth:
         """
         after = int(np.searchsorted(self.stamps, stamp))
         if after < len(self.stamps) and self.stamps[after] == stamp:
-            return self.positions[after], self.turns[after]
+            return self.positions[after], self.orientations[after]
         inside = 0 < after < len(self.stamps)
         if not inside or self.stamps[after] - self.stamps[after - 1] > MAX_GAP_NS:
-            return np.full_like(self.positions[0], np.nan), np.full_like(self.turns[0], np.nan)
+            return np.full_like(self.positions[0], np.nan), np.full_like(
+                self.orientations[0], np.nan
+            )
         early, late = self.stamps[after - 1], self.stamps[after]
         part = float(stamp - early) / float(late - early)
         positions = (1 - part) * self.positions[after - 1] + part * self.positions[after]
-        first, second = self.turns[after - 1], self.turns[after]
+        first, second = self.orientations[after - 1], self.orientations[after]
         sign = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0, -1.0, 1.0)
-        turns = (1 - part) * first + part * sign * second
-        norm = np.linalg.norm(turns, axis=-1, keepdims=True)
-        return positions, turns / np.where(norm > 0, norm, np.nan)
+        orientations = (1 - part) * first + part * sign * second
+        norm = np.linalg.norm(orientations, axis=-1, keepdims=True)
+        return positions, orientations / np.where(norm > 0, norm, np.nan)
 
     def moved(self, seconds: float = 0.0, *, start: int | None = None, up: str = "z") -> Truth:
         """Return the truth with other times or axes.
@@ -99,13 +97,13 @@ class Truth:
         stamps = self.stamps + round(seconds * 1e9)
         if start is not None and self.stamps[-1] < _EPOCH_2001:
             stamps = stamps + start
-        positions, turns = self.positions, self.turns
+        positions, orientations = self.positions, self.orientations
         if up == "y":
             positions = np.stack(
                 [positions[..., 0], -positions[..., 2], positions[..., 1]], axis=-1
             )
-            turns = multiply(_Y_TO_Z, turns)
-        return Truth(stamps, positions, turns, self.people, self.model)
+            orientations = multiply(_Y_TO_Z, orientations)
+        return Truth(stamps, positions, orientations, self.people, self.model)
 
     def seen_by(self, model: SkeletonModel) -> Truth:
         """Return the truth on the markers and links of another model; NaN where it has none.
@@ -125,12 +123,12 @@ class Truth:
             )
         links = _same_ends(self.model, model, slots)
         positions = np.full((*self.positions.shape[:2], model.n_markers, 3), np.nan)
-        turns = np.full((*self.turns.shape[:2], model.n_links, 4), np.nan)
+        orientations = np.full((*self.orientations.shape[:2], model.n_links, 4), np.nan)
         for theirs, ours in slots.items():
             positions[:, :, ours] = self.positions[:, :, theirs]
         for theirs, ours in links.items():
-            turns[:, :, ours] = self.turns[:, :, theirs]
-        return Truth(self.stamps, positions, turns, self.people, model)
+            orientations[:, :, ours] = self.orientations[:, :, theirs]
+        return Truth(self.stamps, positions, orientations, self.people, model)
 
 
 def _same_names(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:
@@ -158,31 +156,3 @@ def _same_ends(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dic
 
 def _list(names: tuple[str, ...], most: int = 5) -> str:
     return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
-
-
-def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
-    """Read the truth from a log's SkeletonGroup channel, or from a TRC or CSV file.
-
-    Parameters
-    ----------
-    path : an MCAP log, ``.trc`` or ``.csv`` (:mod:`hiros_mcap.evaluate.files`).
-    topic : glob of the channel in a log; the ids of its skeletons are the true people.
-
-    Raises
-    ------
-    LogError, ConfigError
-        The file cannot be read, or holds no truth.
-    """
-    from hiros_mcap.evaluate.files import read_csv, read_trc
-
-    readers = {".trc": read_trc, ".csv": read_csv}
-    if (read := readers.get(Path(path).suffix.lower())) is not None:
-        return read(Path(path))
-    with open_log(path, topics=[topic], output_prefix="/none") as log:
-        if len(log.cameras) > 1:
-            topics = ", ".join(camera.channel.topic for camera in log.cameras)
-            raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
-        frames = list(log.detections())
-        if not frames:
-            raise LogError("holds no true skeletons", path=path, topic=topic)
-        return Truth.of(frames, log.model)

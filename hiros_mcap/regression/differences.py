@@ -1,4 +1,4 @@
-"""Two processed logs, channel by channel, in the words of the field."""
+"""Compares two processed logs channel by channel."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.rotations import angle
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import output_channels, read_channel
+from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.running.pipeline import LIMBS_ATTACHMENT
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 
-SAME_BODY = 0.3
+SAME_PERSON = 0.3
 """m, mean joint distance: closer skeletons of two results are of the same person."""
 _SHOWN = 5
 
@@ -55,11 +55,11 @@ class ChannelComparison:
     extra: Counter[int] = field(default_factory=Counter)
     """New id -> frames in which the golden channel has nobody there."""
     renamed: Counter[tuple[int, int]] = field(default_factory=Counter)
-    """(golden person, new id) -> frames in which the body goes by another id than usual."""
+    """(golden person, new id) -> frames in which the person has another id than usual."""
     vanished: Counter[str] = field(default_factory=Counter)
-    """Joint -> frames in which it is absent now."""
+    """Joint or link -> frames in which it is absent now."""
     appeared: Counter[str] = field(default_factory=Counter)
-    """Joint -> frames in which it was absent before."""
+    """Joint or link -> frames in which it was absent before."""
     position_max: float = 0.0
     position_rms: float = 0.0
     joints: dict[str, float] = field(default_factory=dict)
@@ -78,8 +78,8 @@ class ChannelComparison:
             lines.append(
                 f"frames: {self.missing_frames} missing, {self.extra_frames} extra of {self.frames}"
             )
-        strange = sum((self.missing + self.extra).values()) + sum(self.renamed.values())
-        if strange > tolerances.people * self.skeletons:
+        wrong = sum((self.missing + self.extra).values()) + sum(self.renamed.values())
+        if wrong > tolerances.people * self.skeletons:
             lines += self._people()
         lines += self._absent()
         if self.position_max > tolerances.positions:
@@ -143,8 +143,8 @@ def compare_logs(
     Parameters
     ----------
     output, golden : logs that ``hiros process`` wrote; the golden one may be compact.
-    tolerances : how far apart frames may be to be the same one, and from what on a frame counts
-        as the first that diverges; None = those beside the golden log.
+    tolerances : of the times that make two frames the same one, and of the first frame that
+        differs; None = those beside the golden log.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def compare_logs(
         if topic in there:
             comparison.channels.append(_compare_channel(topic, output, golden, tolerances))
     ids = {k: v for channel in comparison.channels for k, v in channel.ids.items()}
-    comparison.lengths = _compare_limbs(limbs_of(output), limbs_of(golden), ids)
+    comparison.lengths = compare_limbs(limbs_of(output), limbs_of(golden), ids)
     return comparison
 
 
@@ -205,20 +205,22 @@ def compare_frames(
     tolerances = tolerances or Tolerances()
     result = ChannelComparison(topic, frames=len(golden))
     pairs = _pair_frames(new, golden, round(tolerances.times * 1e9))
-    common = [(n, g) for n, g in pairs if n is not None and g is not None]
-    result.ids = _match_people([(new[n], golden[g]) for n, g in common])
-    tally = _Tally(model, tolerances, result)
+    common = [(new[n], golden[g]) for n, g in pairs if n is not None and g is not None]
+    result.ids = _match_people(common)
+    start = golden[0].stamp if golden else None
+    collector = _DifferenceCollector(model, tolerances, result, start)
+    index = 0
     for n, g in pairs:
-        if n is None or g is None:
-            result.missing_frames += n is None
-            result.extra_frames += g is None
-            if g is not None:
-                tally.diverge(g, golden[g], "the frame is missing")
-            elif n is not None:
-                tally.diverge(_index_before(golden, new[n].stamp), new[n], "an extra frame")
-        else:
-            tally.add(g, new[n], golden[g])
-    tally.finish(golden)
+        index = index if g is None else g
+        if n is None and g is not None:
+            result.missing_frames += 1
+            collector.diverge(index, golden[g], "the frame is missing")
+        elif g is None and n is not None:
+            result.extra_frames += 1
+            collector.diverge(index, new[n], "an extra frame")
+        elif n is not None and g is not None:
+            collector.add(index, new[n], golden[g])
+    collector.finish()
     return result
 
 
@@ -228,150 +230,129 @@ def _pair_frames(
     """Pair the indices of frames at the same time, by time; None where one side lacks it."""
     pairs: list[tuple[int | None, int | None]] = []
     n = g = 0
-    while n < len(new) or g < len(golden):
-        if n < len(new) and g < len(golden):
-            apart = new[n].stamp - golden[g].stamp
-        else:
-            apart = -1 if n < len(new) else 1
-            if abs(apart) <= tolerance:
-                apart *= tolerance + 1
-        if abs(apart) <= tolerance:
-            pairs.append((n, g))
-            n, g = n + 1, g + 1
-        elif apart < 0:
-            pairs.append((n, None))
-            n += 1
-        else:
-            pairs.append((None, g))
-            g += 1
+    while n < len(new) and g < len(golden):
+        late = new[n].stamp - golden[g].stamp
+        extra, missing = late < -tolerance, late > tolerance
+        pairs.append((None if missing else n, None if extra else g))
+        n, g = n + (not missing), g + (not extra)
+    pairs += [(k, None) for k in range(n, len(new))]
+    pairs += [(None, k) for k in range(g, len(golden))]
     return pairs
-
-
-def _index_before(golden: Sequence[Frame], stamp: int) -> int:
-    return max(0, sum(frame.stamp <= stamp for frame in golden) - 1)
 
 
 def _match_people(pairs: Sequence[tuple[Frame, Frame]]) -> dict[int, int]:
     """Golden person -> the id that is at the same place for most of the time."""
     closeness: defaultdict[tuple[int, int], float] = defaultdict(float)
     for new, old in pairs:
-        distance = _mean_distances(old, new)
+        distance = skeleton_distances(old.positions, new.positions)
         for g, person in enumerate(old.ids.tolist()):
-            for n, name in enumerate(new.ids.tolist()):
-                if distance[g, n] < SAME_BODY and UNTRACKED not in (person, name):
-                    closeness[person, name] += 1 - float(distance[g, n]) / SAME_BODY
+            for n, ident in enumerate(new.ids.tolist()):
+                if distance[g, n] < SAME_PERSON and UNTRACKED not in (person, ident):
+                    closeness[person, ident] += 1 - float(distance[g, n]) / SAME_PERSON
     people = sorted({p for p, _ in closeness})
-    names = sorted({i for _, i in closeness})
-    if not people:
-        return {}
-    table = np.array([[closeness[p, i] for i in names] for p in people])
-    cost = np.where(table > 0, table.max() - table, np.inf)
-    rows = assign(np.ascontiguousarray(cost)).tolist()
-    return {people[row]: names[k] for k, row in enumerate(rows) if row >= 0}
+    ids = sorted({i for _, i in closeness})
+    table = np.array([[closeness[p, i] for i in ids] for p in people]).reshape(
+        len(people), len(ids)
+    )
+    matched = best_pairs(np.where(table > 0, table.max(initial=0) - table, np.inf))
+    return {people[row]: ids[column] for row, column in matched}
 
 
-def _mean_distances(a: Frame, b: Frame) -> Floats:
-    each = np.linalg.norm(a.positions[:, None] - b.positions[None], axis=-1)
-    known = ~np.isnan(each)
-    total = np.where(known, each, 0.0).sum(axis=-1)
-    return np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.inf)
-
-
-class _Tally:
+class _DifferenceCollector:
     """Collects the differences of one channel, frame by frame."""
 
     def __init__(
-        self, model: SkeletonModel, tolerances: Tolerances, result: ChannelComparison
+        self,
+        model: SkeletonModel,
+        tolerances: Tolerances,
+        result: ChannelComparison,
+        start: int | None,
     ) -> None:
         self.model = model
+        self.links = tuple(f"link {name}" for name in model.link_names)
         self.tolerances = tolerances
         self.result = result
+        self.start = start
         self._distances: list[Floats] = []
         self._angles: list[Floats] = []
-        self._first: tuple[int, Frame, str] | None = None
 
     def diverge(self, index: int, frame: Frame, what: str) -> None:
         """Note a difference; only the first is kept."""
-        if self._first is None:
-            self._first = (index, frame, what)
+        if self.result.first is None:
+            start = frame.stamp if self.start is None else self.start
+            seconds = (frame.stamp - start) / 1e9
+            self.result.first = Divergence(index, frame.stamp, seconds, what)
 
     def add(self, index: int, new: Frame, old: Frame) -> None:
         """Compare two frames of the same time."""
-        rows = {name: k for k, name in enumerate(new.ids.tolist())}
-        taken = set()
-        distance = _mean_distances(old, new)
+        rows = {ident: k for k, ident in enumerate(new.ids.tolist())}
+        compared = set()
+        distance = skeleton_distances(old.positions, new.positions)
         for g, person in enumerate(old.ids.tolist()):
             self.result.skeletons += 1
             row = rows.get(self.result.ids.get(person, UNTRACKED), -1)
-            if row < 0 or distance[g, row] >= SAME_BODY:
+            if row < 0 or distance[g, row] >= SAME_PERSON:
                 row = self._find_elsewhere(index, old, person, distance[g], new)
             if row >= 0:
-                taken.add(row)
-                self._compare_bodies(index, old, g, new, row)
-        for row, name in enumerate(new.ids.tolist()):
-            if row not in taken:
-                self.result.extra[name] += 1
-                self.diverge(index, old, f"id {name} is extra")
+                compared.add(row)
+                self._compare_skeletons(index, old, g, new, row)
+        for row, ident in enumerate(new.ids.tolist()):
+            if row not in compared:
+                self.result.extra[ident] += 1
+                self.diverge(index, old, f"id {ident} is extra")
 
     def _find_elsewhere(
         self, index: int, old: Frame, person: int, distance: Floats, new: Frame
     ) -> int:
-        """Row of the body that is where the person was, under another id; -1 if there is none."""
+        """Row of the skeleton where the person was, under another id; -1 if there is none."""
         row = int(np.argmin(distance)) if len(distance) else -1
-        if row < 0 or distance[row] >= SAME_BODY:
+        if row < 0 or distance[row] >= SAME_PERSON:
             self.result.missing[person] += 1
             self.diverge(index, old, f"person {person} is missing")
             return -1
-        name = int(new.ids[row])
-        self.result.renamed[person, name] += 1
-        self.diverge(index, old, f"person {person} is now id {name}")
+        ident = int(new.ids[row])
+        self.result.renamed[person, ident] += 1
+        self.diverge(index, old, f"person {person} is now id {ident}")
         return row
 
-    def _compare_bodies(self, index: int, old: Frame, g: int, new: Frame, n: int) -> None:
-        person, names = int(old.ids[g]), self.model.marker_names
-        was, now = old.positions[g], new.positions[n]
-        gone = ~np.isnan(was[:, 0]) & np.isnan(now[:, 0])
-        came = np.isnan(was[:, 0]) & ~np.isnan(now[:, 0])
-        for counts, mask, what in (
-            (self.result.vanished, gone, "is absent"),
-            (self.result.appeared, came, "is new"),
+    def _compare_skeletons(self, index: int, old: Frame, g: int, new: Frame, n: int) -> None:
+        of = f"of person {int(old.ids[g])}"
+        distance = np.linalg.norm(new.positions[n] - old.positions[g], axis=-1)
+        degrees = np.degrees(angle(old.orientations[g], new.orientations[n]))
+        for names, was, now in (
+            (self.model.marker_names, old.positions[g], new.positions[n]),
+            (self.links, old.orientations[g], new.orientations[n]),
         ):
-            for k in np.nonzero(mask)[0]:
-                counts[names[k]] += 1
-                self.diverge(index, old, f"{names[k]} of person {person} {what}")
-        distance = np.linalg.norm(now - was, axis=-1)
-        self._distances.append(distance)
+            before, after = ~np.isnan(was[:, 0]), ~np.isnan(now[:, 0])
+            for counts, mask, what in (
+                (self.result.vanished, before & ~after, "is absent"),
+                (self.result.appeared, after & ~before, "is new"),
+            ):
+                for k in np.nonzero(mask)[0]:
+                    counts[names[k]] += 1
+                    self.diverge(index, old, f"{names[k]} {of} {what}")
         if (distance > self.tolerances.positions).any():
             worst = int(np.nanargmax(distance))
-            self.diverge(
-                index, old, f"{names[worst]} of person {person} is off by {_mm(distance[worst])}"
-            )
-        turn = np.degrees(angle(old.orientations[g], new.orientations[n]))
-        self._angles.append(turn)
-        if (turn > self.tolerances.orientations).any():
-            worst = int(np.nanargmax(turn))
-            name = self.model.link_names[worst]
-            self.diverge(
-                index, old, f"link {name} of person {person} is turned by {_deg(turn[worst])}"
-            )
+            name, off = self.model.marker_names[worst], _mm(distance[worst])
+            self.diverge(index, old, f"{name} {of} is off by {off}")
+        if (degrees > self.tolerances.orientations).any():
+            worst = int(np.nanargmax(degrees))
+            self.diverge(index, old, f"{self.links[worst]} {of} is off by {_deg(degrees[worst])}")
+        self._distances.append(distance)
+        self._angles.append(degrees)
 
-    def finish(self, golden: Sequence[Frame]) -> None:
+    def finish(self) -> None:
         """Sum up."""
-        if self._distances:
-            table = np.stack(self._distances)
-            known = table[~np.isnan(table)]
-            if known.size:
-                self.result.position_max = float(known.max())
-                self.result.position_rms = float(np.sqrt((known * known).mean()))
-            self.result.joints = _largest(self.model.marker_names, table)
-            turns = np.stack(self._angles)
-            self.result.links = _largest(self.model.link_names, turns)
-            self.result.orientation_max = max(self.result.links.values(), default=0.0)
-        if self._first is not None:
-            index, frame, what = self._first
-            start = golden[0].stamp if golden else frame.stamp
-            seconds = (frame.stamp - start) / 1e9
-            self.result.first = Divergence(index, frame.stamp, seconds, what)
+        if not self._distances:
+            return
+        distances, result = np.stack(self._distances), self.result
+        known = distances[~np.isnan(distances)]
+        if known.size:
+            result.position_max = float(known.max())
+            result.position_rms = float(np.sqrt((known * known).mean()))
+        result.joints = _largest(self.model.marker_names, distances)
+        result.links = _largest(self.model.link_names, np.stack(self._angles))
+        result.orientation_max = max(result.links.values(), default=0.0)
 
 
 def _largest(names: Sequence[str], table: Floats) -> dict[str, float]:
@@ -389,18 +370,20 @@ def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
     return LimbTable()
 
 
-def _compare_limbs(
+def compare_limbs(
     new: LimbTable, golden: LimbTable, ids: Mapping[int, int]
 ) -> dict[tuple[int, str], float]:
-    """Differences of the lengths of every person and link that either has calibrated."""
+    """Difference of the lengths of every link of a golden person that either log has calibrated.
+
+    A golden log without any calibration expects none.
+    """
     differences: dict[tuple[int, str], float] = {}
-    if not golden.people:
-        return differences
     for person, limbs in golden.people.items():
-        other = new.people.get(ids.get(person, person), {})
-        for link, limb in limbs.items():
-            now = other.get(link)
-            differences[person, link] = np.inf if now is None else abs(now.length - limb.length)
+        others = new.people.get(ids.get(person, person), {})
+        for link in {**limbs, **others}:
+            was, now = limbs.get(link), others.get(link)
+            difference = np.inf if was is None or now is None else abs(now.length - was.length)
+            differences[person, link] = difference
     return differences
 
 

@@ -1,4 +1,4 @@
-"""Numbers that tell how good a result is, by name, and thresholds on them."""
+"""Numbers that say how good a result is, by name, and thresholds on them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,7 @@ from pathlib import Path
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import Scores, Truth
-from hiros_mcap.evaluate.logs import (
-    Consistency,
-    consistency,
-    evaluate_log,
-    find_truth,
-    read_channel,
-)
+from hiros_mcap.evaluate.logs import consistency, evaluate_log, find_truth, read_channel
 from hiros_mcap.outputs import write_text
 
 VERSION = 1
@@ -27,38 +21,40 @@ VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A number by name. ``better`` is -1 if less is better, 1 if more is, 0 if it must be equal."""
+    """A number that a golden file or a threshold may name."""
 
     unit: str
     better: int
-    text: str
-    floor: float = 0.0
-    """Changes smaller than this never count."""
+    """-1 if less is better, 1 if more is, 0 if it must be equal."""
+    floor: float
+    """Changes up to this never count; 0 for counts, which may not get worse at all."""
+    of: Callable[[Scores], float] | None = None
+    """How to read it from scores against a truth; None = it needs no truth."""
 
 
 METRICS: Mapping[str, Metric] = {
-    "people": Metric("", 0, "ids in the channel"),
-    "frames": Metric("", 0, "frames in the channel"),
-    "limb_cv": Metric("", -1, "coefficient of variation of limb lengths", 1e-3),
-    "jitter": Metric("mm", -1, "mean norm of the second difference of joints", 0.1),
-    "mpjpe": Metric("mm", -1, "mean joint error", 0.1),
-    "mpjpe_sd": Metric("mm", -1, "standard deviation of the joint error", 0.1),
-    "mpjpe_95": Metric("mm", -1, "95 % of the joint errors are below", 0.2),
-    "pck_50": Metric("%", 1, "joints within 50 mm", 0.1),
-    "pck_100": Metric("%", 1, "joints within 100 mm", 0.1),
-    "angle_rmse": Metric("deg", -1, "flexion angles by joint positions", 0.05),
-    "link_angle_rmse": Metric("deg", -1, "flexion angles by link orientations", 0.05),
-    "turn": Metric("deg", -1, "mean turn of a link from the true one", 0.05),
-    "limb_error": Metric("mm", -1, "mean error of limb lengths", 0.1),
-    "lag": Metric("ms", -1, "delay against the truth, without its sign", 1.0),
-    "missing": Metric("", -1, "true people without a skeleton, summed over frames"),
-    "false": Metric("", -1, "skeletons of nobody, summed over frames"),
-    "id_switches": Metric("", -1, "changes of a true person's id"),
-    "mota": Metric("", 1, "1 - (missing + false + switches) / true", 1e-3),
-    "idf1": Metric("", 1, "identity F1", 1e-3),
-    "hota": Metric("", 1, "higher order tracking accuracy", 1e-3),
+    "people": Metric("", 0, 0),
+    "frames": Metric("", 0, 0),
+    "limb_cv": Metric("", -1, 1e-3),
+    "jitter": Metric("mm", -1, 0.1),
+    "mpjpe": Metric("mm", -1, 0.1, lambda s: s.mean),
+    "mpjpe_sd": Metric("mm", -1, 0.1, lambda s: s.deviation),
+    "mpjpe_95": Metric("mm", -1, 0.2, lambda s: s.percentile_95),
+    "pck_50": Metric("%", 1, 0.1, lambda s: 100 * s.pck_at(50)),
+    "pck_100": Metric("%", 1, 0.1, lambda s: 100 * s.pck_at(100)),
+    "angle_rmse": Metric("deg", -1, 0.05, lambda s: s.angle_rmse),
+    "link_angle_rmse": Metric("deg", -1, 0.05, lambda s: s.link_angle_rmse),
+    "orientation_error": Metric("deg", -1, 0.05, lambda s: s.orientation_error),
+    "limb_error": Metric("mm", -1, 0.1, lambda s: s.limb_error),
+    "lag": Metric("ms", -1, 1.0, lambda s: abs(s.lag)),
+    "missing": Metric("", -1, 0, lambda s: s.missing),
+    "false": Metric("", -1, 0, lambda s: s.false),
+    "id_switches": Metric("", -1, 0, lambda s: s.switches),
+    "mota": Metric("", 1, 1e-3, lambda s: s.tracking.mota),
+    "idf1": Metric("", 1, 1e-3, lambda s: s.tracking.idf1),
+    "hota": Metric("", 1, 1e-3, lambda s: s.tracking.hota),
 }
-COUNTS = ("people", "frames", "missing", "false", "id_switches")
+"""docs/evaluating.md says what they are; ``hiros eval`` has them in its tables."""
 
 _FORM = re.compile(r"\s*(\w+)\s*(<=|>=|==|=|!=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
 _COMPARE: dict[str, Callable[[float, float], bool]] = {
@@ -115,7 +111,7 @@ class Threshold:
 
 def shown(name: str, value: float) -> str:
     """Return a metric's value with its unit."""
-    unit = METRICS[name].unit if name in METRICS else ""
+    unit = METRICS[name].unit
     return f"{value:.4g}{' ' if unit else ''}{unit}"
 
 
@@ -130,41 +126,18 @@ def metrics_of(
     truth : None = the log's own /truth channel, if it has one.
     """
     frames, model, _ = read_channel(path, topic)
-    values = _own(consistency(frames, model))
-    truth = find_truth(path) if truth is None else truth
-    if truth is not None:
-        values.update(_against(evaluate_log(path, truth, [topic])[topic].scores))
-    return {name: values[name] for name in METRICS if not math.isnan(values.get(name, math.nan))}
-
-
-def _own(own: Consistency) -> dict[str, float]:
-    return {
+    own = consistency(frames, model)
+    values: dict[str, float] = {
         "people": len(own.people),
         "frames": own.frames,
         "limb_cv": own.limb_variation,
         "jitter": own.jitter,
     }
-
-
-def _against(scores: Scores) -> dict[str, float]:
-    return {
-        "mpjpe": scores.mean,
-        "mpjpe_sd": scores.deviation,
-        "mpjpe_95": scores.percentile_95,
-        "pck_50": 100 * scores.pck_at(50),
-        "pck_100": 100 * scores.pck_at(100),
-        "angle_rmse": scores.angle_rmse,
-        "link_angle_rmse": scores.link_angle_rmse,
-        "turn": scores.turn_error,
-        "limb_error": scores.limb_error,
-        "lag": abs(scores.lag),
-        "missing": scores.missing,
-        "false": scores.false,
-        "id_switches": scores.switches,
-        "mota": scores.tracking.mota,
-        "idf1": scores.tracking.idf1,
-        "hota": scores.tracking.hota,
-    }
+    truth = find_truth(path) if truth is None else truth
+    if truth is not None:
+        scores = evaluate_log(path, truth, [topic])[topic].scores
+        values.update({name: m.of(scores) for name, m in METRICS.items() if m.of is not None})
+    return {name: value for name, value in values.items() if not math.isnan(value)}
 
 
 def worse(
@@ -172,33 +145,28 @@ def worse(
 ) -> tuple[list[str], list[str]]:
     """Compare metrics: (what got worse by more than ``share``, what got better by more).
 
-    Counts are compared exactly; a metric that the golden ones have and the new ones lack is worse.
+    Counts are compared exactly. A metric that only the golden ones have is worse.
     """
     faults, gains = [], []
     for name, was in golden.items():
-        if name not in METRICS:
-            continue
         now, metric = new.get(name, math.nan), METRICS[name]
         if math.isnan(now):
             faults.append(f"{name}: was {shown(name, was)}, is not known any more")
             continue
-        slack = 0.0 if name in COUNTS else max(share * abs(was), metric.floor)
+        slack = max(share * abs(was), metric.floor) if metric.floor else 0.0
         change = f"{name}: was {shown(name, was)}, is {shown(name, now)}"
         if (metric.better == 0 and now != was) or metric.better * (was - now) > slack:
             faults.append(change)
-        elif metric.better and metric.better * (now - was) > slack:
+        elif metric.better * (now - was) > slack:
             gains.append(change)
     return faults, gains
 
 
 def save_metrics(path: Path, topic: str, values: Mapping[str, float]) -> None:
     """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
-    data = {"hiros_golden_metrics": VERSION, "channel": topic, "metrics": _rounded(values)}
+    rounded = {name: float(f"{value:.6g}") for name, value in values.items()}
+    data = {"hiros_golden_metrics": VERSION, "channel": topic, "metrics": rounded}
     write_text(path, json.dumps(data, indent=1) + "\n")
-
-
-def _rounded(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(f"{value:.6g}") for name, value in values.items()}
 
 
 def load_metrics(path: Path) -> tuple[str, dict[str, float]]:
@@ -207,7 +175,7 @@ def load_metrics(path: Path) -> tuple[str, dict[str, float]]:
     Raises
     ------
     ConfigError
-        The file is not what :func:`save_metrics` writes.
+        The file is not what :func:`save_metrics` writes, or names a metric that does not exist.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -218,6 +186,9 @@ def load_metrics(path: Path) -> tuple[str, dict[str, float]]:
     values = data.get("metrics") if isinstance(data, dict) else None
     if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
         raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")
-    if not all(isinstance(v, int | float) for v in values.values()):
-        raise ConfigError(f"{path}: a metric is not a number")
-    return str(data.get("channel")), {str(k): float(v) for k, v in values.items()}
+    for name, value in values.items():
+        if name not in METRICS:
+            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(METRICS)})")
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise ConfigError(f"{path}: {name} is not a number")
+    return str(data.get("channel")), {name: float(value) for name, value in values.items()}

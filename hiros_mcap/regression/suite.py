@@ -19,14 +19,14 @@ from __future__ import annotations
 import tempfile
 import time
 import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hiros_mcap.config import Config, load_config
+from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
@@ -34,24 +34,19 @@ from hiros_mcap.outputs import check_outputs
 from hiros_mcap.params import Params, explain
 from hiros_mcap.regression.differences import Divergence, compare_logs
 from hiros_mcap.regression.golden import write_golden
-from hiros_mcap.regression.metrics import (
-    Threshold,
-    load_metrics,
-    metrics_of,
-    save_metrics,
-    worse,
-)
+from hiros_mcap.regression.metrics import Threshold, load_metrics, metrics_of, save_metrics, worse
 from hiros_mcap.regression.tolerances import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.workers import run_tasks
 
 Status = Literal["equal", "different", "error"]
+GOLDEN_SUFFIXES = (".mcap", ".json")
 
 
 class Case(Params):
     """One log of a suite."""
 
-    name: str = Field("", description="Of the case; the input's name by default.")
+    name: str = Field("", description="Of the case. Default: the input's name.")
     input: str = Field(description="The recording.")
     golden: str = Field(
         "", description="Compact log (.mcap) or metrics (.json) to compare with; made by --bless."
@@ -84,7 +79,7 @@ class Case(Params):
     def _expects_something(self) -> Case:
         if not self.golden and not self.require:
             raise ValueError("expects nothing: give it a golden file or thresholds (require)")
-        if self.golden and Path(self.golden).suffix not in (".mcap", ".json"):
+        if self.golden and Path(self.golden).suffix not in GOLDEN_SUFFIXES:
             raise ValueError(f"golden {self.golden!r} is neither .mcap nor .json")
         return self
 
@@ -115,7 +110,7 @@ class Suite:
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """What became of a case."""
+    """Whether a case gives what is expected of it."""
 
     name: str
     status: Status
@@ -170,44 +165,52 @@ def _case(path: Path, number: int, defaults: dict[str, Any], row: Any) -> Case:
     return case
 
 
+@dataclass(frozen=True, slots=True)
+class SuiteOptions:
+    """How to run a suite."""
+
+    bless: bool = False
+    """Replace the golden files by what came out now; notes say what changed."""
+    only: Sequence[str] = ()
+    """Names of the cases to run; empty = all."""
+    jobs: int = 0
+    """Processes at once; 0 = one per core."""
+    keep: Path | None = None
+    """Folder to leave the outputs in, one ``NAME.mcap`` each."""
+    force: bool = False
+    """Replace files in there that hiros did not write."""
+
+
+_DEFAULTS = SuiteOptions()
+
+
 def run_suite(
-    suite: Suite,
-    *,
-    bless: bool = False,
-    only: Sequence[str] = (),
-    jobs: int = 0,
-    keep: Path | None = None,
-    progress: Progress | None = None,
-    force: bool = False,
+    suite: Suite, options: SuiteOptions = _DEFAULTS, progress: Progress | None = None
 ) -> list[CaseResult]:
     """Process and check every log, several at once; results in the order of the suite.
-
-    Parameters
-    ----------
-    bless : replace the golden files by what came out now; notes say what changed.
-    only : names of the cases to run. jobs : processes at once; 0 = one per core.
-    keep : folder to leave the outputs in, one ``NAME.mcap`` each.
-    force : replace files in there that hiros did not write.
 
     Raises
     ------
     ConfigError
-        A name in ``only`` does not exist.
+        ``options.only`` names a case that does not exist.
     LogError
-        A file in ``keep`` must not be replaced.
+        A file in ``options.keep`` must not be replaced.
     """
+    only, keep = options.only, options.keep
     titles = [case.title for case in suite.cases]
     if unknown := [name for name in only if name not in titles]:
         raise ConfigError(f"{suite.path}: no case {unknown[0]!r} (there are: {', '.join(titles)})")
     cases = [case for case in suite.cases if not only or case.title in only]
     if keep is not None:
-        check_outputs(((kept_path(keep, case), "log") for case in cases), suite.files, force=force)
+        check_outputs(
+            ((kept_path(keep, case), "log") for case in cases), suite.files, force=options.force
+        )
     progress, done = progress or Silent(), {}
-    tasks = [(suite.path.parent, case, bless, keep) for case in cases]
-    for _, result in run_tasks(run_case, tasks, jobs):
-        done[result.name] = result
+    tasks = [(suite.path.parent, case, options.bless, keep) for case in cases]
+    for k, result in run_tasks(run_case, tasks, options.jobs):
+        done[k] = result
         progress.update(len(done), len(cases))
-    return [done[case.title] for case in cases]
+    return [done[k] for k in range(len(cases))]
 
 
 def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = None) -> CaseResult:
@@ -216,18 +219,15 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
     try:
         with tempfile.TemporaryDirectory() as temporary:
             out = kept_path(keep or Path(temporary), case)
-            config = load_config(
-                folder / case.config if case.config else None,
-                case.set,
-                case.preset,
-                case.system,
-            )
-            _process(folder / case.input, out, case, config)
-            result = _check(folder, case, out, bless=bless)
+            file = folder / case.config if case.config else None
+            config = load_config(file, case.set, case.preset, case.system)
+            options = ProcessOptions(system=case.system, stages=case.stages, keep=("/truth/*",))
+            # Whether ``out`` may be replaced was asked before the first case ran.
+            process(folder / case.input, out, config=config, options=options, force=True)
+            result = _check_case(folder, case, out, bless=bless)
     except (HirosError, OSError) as error:
         result = CaseResult(case.title, "error", (str(error),))
-    values = {name: getattr(result, name) for name in CaseResult.__slots__}
-    return CaseResult(**{**values, "seconds": time.perf_counter() - start})
+    return replace(result, seconds=time.perf_counter() - start)
 
 
 def kept_path(folder: Path, case: Case) -> Path:
@@ -236,20 +236,25 @@ def kept_path(folder: Path, case: Case) -> Path:
     return folder / f"{name}.mcap"
 
 
-def _process(source: Path, out: Path, case: Case, config: Config) -> None:
-    options = ProcessOptions(system=case.system, stages=case.stages, keep=("/truth/*",))
-    # Whether ``out`` may be replaced was asked before the first case ran.
-    process(source, out, config=config, options=options, force=True)
+def _check_case(folder: Path, case: Case, out: Path, *, bless: bool) -> CaseResult:
+    topic = output_channels(out)[-1]
+    truth = load_truth(folder / case.truth) if case.truth else None
+    metrics = metrics_of(out, topic, truth)
+    result = CaseResult(case.title, "equal", metrics=metrics)
+    if case.golden:
+        golden = Golden(
+            folder / case.golden,
+            Tolerances(**case.tolerances) if case.tolerances else None,
+            case.channels,
+        )
+        result = golden.check(result, out, topic, bless=bless)
+    unmet = tuple(f for text in case.require if (f := Threshold.parse(text).fault(metrics)))
+    if not unmet:
+        return result
+    return replace(result, status="different", faults=(*unmet, *result.faults))
 
 
-def check_output(
-    output: Path,
-    golden: Path,
-    tolerances: Tolerances | None = None,
-    channels: Sequence[str] = (),
-    *,
-    bless: bool = False,
-) -> CaseResult:
+def check_output(output: Path, golden: Golden, *, bless: bool = False) -> CaseResult:
     """Compare one output with its golden file, or make it the golden file.
 
     Raises
@@ -257,100 +262,69 @@ def check_output(
     HirosError
         The two cannot be compared.
     """
-    if golden.suffix not in (".mcap", ".json"):
-        raise ConfigError(f"{golden}: a golden file ends in .mcap (a log) or .json (metrics)")
-    if not golden.is_file() and not bless:
-        raise ConfigError(f"{golden}: no such golden file; --bless makes it")
+    if golden.path.suffix not in GOLDEN_SUFFIXES:
+        raise ConfigError(f"{golden.path}: a golden file ends in .mcap (a log) or .json (metrics)")
+    if not golden.path.is_file() and not bless:
+        raise ConfigError(f"{golden.path}: no such golden file; --bless makes it")
     topic = output_channels(output)[-1]
-    metrics = metrics_of(output, topic)
-    return _judge(
-        _Subject(output.name, output, topic, metrics), golden, tolerances, channels, bless
-    )
+    result = CaseResult(output.name, "equal", metrics=metrics_of(output, topic))
+    return golden.check(result, output, topic, bless=bless)
 
 
 @dataclass(frozen=True, slots=True)
-class _Subject:
-    """An output that is judged."""
+class Golden:
+    """What an output is compared with."""
 
-    title: str
     path: Path
-    topic: str
-    metrics: dict[str, float]
+    tolerances: Tolerances | None = None
+    """None = those beside the golden file, else the defaults."""
+    channels: Sequence[str] = ()
+    """Globs of the channels that a new golden log keeps; empty = the last stage's."""
 
-
-def _check(folder: Path, case: Case, out: Path, *, bless: bool) -> CaseResult:
-    topic = output_channels(out)[-1]
-    truth = load_truth(folder / case.truth) if case.truth else None
-    metrics = metrics_of(out, topic, truth)
-    unmet = [f for text in case.require if (f := Threshold.parse(text).fault(metrics))]
-    if not case.golden:
-        return CaseResult(
-            case.title, "different" if unmet else "equal", tuple(unmet), metrics=metrics
+    def check(self, result: CaseResult, output: Path, topic: str, *, bless: bool) -> CaseResult:
+        """Return the result with what differs, or make the output the golden file."""
+        faults, gains, first = self._compare(result.metrics, output)
+        if bless:
+            changes = [*faults, *gains] if self.path.is_file() else ["a new golden file"]
+            if not changes:
+                return replace(result, notes=("as before; the golden file stays",))
+            self._replace(result.metrics, output, topic)
+            return replace(result, notes=tuple(f"accepted: {change}" for change in changes))
+        return replace(
+            result,
+            status="different" if faults else "equal",
+            faults=tuple(faults),
+            first=tuple(first),
+            notes=tuple(f"better: {gain}" for gain in gains),
         )
-    tolerances = Tolerances(**case.tolerances) if case.tolerances else None
-    subject = _Subject(case.title, out, topic, metrics)
-    judged = _judge(subject, folder / case.golden, tolerances, case.channels, bless)
-    faults = (*unmet, *judged.faults)
-    status: Status = "different" if faults else "equal"
-    return CaseResult(case.title, status, faults, judged.first, judged.notes, metrics)
 
+    def _compare(
+        self, metrics: Mapping[str, float], output: Path
+    ) -> tuple[list[str], list[str], list[tuple[str, Divergence]]]:
+        """Return what is worse or differs, what is better, and where it begins."""
+        tolerances = self.tolerances or beside(self.path)
+        if not self.path.is_file():
+            return [f"there is no golden file {self.path.name} yet; --bless makes it"], [], []
+        if self.path.suffix == ".json":
+            _, before = load_metrics(self.path)
+            return *worse(metrics, before, tolerances.metrics), []
+        comparison = compare_logs(output, self.path, tolerances)
+        found = comparison.faults(tolerances)
+        faults = [f"{channel}: {line}" for channel, lines in found.items() for line in lines]
+        equal = [channel.topic for channel in comparison.channels if channel.topic not in found]
+        if found and equal:
+            stage = next(iter(found))
+            faults.insert(0, f"first stage that differs: {stage}; equal: {', '.join(equal)}")
+        first = [
+            (channel.topic, channel.first)
+            for channel in comparison.channels
+            if channel.topic in found and channel.first is not None
+        ]
+        return faults, [], first
 
-def _judge(
-    subject: _Subject,
-    golden: Path,
-    tolerances: Tolerances | None,
-    channels: Sequence[str],
-    bless: bool,
-) -> CaseResult:
-    faults, gains, first = _compare(subject, golden, tolerances)
-    if bless:
-        notes = _bless(subject, golden, channels, faults + gains)
-        return CaseResult(subject.title, "equal", notes=tuple(notes), metrics=subject.metrics)
-    notes = [f"better: {gain}" for gain in gains]
-    status: Status = "different" if faults else "equal"
-    return CaseResult(
-        subject.title, status, tuple(faults), tuple(first), tuple(notes), subject.metrics
-    )
-
-
-def _compare(
-    subject: _Subject, golden: Path, tolerances: Tolerances | None
-) -> tuple[list[str], list[str], list[tuple[str, Divergence]]]:
-    """Return what is worse or differs, what is better, and where it begins."""
-    tolerances = tolerances or beside(golden)
-    if not golden.is_file():
-        return [f"there is no golden file {golden.name} yet; --bless makes it"], [], []
-    if golden.suffix == ".json":
-        _, before = load_metrics(golden)
-        faults, gains = worse(subject.metrics, before, tolerances.metrics)
-        return faults, gains, []
-    comparison = compare_logs(subject.path, golden, tolerances)
-    found = comparison.faults(tolerances)
-    faults = [f"{channel}: {line}" for channel, lines in found.items() for line in lines]
-    equal = [channel.topic for channel in comparison.channels if channel.topic not in found]
-    if found and equal:
-        faults.insert(
-            0, f"first stage that differs: {next(iter(found))}; equal: {', '.join(equal)}"
-        )
-    first = [
-        (channel.topic, channel.first)
-        for channel in comparison.channels
-        if channel.topic in found and channel.first is not None
-    ]
-    return faults, [], first
-
-
-def _bless(
-    subject: _Subject, golden: Path, channels: Sequence[str], changes: list[str]
-) -> list[str]:
-    """Replace the golden file if anything changed; return what was accepted."""
-    if not golden.is_file():
-        changes = ["a new golden file"]
-    elif not changes:
-        return ["as before; the golden file stays"]
-    golden.parent.mkdir(parents=True, exist_ok=True)
-    if golden.suffix == ".json":
-        save_metrics(golden, subject.topic, subject.metrics)
-    else:
-        write_golden(subject.path, golden, channels)
-    return [f"accepted: {change}" for change in changes]
+    def _replace(self, metrics: Mapping[str, float], output: Path, topic: str) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        if self.path.suffix == ".json":
+            save_metrics(self.path, topic, metrics)
+        else:
+            write_golden(output, self.path, self.channels)

@@ -17,8 +17,8 @@ SUFFIX = ".tolerances.toml"
 class Tolerances(Params):
     """Differences that do not count. The defaults forgive another machine, not another algorithm.
 
-    For a change that is meant to alter the numbers, compare metrics instead: give the suite a
-    golden file of metrics (``.json``) or thresholds.
+    If a change is meant to alter the numbers, compare metrics instead: give the suite a golden file
+    of metrics (``.json``) or thresholds.
     """
 
     positions: NonNegativeFloat = Field(
@@ -28,14 +28,14 @@ class Tolerances(Params):
         1e-4,
         description="deg, of every link in every frame (1e-6 m at the end of a limb of 0.5 m).",
     )
-    times: NonNegativeFloat = Field(1e-6, description="s, of a frame.")
+    times: NonNegativeFloat = Field(1e-6, allow_inf_nan=False, description="s, of a frame.")
     lengths: NonNegativeFloat = Field(1e-6, description="m, of a calibrated limb.")
     frames: NonNegativeFloat = Field(0.0, le=1, description="Share of frames that may be missing.")
     people: NonNegativeFloat = Field(
         0.0, le=1, description="Share of a channel's skeletons that may be missing, new or renamed."
     )
     metrics: NonNegativeFloat = Field(
-        0.05, description="Share by which a metric may get worse; counts may not."
+        0.05, description="Share by which a metric may get worse; counts may not at all."
     )
 
 

@@ -10,7 +10,7 @@ the way (:mod:`occlusion`), and a body tracker errs about them (:mod:`detector`)
 parameter (:class:`SimulateParams`), and the same seed gives the same bytes.
 """
 
-from hiros_mcap.simulate.scene import Simulation, simulate
 from hiros_mcap.simulate.settings import DetectorParams, RigParams, SimulateParams
+from hiros_mcap.simulate.simulation import Simulation, simulate
 
 __all__ = ["DetectorParams", "RigParams", "SimulateParams", "Simulation", "simulate"]

@@ -1,4 +1,4 @@
-"""The sixteen actions of the Hi-ROS evaluation (Table 5): who is where, and what he does there."""
+"""The sixteen actions of the Hi-ROS evaluation (Table 5): where people are and what they do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.simulate.body import Body
+from hiros_mcap.simulate.body_model import BodyModel
 from hiros_mcap.simulate.motion import (
     JOG,
     WALK,
@@ -19,7 +19,7 @@ from hiros_mcap.simulate.motion import (
     arm,
     standing,
 )
-from hiros_mcap.simulate.splines import TURN, Eight, Ellipse, Path, Spot, bump, hold
+from hiros_mcap.simulate.paths import TURN, Eight, Ellipse, Path, Spot, bump, hold
 from hiros_mcap.skeletons import Floats
 
 SPEED = {WALK: 1.2, JOG: 2.5}  # m/s, mean along the path
@@ -76,7 +76,7 @@ def _lean(posture: Posture, forward: Floats) -> None:
 
 
 def idle(posture: Posture, t: Floats, style: Style) -> None:
-    """Nobody stands like a statue: slow sway of a few millimetres, breathing, relaxed arms."""
+    """Sway slowly by a few millimetres, breathe, let the arms hang."""
     slow, breath = TURN * (0.21 * t + style.phase), TURN * (0.27 * t + 2 * style.phase)
     posture.pelvis += np.stack(
         [0.006 * np.sin(slow), 0.005 * np.sin(1.7 * slow), np.zeros_like(t)], axis=-1
@@ -275,7 +275,7 @@ class Action:
     gait: Gait | None = None
     gesture: Gesture | None = None
 
-    def perform(self, bodies: Sequence[Body], rng: np.random.Generator) -> list[Person]:
+    def perform(self, bodies: Sequence[BodyModel], rng: np.random.Generator) -> list[Person]:
         """Let each body perform the action in its own style."""
         speed = SPEED[self.gait] if self.gait else 0.0
         paths = self.layout(len(bodies), speed, rng)
@@ -286,7 +286,7 @@ class Action:
 
 
 def _performance(
-    action: Action, body: Body, path: Path, style: Style
+    action: Action, body: BodyModel, path: Path, style: Style
 ) -> Callable[[Floats], Posture]:
     walker = Walker(body, path, action.gait, style.phase) if action.gait else None
 

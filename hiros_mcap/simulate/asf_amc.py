@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.simulate.clip import Clip, euler, text_lines
+from hiros_mcap.simulate.clip import Y_UP_TO_Z_UP, Clip, euler, text_lines
 from hiros_mcap.skeletons import Floats
 
 RATE = 120.0
@@ -18,7 +18,7 @@ _DOFS = ("rx", "ry", "rz")
 
 
 @dataclass(slots=True)
-class _Bone:
+class _AsfBone:
     direction: Floats
     """(3,) from start to end, in the global frame of the rest pose, times the length."""
     frame: Floats
@@ -28,16 +28,16 @@ class _Bone:
 
 
 @dataclass(frozen=True, slots=True)
-class Skeleton:
+class AsfSkeleton:
     """What an ASF file says."""
 
-    bones: dict[str, _Bone]
+    bones: dict[str, _AsfBone]
     """In the order in which parents come before children."""
     degrees: bool
     root_order: tuple[str, ...]
 
 
-def read_asf(path: Path) -> Skeleton:
+def read_asf(path: Path) -> AsfSkeleton:
     """Read a skeleton.
 
     Raises
@@ -45,7 +45,7 @@ def read_asf(path: Path) -> Skeleton:
     ConfigError
         Naming the file, the line and the fault.
     """
-    bones: dict[str, _Bone] = {}
+    bones: dict[str, _AsfBone] = {}
     degrees = True
     order: tuple[str, ...] = ("TX", "TY", "TZ", "RX", "RY", "RZ")
     section = ""
@@ -76,11 +76,11 @@ def read_asf(path: Path) -> Skeleton:
         raise ConfigError(f"{path}: the hierarchy names a bone that does not exist: {unknown[0]}")
     for name, parent in parents.items():
         bones[name].parent = parent
-    return Skeleton(_parents_first(path, bones), degrees, order)
+    return AsfSkeleton(_parents_first(path, bones), degrees, order)
 
 
 def _bone_line(
-    words: list[str], current: dict[str, list[str]], bones: dict[str, _Bone], *, degrees: bool
+    words: list[str], current: dict[str, list[str]], bones: dict[str, _AsfBone], *, degrees: bool
 ) -> dict[str, list[str]]:
     """Collect a bone's lines; make it at its end."""
     if words[0] == "begin":
@@ -94,14 +94,14 @@ def _bone_line(
     axes = current["axis"][3] if len(current["axis"]) > 3 else "XYZ"
     length = float(current["length"][0])
     dofs = tuple(word.lower() for word in current.get("dof", []))
-    # The first axis that is named turns first, so it stands rightmost.
-    frame = euler(np.array([angles[::-1]]), axes[::-1])[0]
-    bones[current["name"][0]] = _Bone(direction * length, frame, dofs)
+    # The first axis named is the first rotation, so it stands rightmost.
+    frame = euler(np.array([angles[::-1]]), axes[::-1]).as_matrix()[0]
+    bones[current["name"][0]] = _AsfBone(direction * length, frame, dofs)
     return {}
 
 
-def _parents_first(path: Path, bones: dict[str, _Bone]) -> dict[str, _Bone]:
-    ordered: dict[str, _Bone] = {}
+def _parents_first(path: Path, bones: dict[str, _AsfBone]) -> dict[str, _AsfBone]:
+    ordered: dict[str, _AsfBone] = {}
     while len(ordered) < len(bones):
         ready = [
             name
@@ -114,7 +114,7 @@ def _parents_first(path: Path, bones: dict[str, _Bone]) -> dict[str, _Bone]:
     return ordered
 
 
-def read_amc(path: Path, skeleton: Skeleton, rate: float = RATE) -> Clip:
+def read_amc(path: Path, skeleton: AsfSkeleton, rate: float = RATE) -> Clip:
     """Read a motion: where every bone ends, in the units of the skeleton, z up.
 
     Raises
@@ -142,15 +142,15 @@ def read_amc(path: Path, skeleton: Skeleton, rate: float = RATE) -> Clip:
 
 
 def _joints(
-    path: Path, skeleton: Skeleton, frames: list[dict[str, list[float]]]
+    path: Path, skeleton: AsfSkeleton, frames: list[dict[str, list[float]]]
 ) -> dict[str, Floats]:
     """Bone -> (F, 3) its end; "root" too."""
     factor = math.pi / 180 if skeleton.degrees else 1.0
     root = _series(path, frames, "root", len(skeleton.root_order))
     column = {name: root[:, k] for k, name in enumerate(skeleton.root_order)}
     ends = {"root": np.stack([column[axis] for axis in ("TX", "TY", "TZ")], axis=-1)}
-    turns = np.stack([factor * column[axis] for axis in ("RX", "RY", "RZ")], axis=-1)
-    rotations = {"root": euler(turns[:, ::-1], "ZYX")}
+    root_angles = np.stack([factor * column[axis] for axis in ("RX", "RY", "RZ")], axis=-1)
+    rotations = {"root": euler(root_angles[:, ::-1], "ZYX").as_matrix()}
     for name, bone in skeleton.bones.items():
         own = np.zeros((len(frames), 3))
         if bone.dofs:
@@ -158,11 +158,10 @@ def _joints(
             for k, dof in enumerate(bone.dofs):
                 if dof in _DOFS:
                     own[:, _DOFS.index(dof)] = factor * values[:, k]
-        local = bone.frame @ euler(own[:, ::-1], "ZYX") @ bone.frame.T
+        local = bone.frame @ euler(own[:, ::-1], "ZYX").as_matrix() @ bone.frame.T
         rotations[name] = rotations[bone.parent] @ local
         ends[name] = ends[bone.parent] + rotations[name] @ bone.direction
-    up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # these files have y up
-    return {name: end @ up.T for name, end in ends.items()}
+    return {name: end @ Y_UP_TO_Z_UP.T for name, end in ends.items()}
 
 
 def _series(path: Path, frames: list[dict[str, list[float]]], name: str, n: int) -> Floats:

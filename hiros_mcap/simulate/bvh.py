@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.simulate.clip import Clip, euler, text_lines
+from hiros_mcap.simulate.clip import Y_UP_TO_Z_UP, Clip, euler, text_lines
 from hiros_mcap.skeletons import Floats
 
 
 @dataclass(slots=True)
-class _Joint:
+class _BvhJoint:
     name: str
     parent: int
     offset: Floats = field(default_factory=lambda: np.zeros(3))
@@ -28,7 +28,7 @@ def read_bvh(path: Path) -> Clip:
     ConfigError
         Naming the file, the line and the fault.
     """
-    joints: list[_Joint] = []
+    joints: list[_BvhJoint] = []
     stack: list[int] = []
     rows: list[list[float]] = []
     step, in_motion = 0.0, False
@@ -57,10 +57,10 @@ def read_bvh(path: Path) -> Clip:
     return Clip(_positions(joints, np.array(rows)), 1 / step)
 
 
-def _hierarchy_line(words: list[str], joints: list[_Joint], stack: list[int]) -> None:
+def _hierarchy_line(words: list[str], joints: list[_BvhJoint], stack: list[int]) -> None:
     if words[0] in ("ROOT", "JOINT", "End"):
         name = words[1] if words[0] != "End" else f"{joints[stack[-1]].name}End"
-        joints.append(_Joint(name, stack[-1] if stack else -1))
+        joints.append(_BvhJoint(name, stack[-1] if stack else -1))
     elif words[0] == "{":
         stack.append(len(joints) - 1)
     elif words[0] == "}":
@@ -73,7 +73,7 @@ def _hierarchy_line(words: list[str], joints: list[_Joint], stack: list[int]) ->
         joints[stack[-1]].channels = tuple(words[2 : 2 + int(words[1])])
 
 
-def _positions(joints: list[_Joint], rows: Floats) -> dict[str, Floats]:
+def _positions(joints: list[_BvhJoint], rows: Floats) -> dict[str, Floats]:
     """Joint -> (F, 3)."""
     places: list[Floats] = []
     rotations: list[Floats] = []
@@ -82,22 +82,21 @@ def _positions(joints: list[_Joint], rows: Floats) -> dict[str, Floats]:
         values = rows[:, first : first + len(joint.channels)]
         first += len(joint.channels)
         shift = np.tile(joint.offset, (len(rows), 1))
-        turns, axes = [], ""
+        angles, axes = [np.zeros((len(rows), 0))], ""
         for k, channel in enumerate(joint.channels):
             axis = "XYZ".index(channel[0].upper())
             if channel.lower().endswith("position"):
                 shift[:, axis] = values[:, k] + (joint.offset[axis] if joint.parent >= 0 else 0.0)
             else:
-                turns.append(np.radians(values[:, k]))
+                angles.append(np.radians(values[:, k : k + 1]))
                 axes += channel[0].upper()
-        own = euler(np.stack(turns, axis=-1), axes) if turns else np.eye(3)[None]
+        own = euler(np.concatenate(angles, axis=1), axes).as_matrix()
         if joint.parent < 0:
             places.append(shift)
-            rotations.append(np.broadcast_to(own, (len(rows), 3, 3)))
+            rotations.append(own)
         else:
             places.append(
                 places[joint.parent] + np.einsum("fij,fj->fi", rotations[joint.parent], shift)
             )
             rotations.append(rotations[joint.parent] @ own)
-    up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # these files have y up
-    return {joint.name: place @ up.T for joint, place in zip(joints, places, strict=True)}
+    return {joint.name: place @ Y_UP_TO_Z_UP.T for joint, place in zip(joints, places, strict=True)}

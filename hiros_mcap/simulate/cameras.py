@@ -1,4 +1,4 @@
-"""The cameras: where they are, where they are said to be, when they fire, what they can see."""
+"""The cameras: their true and published poses, and the times of their frames."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Ticks:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class SimulatedCamera:
     """One simulated depth camera."""
 
     index: int
@@ -41,7 +41,7 @@ class Camera:
     pose: Rigid
     """True pose in the world, of camera coordinates (x right, y down, z forward)."""
     published: Rigid
-    """The pose that /tf_static tells."""
+    """The pose on /tf_static, with the errors of a calibration."""
     ticks: Ticks
 
     @property
@@ -55,14 +55,14 @@ class Camera:
         return seen
 
 
-def build_cameras(params: SimulateParams) -> list[Camera]:
+def build_cameras(params: SimulateParams) -> list[SimulatedCamera]:
     """Build cameras on a circle, looking inwards; two stand at a right angle."""
     turn = stream(params.seed, "rig").uniform(0, 2 * np.pi)
     step = 2 * np.pi / max(params.cameras, 4 if params.cameras == 2 else 1)
     return [_camera(params, index, turn + index * step) for index in range(params.cameras)]
 
 
-def _camera(params: SimulateParams, index: int, bearing: float) -> Camera:
+def _camera(params: SimulateParams, index: int, bearing: float) -> SimulatedCamera:
     rig = params.rig
     place = np.array([rig.radius * np.cos(bearing), rig.radius * np.sin(bearing), rig.height])
     forward = np.array([0.0, 0.0, rig.aim_height]) - place
@@ -71,10 +71,12 @@ def _camera(params: SimulateParams, index: int, bearing: float) -> Camera:
     right /= np.linalg.norm(right)
     matrix = np.column_stack([right, np.cross(forward, right), forward])
     pose = Rigid(quaternions(matrix), place)
-    return Camera(index, matrix, pose, _misjudged(pose, params, index), _ticks(params, index))
+    return SimulatedCamera(
+        index, matrix, pose, _with_calibration_error(pose, params, index), _ticks(params, index)
+    )
 
 
-def _misjudged(pose: Rigid, params: SimulateParams, index: int) -> Rigid:
+def _with_calibration_error(pose: Rigid, params: SimulateParams, index: int) -> Rigid:
     """Return the pose as a calibration finds it: a little off."""
     rng, rig, scale = (
         stream(params.seed, "calibration", index),

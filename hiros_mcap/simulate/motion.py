@@ -12,8 +12,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.simulate.body import ADULT_HEIGHT, PARENT_SEGMENT, SEGMENTS, UPRIGHT, Body
-from hiros_mcap.simulate.splines import TURN, Path, bump, smoothstep
+from hiros_mcap.simulate.body_model import (
+    ADULT_HEIGHT,
+    PARENT_SEGMENT,
+    SEGMENTS,
+    UPRIGHT,
+    BodyModel,
+)
+from hiros_mcap.simulate.paths import TURN, Path, bump, smoothstep
+from hiros_mcap.simulate.spatial import from_euler
 from hiros_mcap.skeletons import Floats
 
 REACH = 0.996
@@ -78,7 +85,7 @@ class Posture:
 class Person:
     """A body and what it does: ``posture(t)`` for times in seconds."""
 
-    body: Body
+    body: BodyModel
     posture: Callable[[Floats], Posture]
 
     def pose(self, t: Floats) -> tuple[Floats, Floats]:
@@ -106,30 +113,15 @@ def arm(side: str, flexion: object, abduction: object = 0.0, inward: object = 0.
 
 def rotation_zxy(zxy: Floats) -> Floats:
     """(..., 3, 3) ``Rz(a) Rx(b) Ry(c)`` of angles (..., 3), rad: equation 21's sequence."""
-    (ca, cb, cc), (sa, sb, sc) = (np.moveaxis(f(zxy), -1, 0) for f in (np.cos, np.sin))
-    return np.stack(
-        [
-            np.stack([ca * cc - sa * sb * sc, -sa * cb, ca * sc + sa * sb * cc], axis=-1),
-            np.stack([sa * cc + ca * sb * sc, ca * cb, sa * sc - ca * sb * cc], axis=-1),
-            np.stack([-cb * sc, sb, cb * cc], axis=-1),
-        ],
-        axis=-2,
-    )
+    return from_euler("ZXY", zxy)
 
 
 def facing(heading: Floats) -> Floats:
     """(..., 3, 3) rotation of an upright neutral segment that faces ``heading``."""
-    c, s, zero, one = (
-        np.cos(heading),
-        np.sin(heading),
-        np.zeros_like(heading),
-        np.ones_like(heading),
-    )
-    turn = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1)
-    return turn.reshape(*heading.shape, 3, 3) @ UPRIGHT
+    return from_euler("Z", heading[..., None]) @ UPRIGHT
 
 
-def segment_rotations(body: Body, posture: Posture) -> Floats:
+def segment_rotations(body: BodyModel, posture: Posture) -> Floats:
     """(n, S, 3, 3) rotation of every segment in the world."""
     n = len(posture.heading)
     rotations = np.empty((n, len(SEGMENTS), 3, 3))
@@ -151,7 +143,7 @@ def segment_rotations(body: Body, posture: Posture) -> Floats:
 
 
 def _leg_rotations(
-    body: Body, posture: Posture, pelvis: Floats, side: int
+    body: BodyModel, posture: Posture, pelvis: Floats, side: int
 ) -> tuple[Floats, Floats, Floats]:
     """Thigh, shank and foot by inverse kinematics: the knee is a hinge that bends backwards."""
     name = _SIDES[side].upper()
@@ -180,7 +172,7 @@ def _bone_rotation(up: Floats, right: Floats) -> Floats:
     return np.stack([np.cross(up, right), up, right], axis=-1)
 
 
-def standing(body: Body, path: Path, t: Floats) -> Posture:
+def standing(body: BodyModel, path: Path, t: Floats) -> Posture:
     """Stand on both feet, a hip's width apart."""
     heading = path.heading(t)
     pelvis = np.concatenate([path.position(t), np.full((*t.shape, 1), body.standing)], axis=-1)
@@ -205,7 +197,7 @@ class Walker:
     ``phase``, in strides, is where the left foot is in its stride at t = 0; it lands at 0.
     """
 
-    body: Body
+    body: BodyModel
     path: Path
     gait: Gait
     phase: float

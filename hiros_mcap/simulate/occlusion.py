@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.simulate.body import MARKERS, SLOT
+from hiros_mcap.simulate.body_model import MARKERS, SLOT
 from hiros_mcap.simulate.settings import RigParams
 from hiros_mcap.skeletons import Floats
 
@@ -15,7 +15,7 @@ Mask = npt.NDArray[np.bool_]
 
 _BEHIND = 0.08  # m; a limb hides what is at least this much farther from the camera
 _NEAREST = 0.10  # m; nearer points cannot be projected
-_PASSING = 1.3  # m; people whose pelvises look farther apart than this do not hide each other
+_PASSING = 1.3  # m; people whose pelvises look farther from each other than this hide nothing
 _CHUNK = 128  # frames at a time: temporary arrays stay in the processor's cache
 
 _CORE = (
@@ -83,8 +83,8 @@ def _cover(image: Floats, depth: Floats, covered: Mask, own: Mask) -> None:
         for other in people:
             if other == person:
                 continue
-            apart = np.linalg.norm(image[:, person, 0] - image[:, other, 0], axis=-1)
-            near = (apart * depth[:, other, 0] < _PASSING) & (
+            gap = np.linalg.norm(image[:, person, 0] - image[:, other, 0], axis=-1)
+            near = (gap * depth[:, other, 0] < _PASSING) & (
                 depth[:, other, 0] < depth[:, person, 0] + 0.5
             )
             if near.any():
@@ -94,7 +94,7 @@ def _cover(image: Floats, depth: Floats, covered: Mask, own: Mask) -> None:
 def _in_front(image: Floats, depth: Floats, person: int, other: int) -> Mask:
     """(n, M, C) whether each capsule of ``other`` is before each joint of ``person``.
 
-    Judged in the picture: how far the joint's image is from the capsule's axis, at that depth.
+    The test is in the picture: the distance of the joint's image from the capsule's axis.
     """
     a, b = image[:, other, _FIRST], image[:, other, _SECOND]
     axis = b - a

@@ -1,4 +1,4 @@
-"""Everything that a simulation can be told, with units."""
+"""All parameters of a simulation, with units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from hiros_mcap.params import Params
+from hiros_mcap.params import Params, advanced
 
 
 def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
@@ -51,114 +51,119 @@ ActionName = Literal[
 
 
 BODY_BYTES = 2200
-"""Of a body in a camera's frame."""
+"""Of a person in a camera's frame."""
 SIGHT_BYTES = 1700
-"""Of finding out who hides whom in a frame, times the number of people cubed (measured)."""
+"""Of the occlusions in a frame, times the number of people cubed (measured)."""
 MOST_BYTES = 16e9
 
 
 class RigParams(Params):
     """The cameras: where they stand, what they see, how their clocks run."""
 
-    radius: PositiveFloat = Field(3.6, description="Distance from the middle of the room, m.")
-    height: PositiveFloat = Field(2.0, description="Height of the cameras, m.")
-    aim_height: float = Field(1.0, description="Height that they look at in the middle, m.")
-    fov: tuple[Angle, Angle] = Field(
+    radius: PositiveFloat = advanced(3.6, description="Distance from the middle of the room, m.")
+    height: PositiveFloat = advanced(2.0, description="Height of the cameras, m.")
+    aim_height: float = advanced(1.0, description="Height that they look at in the middle, m.")
+    fov: tuple[Angle, Angle] = advanced(
         (75.0, 65.0), description="Field of view, deg: across, upright (Azure Kinect, narrow)."
     )
-    range: Range = Field((0.5, 5.5), description="Nearest and farthest depth seen, m.")
+    range: Range = advanced((0.5, 5.5), description="Nearest and farthest depth seen, m.")
     rate: Rate = Field(30.0, description="Frames per second of each camera.")
-    synchronised: bool = Field(
+    synchronised: bool = advanced(
         False, description="Whether all cameras fire together; otherwise each at its own phase."
     )
-    jitter: NonNegativeFloat = Field(0.001, description="SD of the time of a frame, s.")
-    clock_offset: NonNegativeFloat = Field(
+    jitter: NonNegativeFloat = advanced(0.001, description="SD of the time of a frame, s.")
+    clock_offset: NonNegativeFloat = advanced(
         0.0, description="SD of the constant error of a camera's clock, s (0.035 is a bad one)."
     )
-    delay: Range = Field(
+    delay: Range = advanced(
         (0.020, 0.040), description="Least and greatest time from the frame to its message, s."
     )
-    lost_frames: Share = Field(0.015, description="Share of frames that never arrive.")
-    position_error: NonNegativeFloat = Field(
+    lost_frames: Share = advanced(0.015, description="Share of frames that never arrive.")
+    position_error: NonNegativeFloat = advanced(
         0.004, description="SD of a camera's published position, per axis, m."
     )
-    orientation_error: NonNegativeFloat = Field(
+    orientation_error: NonNegativeFloat = advanced(
         0.15, description="SD of a camera's published orientation, per axis, deg."
     )
 
 
 class DetectorParams(Params):
-    """The errors of one camera's body tracker, as real depth cameras make them."""
+    """The errors of one camera's detector, as real depth cameras make them."""
 
-    coloured: NonNegativeFloat = Field(
+    coloured: NonNegativeFloat = advanced(
         0.013, description="SD of the slow part of a trunk joint's error at 3.5 m, per axis, m."
     )
     correlation: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.85, description="Its correlation over 1/30 s (the time constant follows, at any rate)."
     )
-    white: NonNegativeFloat = Field(
+    white: NonNegativeFloat = advanced(
         0.007, description="SD of the part that is new in every frame, per axis, m."
     )
-    bias: NonNegativeFloat = Field(
+    bias: NonNegativeFloat = advanced(
         0.009, description="SD of the lasting error per camera, person and joint, per axis, m."
     )
-    bias_seconds: PositiveFloat = Field(20.0, description="Time over which the bias changes, s.")
-    extremities: PositiveFloat = Field(
+    bias_seconds: PositiveFloat = advanced(20.0, description="Time over which the bias changes, s.")
+    extremities: PositiveFloat = advanced(
         1.6, description="How much larger the errors of hands and feet are than the trunk's."
     )
-    range_growth: NonNegativeFloat = Field(
-        1.0, description="Errors grow with this power of the distance from the camera."
+    range_growth: NonNegativeFloat = advanced(
+        1.0, description="Errors are proportional to this power of the distance from the camera."
     )
-    turn_coloured: NonNegativeFloat = Field(
+    orientation_coloured: NonNegativeFloat = advanced(
         3.0, description="SD of the slow part of a link's orientation error, per axis, deg."
     )
-    turn_white: NonNegativeFloat = Field(1.5, description="SD of its white part, per axis, deg.")
-    turn_bias: NonNegativeFloat = Field(1.5, description="SD of its bias, per axis, deg.")
-    guess: NonNegativeFloat = Field(
+    orientation_white: NonNegativeFloat = advanced(
+        1.5, description="SD of its white part, per axis, deg."
+    )
+    orientation_bias: NonNegativeFloat = advanced(1.5, description="SD of its bias, per axis, deg.")
+    guess: NonNegativeFloat = advanced(
         0.05, description="SD of an occluded trunk joint's additional error, per axis, m."
     )
-    guess_extremities: PositiveFloat = Field(
+    guess_extremities: PositiveFloat = advanced(
         2.2, description="How much larger the error of guessed hands and feet is."
     )
-    guess_seconds: PositiveFloat = Field(0.4, description="Time over which a guess changes, s.")
-    guess_turn: NonNegativeFloat = Field(
+    guess_seconds: PositiveFloat = advanced(0.4, description="Time over which a guess changes, s.")
+    guess_orientation: NonNegativeFloat = advanced(
         8.0, description="SD of an occluded link's additional orientation error, per axis, deg."
     )
-    confidence_seen: Share = Field(0.66, description="Confidence of a joint that is seen.")
-    confidence_guessed: Share = Field(0.33, description="Confidence of an occluded joint.")
-    confidence_outside: Share = Field(0.0, description="Confidence of a joint out of the picture.")
-    hidden: Share = Field(
-        0.7, description="A body of which others hide more than this share is not detected."
+    confidence_seen: Share = advanced(0.66, description="Confidence of a joint that is seen.")
+    confidence_guessed: Share = advanced(0.33, description="Confidence of an occluded joint.")
+    confidence_outside: Share = advanced(
+        0.0, description="Confidence of a joint out of the picture."
     )
-    flips_per_minute: NonNegativeFloat = Field(
+    hidden: Share = advanced(
+        0.7, description="A person is not detected if others hide more than this share."
+    )
+    flips_per_minute: NonNegativeFloat = advanced(
         1.5, description="Left-right confusions per minute, camera and person seen from behind."
     )
-    flip_seconds: PositiveRange = Field((0.1, 3.0), description="Shortest and longest flip, s.")
-    turn_share: Share = Field(
+    flip_seconds: PositiveRange = advanced((0.1, 3.0), description="Shortest and longest flip, s.")
+    reversal_share: Share = advanced(
         0.5,
-        description="Share of flips that turn the body by 180 deg; the others swap sides only.",
+        description="Share of flips that rotate the person by 180 deg; the others only swap sides.",
     )
-    losses_per_minute: NonNegativeFloat = Field(
+    losses_per_minute: NonNegativeFloat = advanced(
         1.0, description="Times per minute that a camera loses a visible person."
     )
-    loss_seconds: PositiveRange = Field((0.1, 1.0), description="Shortest and longest loss, s.")
-    spawn_frames: Frames = Field(
-        (2, 6), description="How many frames a body that re-appears is in a wrong pose."
+    loss_seconds: PositiveRange = advanced((0.1, 1.0), description="Shortest and longest loss, s.")
+    spawn_frames: Frames = advanced(
+        (2, 6), description="How many frames a person who re-appears is in a wrong pose."
     )
-    spawn_error: NonNegativeFloat = Field(
-        0.15, description="SD of that pose's initial error, body and joints, per axis, m."
+    spawn_error: NonNegativeFloat = advanced(
+        0.15,
+        description="SD of that pose's initial error, of person and joints, per axis, m.",
     )
-    phantoms_per_minute: NonNegativeFloat = Field(
-        0.5, description="Bodies that are not there, per minute and camera."
+    phantoms_per_minute: NonNegativeFloat = advanced(
+        0.5, description="People who are not there, per minute and camera."
     )
-    phantom_frames: Frames = Field((2, 8), description="How many frames a phantom lasts.")
-    double_share: Share = Field(
-        0.5, description="Share of phantoms that are a second body on a real person."
+    phantom_frames: Frames = advanced((2, 8), description="How many frames a phantom lasts.")
+    double_share: Share = advanced(
+        0.5, description="Share of phantoms that are a second skeleton on a real person."
     )
-    static_phantoms: NonNegativeInt = Field(
-        0, description="How many cameras take a thing for a person all the time."
+    static_phantoms: NonNegativeInt = advanced(
+        0, description="How many cameras report a static object as a person all the time."
     )
-    ids: Literal["none", "camera"] = Field(
+    ids: Literal["none", "camera"] = advanced(
         "none", description="Ids in the log: -1 for all, or the camera's own numbering."
     )
 
@@ -171,11 +176,11 @@ class SimulateParams(Params):
     action: ActionName = Field("walk", description="What everybody does (the paper's Table 5).")
     motion: tuple[str, ...] = Field(
         (),
-        description="AMC or BVH files that people perform instead of the action, one each; they "
-        "begin again if there are more people.",
+        description="AMC or BVH files that people perform instead of the action, one each; more "
+        "people start again with the first file.",
     )
     skeleton: tuple[str, ...] = Field(
-        (), description="ASF file of each AMC file; the last one serves the rest."
+        (), description="ASF file of each AMC file; the last one is used for all others."
     )
     seconds: Annotated[float, Field(gt=0, le=86_400)] = Field(
         10.0, description="Length of the log, s."
@@ -187,23 +192,23 @@ class SimulateParams(Params):
     )
     flips: Scale = Field(1.0, description="Scale of the rate of left-right flips.")
     dropouts: Scale = Field(
-        1.0, description="Scale of lost frames, lost bodies and wrong poses on re-appearing."
+        1.0, description="Scale of lost frames, lost people and wrong poses of those who re-appear."
     )
     clock_jitter: Scale = Field(1.0, description="Scale of the jitter of frame times.")
     calibration_error: Scale = Field(
         1.0, description="Scale of the errors in the published camera poses."
     )
-    phantoms: Scale = Field(1.0, description="Scale of the rate of phantom bodies.")
-    heights: PositiveRange = Field((1.55, 1.95), description="Shortest and tallest person, m.")
-    proportions: NonNegativeFloat = Field(
+    phantoms: Scale = Field(1.0, description="Scale of the rate of phantoms.")
+    heights: PositiveRange = advanced((1.55, 1.95), description="Shortest and tallest person, m.")
+    proportions: NonNegativeFloat = advanced(
         0.03, description="Relative SD of trunk, arm and leg lengths at a given height."
     )
-    start: NonNegativeInt = Field(
+    start: NonNegativeInt = advanced(
         1_700_000_000_000_000_000, description="Time of the first instant, ns since the epoch."
     )
-    truth_rate: Rate = Field(30.0, description="Frames per second of the truth.")
+    truth_rate: Rate = advanced(30.0, description="Frames per second of the truth.")
     rig: RigParams = Field(RigParams(), description="The cameras.")
-    detector: DetectorParams = Field(DetectorParams(), description="Their body tracker.")
+    detector: DetectorParams = Field(DetectorParams(), description="Their detector.")
 
     @property
     def memory(self) -> float:

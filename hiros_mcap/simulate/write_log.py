@@ -12,8 +12,8 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
-from hiros_mcap.simulate.scene import WORLD, simulate
 from hiros_mcap.simulate.settings import SimulateParams
+from hiros_mcap.simulate.simulation import WORLD, simulate
 from hiros_mcap.skeletons import Frame
 
 TRUTH_TOPIC = "/truth/skeletons"

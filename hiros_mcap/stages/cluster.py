@@ -59,7 +59,7 @@ class ClusterParams(Params):
         description="When a camera's left and right joints are exchanged (2.2.1): right = its "
         "right joint is farther from the right reference position than its left one (paper); both "
         "= the distances of both sides together say so, which is slightly safer "
-        "(benchmarks/accuracy_lee.py).",
+        "(benchmarks/papers/lee_2022.py).",
     )
     medium_confidence: float = advanced(
         0.5,

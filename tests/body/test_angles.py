@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.angles import ANGLES, euler_zxy, joint_links, link_flexions, wrapped
-from hiros_mcap.simulate.body import MODEL
+from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.skeletons import SkeletonModel
 
 

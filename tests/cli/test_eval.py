@@ -144,17 +144,15 @@ def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ([], "needs a LOG"),
+        ([], "Missing argument 'LOG'"),
         (["{log}", "--truth", "nowhere.trc"], "neither a file nor a channel"),
         (["{log}", "--truth", "/nothing"], "/nothing"),
         (["{log}", "--up", "x"], "neither z nor y"),
         (["{log}", "--channel", "/hiros/none"], "/hiros/none"),
         (["{log}", "--html", "/nowhere/at/all.html"], "no such folder"),
-        (["--table", "tables"], "no table 'tables'"),
         (["{log}", "--shift", "1000"], "no frame lies within the time"),
         (["{log}", "--shift", "inf"], "'--shift'"),
         (["{log}", "--shift", "nan"], "'--shift'"),
-        (["--table", "hiros", "--seconds", "inf"], "'--seconds'"),
     ],
 )
 def test_faults_are_one_line(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiros_mcap.evaluate.mot import ALPHAS, Instant, tracking_scores
+from hiros_mcap.evaluate.mot import ALPHAS, FrameSimilarity, tracking_scores
 
 
-def instant(true: Sequence[int], ids: Sequence[int], similarity: object) -> Instant:
-    return Instant(
+def instant(true: Sequence[int], ids: Sequence[int], similarity: object) -> FrameSimilarity:
+    return FrameSimilarity(
         tuple(true), tuple(ids), np.array(similarity, float).reshape(len(true), len(ids))
     )
 
@@ -57,7 +57,7 @@ def test_nobody_to_be_found() -> None:
     assert tracking_scores([instant([0], [], [])]).mota == 0
 
 
-def random_case(seed: int) -> list[Instant]:
+def random_case(seed: int) -> list[FrameSimilarity]:
     """People and ids that come, go, change and are similar by chance."""
     rng = np.random.default_rng(seed)
     people, names = int(rng.integers(1, 5)), int(rng.integers(1, 7))
@@ -66,11 +66,11 @@ def random_case(seed: int) -> list[Instant]:
         true = np.nonzero(rng.random(people) < 0.8)[0]
         ids = np.nonzero(rng.random(names) < 0.7)[0]
         similarity = rng.random((len(true), len(ids))) * (rng.random((len(true), len(ids))) < 0.7)
-        rows.append(Instant(tuple(true.tolist()), tuple((ids + 10).tolist()), similarity))
+        rows.append(FrameSimilarity(tuple(true.tolist()), tuple((ids + 10).tolist()), similarity))
     return rows
 
 
-def as_trackeval(instants: Sequence[Instant]) -> dict[str, Any]:
+def as_trackeval(instants: Sequence[FrameSimilarity]) -> dict[str, Any]:
     people = sorted({i for now in instants for i in now.true_ids})
     names = sorted({i for now in instants for i in now.ids})
     return {

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from stick_figures import MODEL, POSE, at, person, seen
+from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.angles import flexions
 from hiros_mcap.evaluate import Truth, evaluate
@@ -49,6 +49,16 @@ def test_a_late_result_has_that_lag() -> None:
     late = [f.select([0]) for f in frames(late=1.5)]
     truth = Truth.of(seen([moving(k)], at(k), ids=[0]) for k in range(60))
     assert evaluate(late, truth, MODEL).lag == pytest.approx(50, abs=2)
+
+
+@pytest.mark.parametrize("late_ms", [-31.5, -3.5, 1.5, 3.5, 51.5, 58.5])
+def test_a_lag_between_those_that_are_tried(late_ms: float) -> None:
+    """Lags are tried every 5 ms; the truth at 200 Hz."""
+    x = [0.3 * math.sin(0.03 * k) for k in range(400)]
+    truth = Truth.of(seen([person(x[k])], START + k * 5_000_000, ids=[0]) for k in range(400))
+    late = round(late_ms * 1e6)
+    result = [seen([person(x[k])], START + k * 5_000_000 + late, ids=[0]) for k in range(400)]
+    assert evaluate(result, truth, MODEL).lag == pytest.approx(late_ms, abs=0.2)
 
 
 def test_who_is_missing_false_or_renamed() -> None:
@@ -122,7 +132,7 @@ def test_frames_outside_the_truth_do_not_count() -> None:
 
 def test_turned_links() -> None:
     scores = evaluate(still(turn=0.5), Truth.of(still()), MODEL)
-    assert scores.turn_error == pytest.approx(math.degrees(0.5))
+    assert scores.orientation_error == pytest.approx(math.degrees(0.5))
 
 
 def test_95_percent_of_the_errors_are_below() -> None:
@@ -211,7 +221,7 @@ def test_limb_error_against_the_true_length() -> None:
     assert evaluate(result, Truth.of(still()), MODEL).limb_error == pytest.approx(20 / 7)
 
 
-def test_h54_a_constant_bias_of_five_degrees() -> None:
+def test_a_constant_bias_of_five_degrees() -> None:
     truth = Truth.of(arms(np.full(20, 1.0)))
     elbow = evaluate(arms(np.full(20, 1.0 + math.radians(5))), truth, ARM).angles["left elbow"]
     assert (elbow.rmse, elbow.deviation, elbow.bias) == pytest.approx((5, 0, 5), abs=1e-9)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from stick_figures import MODEL, START, at, person, seen
 
 from hiros_mcap.errors import ConfigError, HirosError
@@ -97,6 +99,11 @@ def test_y_up_becomes_z_up(tmp_path: Path) -> None:
         ("a.csv", CSV.replace("1.5", "high", 1), "line 3: 'high' is not a number"),
         ("a.csv", CSV + "0.5,2,Neck,3,0,1.5\n", "line 6: Neck twice"),
         ("a.csv", "time,marker,x,y,z\n1,A,0,0,0\n", "two instants"),
+        ("a.csv", CSV.replace("0.5,2", "0.5,nan"), "line 5: time and person must be numbers"),
+        ("a.csv", CSV.replace("0.5,2", "0.5,1.5"), "line 5: time and person must be numbers"),
+        ("a.csv", CSV.replace("1.5", "inf", 1), "line 3: 'inf' is not a number"),
+        ("a.csv", CSV.replace("0.5,", "1e12,"), "times are seconds"),
+        ("a.trc", TRC + "3\n", "line 8: has no time"),
         ("a.trc", "hello\n" * 7, "not a TRC file"),
         ("a.trc", TRC.replace("mm", "inch"), "unit 'inch'"),
         ("a.trc", TRC.replace("0.01", ""), "line 7: has no time"),
@@ -138,3 +145,63 @@ def test_nothing_in_common_is_an_error() -> None:
     truth = Truth(np.array([at(0)]), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 0, 4)), (0,), model)
     with pytest.raises(ConfigError, match="share no marker: Nose against PELVIS"):
         evaluate(frames(), truth, MODEL)
+
+
+coordinates = st.one_of(st.none(), st.integers(-5000, 5000))
+
+
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.lists(st.tuples(*[coordinates] * 6), min_size=2, max_size=6))
+def test_trc_and_csv_say_the_same(tmp_path: Path, rows: list[tuple[int | None, ...]]) -> None:
+    """Two markers in millimetres and in metres; an empty cell is a marker that is not there."""
+    head = TRC.splitlines()[:5]
+    cells = [["" if c is None else str(c) for c in row] for row in rows]
+    lines = [f"{k}\t{k / 100}\t" + "\t".join(row) for k, row in enumerate(cells)]
+    trc = load_truth(write(tmp_path, "a.trc", "\n".join([*head, *lines])))
+    csv = ["time,marker,x,y,z"]
+    for k, row in enumerate(rows):
+        metres = ["" if c is None else str(c / 1000) for c in row]
+        csv += [
+            f"{k / 100},PELVIS,{','.join(metres[:3])}",
+            f"{k / 100},LWrist,{','.join(metres[3:])}",
+        ]
+    same = load_truth(write(tmp_path, "a.csv", "\n".join(csv)))
+    np.testing.assert_allclose(trc.positions, same.positions, atol=1e-12)
+    np.testing.assert_array_equal(trc.stamps, same.stamps)
+
+
+@settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(kind=st.sampled_from(["csv", "trc"]), at=st.floats(0, 1), text=st.text(max_size=12))
+def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, text: str) -> None:
+    whole = {"csv": CSV, "trc": TRC}[kind]
+    where = round(at * len(whole))
+    path = write(tmp_path, f"a.{kind}", whole[:where] + text + whole[where + len(text) :])
+    try:
+        assert len(load_truth(path).stamps) >= 2
+    except ConfigError as error:
+        assert str(path) in str(error)
+
+
+@given(st.floats(0, 1), st.floats(-3, 3), st.floats(-3, 3))
+@settings(deadline=None)
+def test_orientations_between_instants_take_the_shorter_way(
+    share: float, early: float, late: float
+) -> None:
+    """About the vertical; q and -q mean the same. Linear interpolation is exact in the middle."""
+    quaternions = [[0, 0, math.sin(a / 2), math.cos(a / 2)] for a in (early, late)]
+    orientations = np.array(quaternions)[:, None, None]
+    stamps = np.array([at(0), at(10)])
+    for sign in (1, -1):
+        turned = orientations * np.array([1, sign])[:, None, None, None]
+        truth = Truth(stamps, np.zeros((2, 1, 1, 3)), turned, (0,))
+        (x, y, z, w) = truth.at(at(10 * share))[1][0, 0]
+        assert math.hypot(x, y, z, w) == pytest.approx(1)
+        way = abs(math.remainder(late - early, 2 * math.pi))
+        turn = abs(math.remainder(2 * math.atan2(z, w) - early, 2 * math.pi))
+        assert turn <= way + 1e-6
+        if way < 3:
+            assert turn == pytest.approx(share * way, abs=0.12 * way + 1e-6)

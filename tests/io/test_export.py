@@ -12,7 +12,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.files import read_trc
+from hiros_mcap.evaluate.truth_files import read_trc
 from hiros_mcap.io.export.files import FORMATS, export, files_of
 from hiros_mcap.io.result import Motion, Result, open_result
 from hiros_mcap.running.pipeline import process

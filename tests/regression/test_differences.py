@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from stick_figures import MODEL, at, person, seen
 
-from hiros_mcap.regression.differences import ChannelComparison, compare_frames
+from hiros_mcap.body.limb_table import Limb, LimbTable
+from hiros_mcap.regression.differences import (
+    ChannelComparison,
+    Comparison,
+    compare_frames,
+    compare_limbs,
+)
 from hiros_mcap.regression.tolerances import Tolerances
 from hiros_mcap.skeletons import Frame
 
@@ -71,7 +77,64 @@ def test_a_turned_link() -> None:
     assert result.orientation_max == pytest.approx(0.5)
     assert faults(new)[0].startswith("orientations: up to 0.5 deg; worst SHOULDER_RIGHT 0.5 deg")
     assert result.first is not None
-    assert "link SHOULDER_RIGHT of person 0 is turned by 0.5 deg" in result.first.what
+    assert "link SHOULDER_RIGHT of person 0 is off by 0.5 deg" in result.first.what
+
+
+@pytest.mark.parametrize(("degrees", "equal"), [(9e-5, True), (1.1e-4, False)])
+def test_orientations_are_equal_up_to_a_ten_thousandth_of_a_degree(
+    degrees: float, equal: bool
+) -> None:
+    new, half = frames(), math.radians(degrees) / 2
+    new[3].links[0, 2, 3:7] = [0, 0, math.sin(half), math.cos(half)]
+    assert (faults(new) == []) == equal
+    assert (compared(new).first is None) == equal
+
+
+def test_a_quaternion_of_the_other_sign_is_the_same_orientation() -> None:
+    new = frames()
+    new[3].links[0, 2, 3:7] *= -1
+    assert faults(new) == []
+
+
+def test_orientations_that_vanish_and_appear() -> None:
+    new, golden = frames(), frames()
+    new[2].links[0, 1] = np.nan
+    golden[3].links[1, 2] = np.nan
+    result = compare_frames(new, golden, MODEL)
+    assert result.faults(Tolerances()) == [
+        "joints: absent in some frames: link SHOULDER_LEFT (1)",
+        "joints: new in some frames: link SHOULDER_RIGHT (1)",
+    ]
+    assert result.first is not None
+    assert result.first.frame == 2
+
+
+def limbs(**lengths: float) -> LimbTable:
+    """Limb lengths of person 0."""
+    return LimbTable({0: {name: Limb(length, 0.0) for name, length in lengths.items()}})
+
+
+@pytest.mark.parametrize(
+    ("now", "fault"),
+    [
+        (limbs(arm=0.3, leg=0.4), ""),
+        (limbs(arm=0.3 + 9e-7, leg=0.4), ""),
+        (limbs(arm=0.3, leg=0.4 + 2e-6), "leg of person 0: off by 0.002 mm"),
+        (limbs(arm=0.3), "leg of person 0: calibrated in one log only"),
+        (limbs(arm=0.3, leg=0.4, foot=0.2), "foot of person 0: calibrated in one log only"),
+        (LimbTable(), "lengths: 2 limbs differ"),
+    ],
+)
+def test_limb_lengths(now: LimbTable, fault: str) -> None:
+    lengths = compare_limbs(now, limbs(arm=0.3, leg=0.4), {})
+    found = Comparison([], lengths=lengths).faults(Tolerances())
+    assert bool(found) == bool(fault)
+    assert fault in found.get("calibration", [""])[0]
+
+
+def test_limb_lengths_belong_to_people_not_to_ids() -> None:
+    now = LimbTable({7: limbs(arm=0.3).people[0], 0: limbs(arm=0.5).people[0]})
+    assert compare_limbs(now, limbs(arm=0.3), {0: 7}) == {(0, "arm"): 0.0}
 
 
 def test_missing_and_extra_frames() -> None:
@@ -85,8 +148,24 @@ def test_missing_and_extra_frames() -> None:
     assert (result.first.frame, result.first.what) == (4, "the frame is missing")
 
 
-def test_a_frame_a_nanosecond_late_is_the_same_frame() -> None:
-    assert faults([f.replace(stamp=f.stamp + 1) for f in frames()]) == []
+@pytest.mark.parametrize(
+    ("late", "equal"), [(1, True), (-1000, True), (1001, False), (-1001, False)]
+)
+def test_a_frame_within_a_microsecond_is_the_same_frame(late: int, equal: bool) -> None:
+    new = frames()
+    new[4] = new[4].replace(stamp=new[4].stamp + late)
+    assert faults(new) == ([] if equal else ["frames: 1 missing, 1 extra of 20"])
+
+
+def test_an_extra_frame_diverges_at_its_own_time() -> None:
+    golden = frames()
+    extra = golden.pop(6)
+    result = compare_frames(frames(), golden, MODEL)
+    assert result.faults(Tolerances()) == ["frames: 0 missing, 1 extra of 19"]
+    first = result.first
+    assert first is not None
+    assert (first.frame, first.stamp, first.what) == (5, extra.stamp, "an extra frame")
+    assert first.seconds == pytest.approx(6 / 30, abs=1e-6)
 
 
 def test_a_missing_and_an_extra_person() -> None:
@@ -120,6 +199,22 @@ def test_joints_that_vanish_and_appear() -> None:
         "joints: absent in some frames: WRIST_LEFT (1)",
         "joints: new in some frames: WRIST_RIGHT (1)",
     ]
+
+
+def test_somebody_30_cm_off_is_somebody_else() -> None:
+    for offset, what in ((0.29, "positions: up to 290 mm"), (0.31, "people: person 1 is missing")):
+        new = frames()
+        new[8].positions[1] += [0, offset, 0]
+        assert faults(new)[0].startswith(what)
+
+
+def test_the_share_of_wrong_people_is_of_all_skeletons() -> None:
+    """One of 40 skeletons is missing, one extra in another frame: 5 % are wrong."""
+    new = frames()
+    new[8] = new[8].select([0])
+    new[9] = seen([person(0.09), person(2), person(5)], at(9), ids=[0, 1, 4], turns=True)
+    assert compared(new).faults(Tolerances(people=0.05)) == []
+    assert len(compared(new).faults(Tolerances(people=0.049))) == 2
 
 
 def test_tolerated_shares() -> None:

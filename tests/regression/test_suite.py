@@ -13,13 +13,20 @@ import numpy as np
 import pytest
 
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.frames import by_block, by_frame
 from hiros_mcap.regression import check_report
 from hiros_mcap.regression.differences import compare_logs
 from hiros_mcap.regression.golden import write_golden
-from hiros_mcap.regression.metrics import Threshold, load_metrics, save_metrics, worse
-from hiros_mcap.regression.suite import CaseResult, load_suite, run_suite
+from hiros_mcap.regression.metrics import (
+    Threshold,
+    load_metrics,
+    metrics_of,
+    save_metrics,
+    worse,
+)
+from hiros_mcap.regression.suite import CaseResult, SuiteOptions, load_suite, run_suite
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
@@ -37,7 +44,7 @@ require = ["mpjpe <= 25 mm", "id_switches = 0"]
 
 
 def test_the_sample_logs_give_what_they_gave() -> None:
-    results = run_suite(load_suite(SAMPLES / "suite.toml"), jobs=1)
+    results = run_suite(load_suite(SAMPLES / "suite.toml"), SuiteOptions(jobs=1))
     assert {r.name: r.faults for r in results} == {r.name: () for r in results}
     assert len(results) == 3
 
@@ -87,7 +94,7 @@ def test_a_broken_stage_is_caught_and_named(
     suite: Path, monkeypatch: pytest.MonkeyPatch, stage: str, equal: list[str]
 ) -> None:
     change_stage(monkeypatch, stage, lifted(0.001))
-    (result,) = run_suite(load_suite(suite), jobs=1)
+    (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert result.status == "different"
     assert result.first[0][0] == f"/hiros/{stage}"
     assert "is off by 1 mm" in result.first[0][1].what
@@ -108,7 +115,7 @@ def test_a_harmless_change_is_not_reported(
     suite: Path, monkeypatch: pytest.MonkeyPatch, stage: str, wrap: Wrap
 ) -> None:
     change_stage(monkeypatch, stage, wrap)
-    (result,) = run_suite(load_suite(suite), jobs=1)
+    (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert (result.status, result.faults) == ("equal", ())
 
 
@@ -116,33 +123,37 @@ def test_bless_accepts_and_says_what(suite: Path) -> None:
     golden = suite.parent / "golden" / "walk.mcap"
     before = golden.read_bytes()
     text = suite.read_text() + 'set = ["filter.cutoff=8"]\n'
-    assert run_suite(load_suite(suite), bless=True, jobs=1)[0].notes == (
+    assert run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))[0].notes == (
         "as before; the golden file stays",
     )
     assert golden.read_bytes() == before
     suite.write_text(text)
-    assert run_suite(load_suite(suite), jobs=1)[0].status == "different"
-    (blessed,) = run_suite(load_suite(suite), bless=True, jobs=1)
+    assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "different"
+    (blessed,) = run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))
     assert any("accepted: /hiros/filtered: positions: up to" in note for note in blessed.notes)
-    assert run_suite(load_suite(suite), jobs=1)[0].status == "equal"
+    assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "equal"
     assert golden.read_bytes() != before
 
 
 def test_golden_metrics_forgive_numbers_but_not_quality(suite: Path) -> None:
     text = suite.read_text().replace("golden/walk.mcap", "golden/walk.json")
     suite.write_text(text)
-    assert run_suite(load_suite(suite), jobs=1)[0].faults[0].startswith("there is no golden file")
-    run_suite(load_suite(suite), bless=True, jobs=1)
+    assert (
+        run_suite(load_suite(suite), SuiteOptions(jobs=1))[0]
+        .faults[0]
+        .startswith("there is no golden file")
+    )
+    run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))
     suite.write_text(text + 'set = ["filter.cutoff=4.6"]\n')
-    assert run_suite(load_suite(suite), jobs=1)[0].status == "equal"
+    assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "equal"
     suite.write_text(text + 'set = ["filter.cutoff=12"]\n')
-    faults = run_suite(load_suite(suite), jobs=1)[0].faults
+    faults = run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].faults
     assert any(fault.startswith("jitter: was 8.54") for fault in faults)
 
 
 def test_thresholds_that_are_not_met(suite: Path) -> None:
     suite.write_text(SUITE.replace("<= 25 mm", "<= 1 mm"))
-    (result,) = run_suite(load_suite(suite), jobs=1)
+    (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert result.status == "different"
     assert result.faults[0].startswith("mpjpe <= 1 mm: is 2")
 
@@ -150,7 +161,7 @@ def test_thresholds_that_are_not_met(suite: Path) -> None:
 def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
     (suite.parent / "bad.mcap").write_bytes(b"no log at all")
     suite.write_text(SUITE + '[[log]]\ninput = "bad.mcap"\nrequire = ["people = 1"]\n')
-    good, bad = run_suite(load_suite(suite), jobs=1)
+    good, bad = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert (good.status, bad.status) == ("equal", "error")
     assert "bad.mcap" in bad.faults[0]
 
@@ -158,14 +169,14 @@ def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
 def test_in_parallel_as_one_after_the_other() -> None:
     suite = load_suite(SAMPLES / "suite.toml")
     names = ["two people crossing", "one person walking"]
-    results = run_suite(suite, only=names, jobs=2)
+    results = run_suite(suite, SuiteOptions(only=names, jobs=2))
     assert [r.name for r in results] == ["one person walking", "two people crossing"]
     assert [r.status for r in results] == ["equal", "equal"]
 
 
 def test_a_case_runs_the_system_that_it_names(suite: Path, tmp_path: Path) -> None:
     suite.write_text('[[log]]\ninput = "walk.mcap"\nsystem = "raw"\nrequire = ["people = 1"]\n')
-    run_suite(load_suite(suite), jobs=1, keep=tmp_path / "golden")
+    run_suite(load_suite(suite), SuiteOptions(jobs=1, keep=tmp_path / "golden"))
     assert output_channels(tmp_path / "golden" / "walk.mcap") == ["/hiros/tracked"]
 
 
@@ -202,7 +213,7 @@ def test_faulty_suites(suite: Path, text: str, fault: str) -> None:
 
 def test_a_name_that_is_not_in_the_suite(suite: Path) -> None:
     with pytest.raises(ConfigError, match="no case 'run'"):
-        run_suite(load_suite(suite), only=["run"])
+        run_suite(load_suite(suite), SuiteOptions(only=["run"]))
 
 
 def test_a_golden_log_is_compact_and_equal_to_its_source(walking: Path, tmp_path: Path) -> None:
@@ -261,11 +272,45 @@ def test_metrics_that_got_worse_or_better() -> None:
     assert worse({"mpjpe": 20.9}, {"mpjpe": 20.0}, 0.05) == ([], [])
 
 
+@pytest.mark.parametrize("count", ["missing", "false", "id_switches", "people", "frames"])
+def test_golden_counts_may_not_grow_at_all(count: str) -> None:
+    faults, _ = worse({count: 101.0}, {count: 100.0}, 0.05)
+    assert faults == [f"{count}: was 100, is 101"]
+
+
+@pytest.mark.parametrize(
+    ("name", "was", "worst", "too_bad"),
+    [
+        ("mpjpe", 20.0, 21.0, 21.01),
+        ("pck_50", 80.0, 76.0, 75.9),
+        ("hota", 0.8, 0.7601, 0.759),
+        ("jitter", 0.5, 0.6, 0.61),
+        ("limb_cv", 0.001, 0.002, 0.0021),
+        ("lag", 2.0, 3.0, 3.1),
+    ],
+)
+def test_golden_metrics_may_get_worse_by_their_share_or_their_floor(
+    name: str, was: float, worst: float, too_bad: float
+) -> None:
+    assert worse({name: worst - 1e-9 * (worst > was)}, {name: was}, 0.05) == ([], [])
+    assert len(worse({name: too_bad}, {name: was}, 0.05)[0]) == 1
+
+
+def test_an_early_result_is_as_bad_as_a_late_one(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    process(walking, out)
+    truth = load_truth(walking)
+    for seconds in (-0.03, 0.03):
+        metrics = metrics_of(out, "/hiros/filtered", truth.moved(seconds))
+        assert metrics["lag"] == pytest.approx(30, abs=2)
+
+
 def test_metrics_files(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
     save_metrics(path, "/hiros/filtered", {"mpjpe": 1 / 3, "people": 2})
     assert load_metrics(path) == ("/hiros/filtered", {"mpjpe": 0.333333, "people": 2})
-    for text in ("{", "[]", "{}", '{"hiros_golden_metrics": 1, "metrics": {"a": "b"}}'):
+    named = '{"hiros_golden_metrics": 1, "metrics": {%s}}'
+    for text in ("{", "[]", "{}", named % '"a": 1', named % '"mpjpe": "b"', named % '"mpjpe": NaN'):
         path.write_text(text)
         with pytest.raises(ConfigError, match=r"m\.json"):
             load_metrics(path)
@@ -277,6 +322,11 @@ def test_metrics_files(tmp_path: Path) -> None:
         ("mpjpe <= 25 mm", {"mpjpe": 25.0}, ""),
         ("mpjpe < 25", {"mpjpe": 25.0}, "mpjpe < 25: is 25 mm"),
         ("people=2", {"people": 2.0}, ""),
+        ("people == 2", {"people": 3.0}, "people == 2: is 3"),
+        ("people != 2", {"people": 2.0}, "people != 2: is 2"),
+        ("mpjpe <= 25", {"mpjpe": 25.1}, "mpjpe <= 25: is 25.1 mm"),
+        ("mota > 0.5", {"mota": 0.5}, "mota > 0.5: is 0.5"),
+        ("hota >= 0.9", {"hota": 0.9}, ""),
         ("hota >= 0.9", {"hota": 0.8}, "hota >= 0.9: is 0.8"),
         ("mota > 0", {}, "mota > 0: mota is not known (no truth, or nothing to measure)"),
     ],

@@ -6,15 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.truth import load_truth
+from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.asf_amc import read_amc, read_asf
-from hiros_mcap.simulate.body import MODEL, SLOT
+from hiros_mcap.simulate.body_model import MODEL, SLOT
 from hiros_mcap.simulate.bvh import read_bvh
-from hiros_mcap.simulate.clip import euler, load_clip
+from hiros_mcap.simulate.clip import euler
+from hiros_mcap.simulate.performer import load_clip
 
 ASF = """# two bones
 :version 1.10
@@ -101,8 +105,8 @@ def write(folder: Path, name: str, text: str) -> Path:
 
 def test_rotations_are_multiplied_in_the_order_of_the_letters() -> None:
     quarter = np.array([[np.pi / 2, np.pi / 2]])
-    assert euler(quarter, "ZX")[0] @ [0, 1, 0] == pytest.approx([0, 0, 1])  # x first: y to z
-    assert euler(quarter, "XZ")[0] @ [0, 1, 0] == pytest.approx([-1, 0, 0])  # z first: y to -x
+    assert euler(quarter, "ZX").apply([0, 1, 0])[0] == pytest.approx([0, 0, 1])  # x first: y to z
+    assert euler(quarter, "XZ").apply([0, 1, 0])[0] == pytest.approx([-1, 0, 0])  # z first: y to -x
 
 
 def test_two_bones_of_an_asf_file_by_hand(tmp_path: Path) -> None:
@@ -118,8 +122,8 @@ def test_two_bones_of_an_asf_file_by_hand(tmp_path: Path) -> None:
     assert clip.joints["root"][0].tolist() == [1, -3, 2]
     assert clip.joints["upper"][0] == pytest.approx([1, -3, 0])
     assert clip.joints["lower"][0] == pytest.approx([1, -3, -1])
-    turn = euler(np.array([[np.pi / 2]]), "Z")[0]
-    about_y = euler(np.array([[np.pi / 2]]), "Y")[0]
+    turn = euler(np.array([[np.pi / 2]]), "Z").as_matrix()[0]
+    about_y = euler(np.array([[np.pi / 2]]), "Y").as_matrix()[0]
     upper = turn @ about_y
     first = upper @ [0, -2, 0]
     second = first + upper @ turn @ [0, -1, 0]
@@ -226,3 +230,30 @@ def test_faulty_acclaim_files(tmp_path: Path, asf: str, amc: str, fault: str) ->
     skeleton, motion = write(tmp_path, "a.asf", asf), write(tmp_path, "a.amc", amc)
     with pytest.raises(ConfigError, match=fault):
         load_clip(motion, skeleton)
+
+
+@settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(kind=st.sampled_from(["bvh", "asf", "amc"]), at=st.floats(0, 1), text=st.text(max_size=12))
+def test_a_damaged_file_is_read_or_named(tmp_path: Path, kind: str, at: float, text: str) -> None:
+    """Whatever is written into the middle of a file: a clip, or an error that names the file."""
+    texts = {"bvh": bvh(4), "asf": ASF, "amc": AMC}
+    where = round(at * len(texts[kind]))
+    texts[kind] = texts[kind][:where] + text + texts[kind][where + len(text) :]
+    paths = {name: write(tmp_path, f"a.{name}", content) for name, content in texts.items()}
+    motion = paths["bvh" if kind == "bvh" else "amc"]
+    try:
+        assert load_clip(motion, paths["asf"]).frames >= 2
+    except ConfigError as error:
+        assert str(tmp_path) in str(error)
+
+
+@given(st.lists(st.floats(-9, 9), min_size=1, max_size=4), st.text("XYZ", min_size=4, max_size=4))
+@settings(deadline=None)
+def test_euler_angles_of_any_axes(angles: list[float], axes: str) -> None:
+    axes = axes[: len(angles)]
+    expected = np.eye(3)
+    for angle, axis in zip(angles, axes, strict=True):
+        expected = expected @ Rotation.from_rotvec(angle * np.eye(3)["XYZ".index(axis)]).as_matrix()
+    assert euler(np.array([angles]), axes).as_matrix()[0] == pytest.approx(expected, abs=1e-9)

@@ -11,8 +11,8 @@ from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
-from hiros_mcap.simulate.body import SLOT
-from hiros_mcap.simulate.scene import Simulation
+from hiros_mcap.simulate.body_model import SLOT
+from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Floats, Stamps
 

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_mcap.config import load_config
-from hiros_mcap.evaluate import comparison
-from hiros_mcap.evaluate import comparison_tables as tables
-from hiros_mcap.evaluate.comparison import Entry, Outcome
+from hiros_mcap.evaluate.comparison import Entry, Outcome, by_number_of_cameras
+from hiros_mcap.evaluate.comparison_tables import camera_table, ranked
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process
@@ -26,35 +25,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def comparison_page(outcomes: Sequence[Outcome], study: str) -> Page:
-    """Page with the ranked tables, a plot, and the orders of the papers."""
+def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
+    """Page with the ranked systems of every log, or their errors by number of cameras."""
     page = Page("Systems compared")
-    orderings = list(comparison.check_orderings(outcomes))
     if study == "cameras":
-        table = comparison.by_number_of_cameras(outcomes)
-        header, rows = tables.camera_rows(table)
+        errors = by_number_of_cameras(outcomes)
         page.heading("Number of cameras")
-        page.table(header, rows, "Mean joint error (SD), mm, mean over all subsets")
-        page.figure(_camera_figure(table), "Mean joint error by number of cameras")
-        orderings = list(comparison.camera_orderings(table))
-    else:
-        for log in dict.fromkeys(o.log for o in outcomes):
-            mine = [o for o in outcomes if o.log == log]
-            page.heading(log)
-            page.table(*tables.ranked(mine), "Best first; mm, degrees, ms")
-            page.figure(_bars(mine), "Error; the line is its standard deviation")
-        if study == "malaguti":
-            page.heading("Malaguti 2019, Table I")
-            page.table(tables.MALAGUTI_HEADER, tables.malaguti_rows(outcomes), "cm")
-        if study in ("lee", "radius"):
-            page.heading("Lee 2022")
-            page.table(tables.LEE_HEADER, tables.lee_rows(outcomes), "mm [paper]")
-    if orderings:
-        page.heading("Orders that the papers report")
-        page.table(
-            ["order", "", "here"],
-            [[o.text, "holds" if o.holds else "does not hold", o.detail] for o in orderings],
-        )
+        page.table(*camera_table(errors), "Mean joint error (SD), mm, mean over all subsets")
+        page.figure(_camera_figure(errors), "Mean joint error by number of cameras")
+        return page
+    for log in dict.fromkeys(o.log for o in outcomes):
+        own = [o for o in outcomes if o.log == log]
+        page.heading(log)
+        page.table(*ranked(own), "Best first; mm, degrees, ms")
+        page.figure(_bars(own), "Error; the line is its standard deviation")
     return page
 
 
@@ -62,11 +46,11 @@ def _bars(outcomes: Sequence[Outcome]) -> Figure:
     ordered = sorted(outcomes, key=lambda o: -o.rank)
     figure = new_figure(8, 0.32 * len(ordered) + 0.9)
     axes = figure.subplots()
-    spread = [0.0 if o.scores is None else o.scores.deviation for o in ordered]
+    deviations = [0.0 if o.scores is None else o.scores.deviation for o in ordered]
     axes.barh(
         [o.name for o in ordered],
         [o.rank for o in ordered],
-        xerr=spread if any(spread) else None,
+        xerr=deviations if any(deviations) else None,
         color=TRUTH,
         ecolor=SPREAD,
     )
@@ -113,7 +97,7 @@ def _draw_one(
     with open_log(out, topics=["*"], output_prefix="/none") as opened:
         source = describe(opened)
         final = source.stages[-1]
-        # Whatever a system's last stage is called: here it is the one that layouts show.
+        # The layouts show "filtered", so the last stage goes by that name.
         scene = Scene(recording, source.model, final="filtered", prefix=prefix, team=team)
         if team[0] == 0:
             scene.begin(source.cameras)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.evaluate import PCK_MM, ErrorStats, Scores, Truth, score_tables, tables
+from hiros_mcap.evaluate import PCK_MM, ErrorStats, Scores, Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
-from hiros_mcap.evaluate.paper import CONFIGURATIONS, Experiments
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
 from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, new_figure, tidy
@@ -121,44 +120,4 @@ def _camera_joints(cameras: Mapping[str, Mapping[str, ErrorStats]]) -> Figure:
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
     axes.set_yticks(range(len(cameras)), list(cameras), fontsize=8)
     figure.colorbar(image, label="mm")
-    return figure
-
-
-def paper_page(results: Experiments) -> Page:
-    """Page of the Hi-ROS paper's experiments on simulated logs."""
-    page = Page("The experiments of Hi-ROS on simulated logs")
-    page.text(
-        f"Logs of {results.seconds:g} s. The paper's numbers come from other data: "
-        "real people, Azure Kinects, inertial suits."
-    )
-    for title, several in (("Table 6: one person", False), ("Table 7: several people", True)):
-        page.heading(title)
-        sequences = [s for s in results.sequences if (s.people > 1) == several]
-        page.table(tables.ANGLE_HEADER, tables.angle_rows(sequences), "RMSE (SD), degrees")
-    page.figure(_gains(results), "SD of the flexion angles' errors, by configuration")
-    page.heading("Joint positions")
-    page.table(tables.POSITION_HEADER, tables.position_rows(results.sequences))
-    page.heading("Table 8: time per merged frame, ms")
-    page.table(tables.TIME_HEADER, tables.time_rows(results.sequences), tables.TIME_NOTE)
-    page.heading("What the paper claims")
-    page.table(
-        ["claim", "", "here"],
-        [[c.text, "holds" if c.holds else "does not hold", c.detail] for c in results.claims],
-    )
-    return page
-
-
-def _gains(results: Experiments) -> Figure:
-    figure = new_figure(11, 3.2)
-    axes = figure.subplots()
-    x = np.arange(len(results.sequences))
-    for k, name in enumerate(CONFIGURATIONS):
-        values = [s.measures[name].angle_deviation for s in results.sequences]
-        axes.bar(x + 0.27 * (k - 1), values, 0.27, label=name)
-    axes.set_xticks(
-        x, [f"{s.people} {s.action}" for s in results.sequences], rotation=60, ha="right"
-    )
-    axes.set_ylabel("degrees")
-    axes.legend(frameon=False)
-    tidy(axes)
     return figure

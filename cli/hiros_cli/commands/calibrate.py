@@ -11,8 +11,8 @@ import typer
 from hiros_cli.options import Json, seconds_range
 from hiros_mcap.errors import ConfigError
 
-MOVED_M = 0.1
-"""Detectors scatter less than this about somebody who stands still."""
+STILL_M = 0.1
+"""Detections of somebody who stands still scatter by less."""
 
 app = typer.Typer(help="Measure parameters on a log.", no_args_is_help=True)
 
@@ -46,17 +46,16 @@ def noise(
 
     with open_log(log) as opened:
         start = opened.span[0]
-        fixed = opened.detections()
+        detections = opened.detections()
         frames = (
             frame
-            for frame in associate(fixed, opened.model)
+            for frame in associate(detections, opened.model)
             if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
         )
         found = measure_noise(frames, opened.model)
     if not found.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice, so there is no noise to measure")
-    moved = found.deviation > MOVED_M
-    if moved:  # also where stdout goes into a file
+    if found.deviation > STILL_M:
         print(
             f"hiros: warning: joints scatter by {number(100 * found.deviation, 0)} cm about their "
             "mean, so somebody moved; choose a part without motion by --window START:END",
@@ -73,6 +72,6 @@ def noise(
     for kind, table in (("camera", found.cameras), ("joint", found.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
-    if moved:
+    if found.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion by --window")
     print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")

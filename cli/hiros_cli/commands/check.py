@@ -1,4 +1,4 @@
-"""``hiros check``: does it still give what it gave, and is it still good enough."""
+"""``hiros check``: whether a result is still what it was, and still good enough."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
-    from hiros_mcap.regression.suite import CaseResult
+    from hiros_mcap.regression.suite import CaseResult, SuiteOptions
 
 EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
@@ -34,7 +34,7 @@ def check(
     tolerances: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="With OUT: TOML; default: GOLDEN.tolerances.toml beside it."
+            metavar="FILE", help="With OUT: TOML. Default: GOLDEN.tolerances.toml beside it."
         ),
     ] = None,
     channel: Annotated[
@@ -44,7 +44,7 @@ def check(
         ),
     ] = None,
     bless: Annotated[
-        bool, typer.Option("--bless", help="Make what came out the golden file; says what changed.")
+        bool, typer.Option("--bless", help="Make the result the golden file, and say what changed.")
     ] = False,
     only: Annotated[
         list[str] | None,
@@ -83,15 +83,19 @@ def check(
     )
     prepare(quiet=quiet or json, roots=RUN if is_suite else ())
     if is_suite:
-        reports = _Reports(junit, markdown)
-        results = _run_suite(
-            target, only or (), reports, bless=bless, jobs=jobs, keep=keep, force=force, quiet=quiet
-        )
+        from hiros_mcap.regression.suite import SuiteOptions
+
+        options = SuiteOptions(bless, tuple(only or ()), jobs, keep, force)
+        results = _run_suite(target, options, _Reports(junit, markdown), quiet=quiet)
     elif golden is None:
         raise ConfigError(f"{target}: --golden says what to compare with")
     else:
-        results = [_compare(target, golden, tolerances, channel or (), bless=bless)]
-        results = [_with_hint(result, target, golden) for result in results]
+        from hiros_mcap.regression.suite import Golden, check_output
+        from hiros_mcap.regression.tolerances import load_tolerances
+
+        limits = None if tolerances is None else load_tolerances(tolerances)
+        result = check_output(target, Golden(golden, limits, channel or ()), bless=bless)
+        results = [_with_hint(result, target, golden)]
     _show(results, json=json, quiet=quiet)
     if any(result.status == "error" for result in results):
         return CANNOT
@@ -139,46 +143,20 @@ class _Reports:
 
 
 def _run_suite(
-    path: Path,
-    only: Sequence[str],
-    reports: _Reports,
-    *,
-    bless: bool,
-    jobs: int,
-    keep: Path | None,
-    force: bool,
-    quiet: bool,
+    path: Path, options: SuiteOptions, reports: _Reports, *, quiet: bool
 ) -> list[CaseResult]:
     from hiros_cli.progress import bar
     from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
 
-    suite = load_suite(path)
+    suite, keep = load_suite(path), options.keep
     kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]
-    reports.check([*suite.files, *kept], force=force)
+    reports.check([*suite.files, *kept], force=options.force)
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     with bar(path.name, quiet=quiet) as progress:
-        results = run_suite(
-            suite,
-            bless=bless,
-            only=only,
-            jobs=jobs,
-            keep=keep,
-            progress=progress,
-            force=force,
-        )
+        results = run_suite(suite, options, progress)
     reports.write(results, path.stem)
     return results
-
-
-def _compare(
-    output: Path, golden: Path, tolerances: Path | None, channels: Sequence[str], *, bless: bool
-) -> CaseResult:
-    from hiros_mcap.regression.suite import check_output
-    from hiros_mcap.regression.tolerances import load_tolerances
-
-    limits = None if tolerances is None else load_tolerances(tolerances)
-    return check_output(output, golden, limits, channels, bless=bless)
 
 
 def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
@@ -199,7 +177,6 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
 
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
-
     if json:
         from json import dumps
 
@@ -227,7 +204,7 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
 
 
 def _show_errors(results: list[CaseResult]) -> None:
-    """Print what could not be compared; a difference is told by the exit code."""
+    """Print what could not be compared; the exit code says whether there is a difference."""
     from hiros_cli.printable import error_line
 
     for result in results:

@@ -1,11 +1,12 @@
-"""``hiros eval``: how good is it, against the truth or against the log itself."""
+"""``hiros eval``: how good a result is, against the truth or against the log itself."""
 
 from __future__ import annotations
 
 import tempfile
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 
 def evaluate(
     log: Annotated[
-        Path | None,
+        Path,
         typer.Argument(
             metavar="LOG", help="What `hiros process` wrote, or a recording: processed first."
         ),
-    ] = None,
+    ],
     truth: Annotated[
         str | None,
         typer.Option(
@@ -46,26 +47,12 @@ def evaluate(
             "when there is no truth.",
         ),
     ] = False,
-    table: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Instead of LOG, run a paper's experiments on simulated logs: hiros.",
-        ),
-    ] = None,
-    seconds: Annotated[
-        float,
-        typer.Option(min=3.0, max=600.0, help="With --table: length of every simulated log, s."),
-    ] = 15.0,
-    jobs: Annotated[
-        int, typer.Option(min=0, help="With --table: processes at once; 0 = one per core.")
-    ] = 0,
     match_distance: Annotated[
         float,
         typer.Option(
             min=0.01,
             metavar="M",
-            help="Mean joint distance, m, from which a skeleton is of somebody else.",
+            help="A skeleton with a larger mean joint distance, m, is of somebody else.",
         ),
     ] = 1.0,
     shift: Annotated[
@@ -87,7 +74,7 @@ def evaluate(
 ) -> None:
     """Score a result: joints, angles, limbs, jitter, lag, people; with truth or without.
 
-    A recording that was not processed yet is processed first, with the given parameters.
+    A recording is processed first, with the given parameters.
     """
     from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
@@ -95,37 +82,38 @@ def evaluate(
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
     check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
-    if table is None and log is None:
-        raise ConfigError("eval needs a LOG, or --table hiros (see hiros eval --help)")
-    if log is not None:
-        log.stat()
+    log.stat()
     prepare(quiet=quiet or json)
 
     from hiros_mcap.config import load_config
+    from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 
     effective = load_config(config, list(assignments or ()), preset)
-    if table is not None:
-        _paper_table(table, effective, seconds, jobs, html=html, json=json, quiet=quiet)
-        return
-    if log is None:
-        raise AssertionError("checked above")
-    from hiros_mcap.evaluate.logs import find_truth
-
+    output = _Output(log, html, json=json, quiet=quiet, joints=joints)
     true = None if leave_one_out else find_truth(log, truth)
     if true is None:
-        _show_self(log, effective, html=html, json=json, quiet=quiet, joints=joints)
+        _show_self(output, effective)
         return
     moved = true.moved(shift, start=_start(log), up=up)
     with ExitStack() as stack:
         processed = _processed(log, effective, stack, truth)
-        from hiros_mcap.evaluate.logs import evaluate_log
-
         results = evaluate_log(processed, moved, channel or (), match_distance)
-    _show_truth(log, moved, results, html=html, json=json, quiet=quiet, joints=joints)
+    _show_truth(output, moved, results)
+
+
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """Where the scores of a log go."""
+
+    log: Path
+    html: Path | None
+    json: bool
+    quiet: bool
+    joints: bool
 
 
 def _start(log: Path) -> int:
-    """Time at which a log starts, ns: what motion capture files count from."""
+    """Time at which a log starts, ns; motion capture files count from there."""
     from hiros_mcap.io.log import open_reader, span_of
 
     with open_reader(log) as reader:
@@ -133,12 +121,12 @@ def _start(log: Path) -> int:
 
 
 def _processed(log: Path, config: Config, stack: ExitStack, truth: str | None) -> Path:
-    """Return the log itself if it holds outputs, else what processing makes of it."""
+    """Return the log itself if it holds outputs, else its output in a temporary folder."""
     from hiros_mcap.evaluate.logs import fused_topics, has_outputs
+    from hiros_mcap.running.pipeline import ProcessOptions, process
 
     if has_outputs(log):
         return log
-    from hiros_mcap.running.pipeline import ProcessOptions, process
 
     out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
     options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
@@ -146,95 +134,44 @@ def _processed(log: Path, config: Config, stack: ExitStack, truth: str | None) -
     return out
 
 
-def _show_truth(
-    log: Path,
-    truth: Truth,
-    results: dict[str, ChannelResult],
-    *,
-    html: Path | None,
-    json: bool,
-    quiet: bool,
-    joints: bool,
-) -> None:
-    if html is not None:
+def _show_truth(output: _Output, truth: Truth, results: dict[str, ChannelResult]) -> None:
+    if output.html is not None:
         from hiros_viewer.evaluation_page import truth_page
 
-        truth_page(str(log), truth, results).write(html)
-    if json:
-        _print_json(
-            {
-                "log": str(log),
-                "true_people": list(truth.people),
-                "channels": {topic: _plain(result.scores) for topic, result in results.items()},
-            }
-        )
-    elif not quiet:
+        truth_page(str(output.log), truth, results).write(output.html)
+    if output.json:
+        from hiros_mcap.summary import plain
+
+        channels = {topic: plain(result.scores) for topic, result in results.items()}
+        people = list(truth.people)
+        _print_json({"log": str(output.log), "true_people": people, "channels": channels})
+    elif not output.quiet:
         from hiros_cli.evaluation import show_truth
 
-        show_truth(log, truth, results, joints=joints)
+        show_truth(output.log, truth, results, joints=output.joints)
 
 
-def _show_self(
-    log: Path, config: Config, *, html: Path | None, json: bool, quiet: bool, joints: bool
-) -> None:
+def _show_self(output: _Output, config: Config) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
 
-    scores = leave_one_out(log, config=config)
-    if html is not None:
+    scores = leave_one_out(output.log, config=config)
+    if output.html is not None:
         from hiros_viewer.evaluation_page import self_page
 
-        self_page(str(log), scores).write(html)
-    if json:
+        self_page(str(output.log), scores).write(output.html)
+    if output.json:
+        from hiros_mcap.summary import plain, plain_value
+
         pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
-        _print_json({"log": str(log), **_plain(scores), "disagreement": _finite(pairs)})
-    elif not quiet:
+        data = {"log": str(output.log), **plain(scores), "disagreement": plain_value(pairs)}
+        _print_json(data)
+    elif not output.quiet:
         from hiros_cli.evaluation import show_self
 
-        show_self(log, scores, joints=joints)
+        show_self(output.log, scores, joints=output.joints)
 
 
-def _paper_table(
-    name: str,
-    config: Config,
-    seconds: float,
-    jobs: int,
-    *,
-    html: Path | None,
-    json: bool,
-    quiet: bool,
-) -> None:
-    if name != "hiros":
-        raise ConfigError(f"--table: no table {name!r} (there is: hiros)")
-    from hiros_cli.progress import bar
-    from hiros_mcap.evaluate.paper import run_experiments
-
-    with bar("16 actions, 1 to 4 people", quiet=quiet) as progress:
-        results = run_experiments(config, seconds=seconds, jobs=jobs, progress=progress)
-    if html is not None:
-        from hiros_viewer.evaluation_page import paper_page
-
-        paper_page(results).write(html)
-    if json:
-        _print_json(_plain(results))
-    elif not quiet:
-        from hiros_cli.evaluation import show_paper
-
-        show_paper(results)
-
-
-def _plain(record: Any) -> dict[str, Any]:
-    from hiros_mcap.summary import plain
-
-    return plain(record)
-
-
-def _finite(value: Any) -> Any:
-    from hiros_mcap.summary import plain_value
-
-    return plain_value(value)
-
-
-def _print_json(data: dict[str, Any]) -> None:
+def _print_json(data: dict[str, object]) -> None:
     from json import dumps
 
     print(dumps(data, indent=2, allow_nan=False))

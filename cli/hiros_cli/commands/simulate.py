@@ -30,7 +30,7 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="walk, squat, wave, cross and others; a wrong name lists them.",
+            help="walk, squat, wave, cross and others; an unknown name lists them all.",
             show_default="walk",
         ),
     ] = None,
@@ -55,7 +55,7 @@ def simulate(
     calibration_error: Annotated[
         float | None, _scale("Errors of the published camera poses.")
     ] = None,
-    phantoms: Annotated[float | None, _scale("Bodies that are not there.")] = None,
+    phantoms: Annotated[float | None, _scale("People who are not there.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, conjugate, multiply
 from hiros_mcap.simulate.actions import ACTIONS
-from hiros_mcap.simulate.body import LINK_SEGMENTS, MODEL, Body
-from hiros_mcap.simulate.cameras import Camera, build_cameras, seconds_since
-from hiros_mcap.simulate.clip import Performer, perform_files
-from hiros_mcap.simulate.detector import Bodies, detect
+from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MODEL, BodyModel
+from hiros_mcap.simulate.cameras import SimulatedCamera, build_cameras, seconds_since
+from hiros_mcap.simulate.detector import SimulatedDetections, detect
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.occlusion import Mask
+from hiros_mcap.simulate.performer import Performer, perform_files
 from hiros_mcap.simulate.randomness import stream
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.spatial import quaternions, vectors
@@ -62,7 +62,7 @@ class Simulation:
         params = self.params
         rng = stream(params.seed, "people")
         bodies = [
-            Body.of(rng.uniform(*params.heights), params.proportions, rng)
+            BodyModel.of(rng.uniform(*params.heights), params.proportions, rng)
             for _ in range(params.people)
         ]
         motion = stream(params.seed, "motion")
@@ -71,7 +71,7 @@ class Simulation:
         return ACTIONS[params.action].perform(bodies, motion)
 
     @cached_property
-    def cameras(self) -> list[Camera]:
+    def cameras(self) -> list[SimulatedCamera]:
         """The cameras with their true and their published poses."""
         return build_cameras(self.params)
 
@@ -81,7 +81,7 @@ class Simulation:
         return {camera.name: camera.published for camera in self.cameras}
 
     @cached_property
-    def _bodies(self) -> list[Bodies]:
+    def _reported(self) -> list[SimulatedDetections]:
         return [detect(self.people, camera, self.params) for camera in self.cameras]
 
     @property
@@ -95,9 +95,9 @@ class Simulation:
             for camera in self.cameras
             for k in np.flatnonzero(camera.ticks.kept)
         )
-        ids = [_ids(bodies.present, self.params) for bodies in self._bodies]
+        ids = [_ids(reported.present, self.params) for reported in self._reported]
         for _, index, k in order:
-            yield _frame(self.cameras[index], self._bodies[index], ids[index], k)
+            yield _frame(self.cameras[index], self._reported[index], ids[index], k)
 
     @property
     def truth(self) -> Iterator[Frame]:
@@ -158,7 +158,7 @@ def _markers_and_links(person: Person | Performer, t: Floats) -> tuple[Floats, F
 
 
 def _ids(present: Mask, params: SimulateParams) -> Ints:
-    """(n, P) ids: a camera that numbers bodies gives a new number to each that appears."""
+    """(n, P) ids: a camera with ids of its own gives a new one to each person who appears."""
     ids = np.full(present.shape, UNTRACKED, np.int32)
     if params.detector.ids == "camera":
         appears = present.copy()
@@ -169,9 +169,9 @@ def _ids(present: Mask, params: SimulateParams) -> Ints:
     return ids
 
 
-def _frame(camera: Camera, bodies: Bodies, ids: Ints, k: int) -> Frame:
+def _frame(camera: SimulatedCamera, reported: SimulatedDetections, ids: Ints, k: int) -> Frame:
     """Message ``k`` of a camera."""
-    ticks, there = camera.ticks, np.flatnonzero(bodies.present[k])
+    ticks, there = camera.ticks, np.flatnonzero(reported.present[k])
     frame = Frame.empty(
         len(there),
         MODEL,
@@ -182,9 +182,9 @@ def _frame(camera: Camera, bodies: Bodies, ids: Ints, k: int) -> Frame:
     )
     frame.ids[:] = ids[k, there]
     frame.stamps[:] = ticks.stamped[k]
-    frame.positions[:] = bodies.positions[k, there]
-    frame.orientations[:] = bodies.orientations[k, there]
-    confidences = bodies.confidences[k, there]
+    frame.positions[:] = reported.positions[k, there]
+    frame.orientations[:] = reported.orientations[k, there]
+    confidences = reported.confidences[k, there]
     frame.marker_confidences[:] = confidences
     frame.link_confidences[:] = np.minimum(confidences[:, 1:], confidences[:, MODEL.link_parents])
     frame.confidences[:] = confidences.mean(axis=-1)

@@ -1,18 +1,49 @@
-"""The truth from files of motion capture: TRC (OpenSim, Cortex) and CSV."""
+"""The truth from a log, or from files of motion capture: TRC (OpenSim, Cortex) and CSV."""
 
 from __future__ import annotations
 
 import csv
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
+_LAST_TIME = 9e9
+"""s; later times do not fit into 64 bits of nanoseconds."""
 _UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+
+
+def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
+    """Read the truth from a log's SkeletonGroup channel, or from a TRC or CSV file.
+
+    Parameters
+    ----------
+    path : an MCAP log, ``.trc`` or ``.csv``.
+    topic : glob of the channel in a log; the ids of its skeletons are the true people.
+
+    Raises
+    ------
+    LogError, ConfigError
+        The file cannot be read, or holds no truth.
+    """
+    readers = {".trc": read_trc, ".csv": read_csv}
+    if (read := readers.get(Path(path).suffix.lower())) is not None:
+        return read(Path(path))
+    with open_log(path, topics=[topic], output_prefix="/none") as log:
+        if len(log.cameras) > 1:
+            topics = ", ".join(camera.channel.topic for camera in log.cameras)
+            raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
+        frames = list(log.detections())
+        if not frames:
+            raise LogError("holds no true skeletons", path=path, topic=topic)
+        return Truth.of(frames, log.model)
 
 
 def read_trc(path: Path) -> Truth:
@@ -41,11 +72,13 @@ def read_trc(path: Path) -> Truth:
         cells = line.split("\t")
         if not line.strip():
             continue
-        numbers = [_number(cell, path, number) for cell in cells[1 : 2 + 3 * len(names)]]
+        columns = 1 + 3 * len(names)
+        numbers = [_number(cell, path, number) for cell in cells[1 : 1 + columns]]
+        numbers += [math.nan] * (columns - len(numbers))
         if math.isnan(numbers[0]):
             raise ConfigError(f"{path}: line {number}: has no time")
         times.append(numbers[0])
-        rows.append(numbers[1:] + [math.nan] * (3 * len(names) - len(numbers) + 1))
+        rows.append(numbers[1:])
     positions = _UNITS[unit] * np.array(rows, float).reshape(-1, 1, len(names), 3)
     return _truth(path, np.array(times), positions, names, (0,))
 
@@ -61,7 +94,10 @@ def read_csv(path: Path) -> Truth:
     ConfigError
         A column is missing or a cell is not a number.
     """
-    rows = list(csv.DictReader(_lines(path)))
+    try:
+        rows = list(csv.DictReader(_lines(path)))
+    except csv.Error as error:
+        raise ConfigError(f"{path}: not CSV: {error}") from error
     columns = set(rows[0]) if rows else set()
     if missing := {"time", "marker", "x", "y", "z"} - columns:
         raise ConfigError(f"{path}: line 1: no column {', '.join(sorted(missing))}")
@@ -69,7 +105,7 @@ def read_csv(path: Path) -> Truth:
     for line, row in enumerate(rows, start=2):
         stamp = _number(row["time"], path, line)
         person = _number(row.get("person") or "0", path, line)
-        if math.isnan(stamp) or person != int(person):
+        if math.isnan(stamp) or not person.is_integer():
             raise ConfigError(f"{path}: line {line}: time and person must be numbers")
         key = (stamp, int(person), str(row["marker"]).strip())
         if key in cells:
@@ -92,9 +128,11 @@ def _truth(
         raise ConfigError(f"{path}: a marker is named twice")
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise ConfigError(f"{path}: needs at least two instants whose times increase")
+    if np.abs(times).max() > _LAST_TIME:
+        raise ConfigError(f"{path}: a time is beyond {_LAST_TIME:g} s; times are seconds")
     stamps = np.rint(times * 1e9).astype(np.int64)
-    turns = np.full((*positions.shape[:2], 0, 4), np.nan)
-    return Truth(stamps, positions, turns, people, SkeletonModel.of(names, []))
+    orientations = np.full((*positions.shape[:2], 0, 4), np.nan)
+    return Truth(stamps, positions, orientations, people, SkeletonModel.of(names, []))
 
 
 def _lines(path: Path) -> list[str]:
@@ -107,6 +145,9 @@ def _lines(path: Path) -> list[str]:
 def _number(text: str | None, path: Path, line: int) -> float:
     text = (text or "").strip()
     try:
-        return float(text) if text else math.nan
+        number = float(text) if text else math.nan
     except ValueError:
-        raise ConfigError(f"{path}: line {line}: {text!r} is not a number") from None
+        number = math.inf
+    if math.isinf(number):
+        raise ConfigError(f"{path}: line {line}: {text!r} is not a number")
+    return number

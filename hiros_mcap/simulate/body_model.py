@@ -9,7 +9,7 @@ in the proximal one: hip, shoulder and elbow flexion are positive about z, knee 
 
 A link carries the orientation of the segment that it lies in: the link called ELBOW_LEFT, from
 SHOULDER_LEFT to ELBOW_LEFT, is the left upper arm; links that only join a segment to the next joint
-(HIP_LEFT, CLAVICLE_LEFT, SHOULDER_LEFT, ...) turn with the pelvis or the thorax.
+(HIP_LEFT, CLAVICLE_LEFT, SHOULDER_LEFT, ...) rotate with the pelvis or the thorax.
 """
 
 from __future__ import annotations
@@ -112,27 +112,29 @@ MODEL = SkeletonModel.of(
     ),
 )
 LINK_SEGMENTS = np.array([SEGMENTS.index(segment) for _, segment, _ in _BONES])
-"""(L,) segment that each link turns with."""
+"""(L,) segment that each link rotates with."""
 
 SYMMETRY = symmetry_of(MODEL)
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class BodyModel:
     """One person's proportions: ``offsets`` (L, 3), m, of each link in its segment's frame."""
 
     height: float
     offsets: Floats
 
     @classmethod
-    def of(cls, height: float, spread: float = 0.0, rng: np.random.Generator | None = None) -> Body:
-        """Body of ``height`` metres whose trunk, arms and legs deviate by ``spread`` (relative SD).
+    def of(
+        cls, height: float, deviation: float = 0.0, rng: np.random.Generator | None = None
+    ) -> BodyModel:
+        """Draw a body of ``height`` metres. Left and right are equal.
 
-        Left and right stay equal.
+        The lengths of trunk, arms and legs have the relative SD ``deviation``.
         """
         regions = {"trunk": 1.0, "arm": 1.0, "leg": 1.0}
         if rng is not None:
-            regions = {name: 1 + spread * rng.standard_normal() for name in regions}
+            regions = {name: 1 + deviation * rng.standard_normal() for name in regions}
         rows = []
         for child, (_, _, offset) in zip(MARKERS[1:], _BONES, strict=True):
             part = child.rsplit("_", 1)[0]

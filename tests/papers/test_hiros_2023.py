@@ -1,33 +1,36 @@
-"""The tables of the paper: fixtures that agree with themselves, and one sequence run for real."""
+"""The tables of the Hi-ROS paper: fixtures that agree with themselves, one sequence for real."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pytest
 from builders import room
-
-from hiros_cli.evaluation import show_paper
-from hiros_mcap.body.rotations import multiply
-from hiros_mcap.config import Config
-from hiros_mcap.evaluate import evaluate, tables
-from hiros_mcap.evaluate.paper import (
+from hiros_2023 import check_claims, report, run_experiment
+from hiros_2023_tables import (
     STEPS,
     ActionRun,
-    Experiments,
-    Measure,
-    check_claims,
+    angle_table,
     extrapolate,
-    run_experiment,
     step_times,
+    time_table,
 )
-from hiros_mcap.evaluate.published import ANGLES, SEVERAL, SINGLE, TIMES
+from published import ANGLES, SEVERAL, SINGLE, TIMES
+from stick_figures import MODEL, at, person, seen
+
+from hiros_mcap.body.rotations import multiply
+from hiros_mcap.config import Config
+from hiros_mcap.evaluate import Scores, Truth, evaluate
 from hiros_mcap.frames import by_frame
-from hiros_mcap.simulate.body import SYMMETRY
+from hiros_mcap.simulate.body_model import SYMMETRY
 from hiros_mcap.simulate.settings import ActionName
 from hiros_mcap.skeletons import ORIENTATION, Frame
 from hiros_mcap.systems import Run, hiros
+
+_FRAME = [seen([person()], at(0), ids=[0])]
+PERFECT = evaluate(_FRAME, Truth.of(_FRAME), MODEL)
 
 STATIC_WORST = (
     "with T, people who stand still are the least accurate of several people's actions (4.2)"
@@ -35,7 +38,7 @@ STATIC_WORST = (
 IN_OUT_WORST = "with TMF, in_out is the least accurate of several people's actions (4.2)"
 
 
-def test_h57_the_sixteen_actions() -> None:
+def test_the_sixteen_actions() -> None:
     assert {*SINGLE, *SEVERAL, "eight"} == set(get_args(ActionName))
     sequences = {(1, a) for a in SINGLE} | {(n, a) for n in (2, 3, 4) for a in SEVERAL}
     assert set(ANGLES) == sequences | {(4, "eight")}
@@ -50,12 +53,12 @@ def test_h57_the_sixteen_actions() -> None:
         (4, [(17.80, 14.43), (15.43, 11.47), (15.48, 11.54)]),
     ],
 )
-def test_h58_h59_mean_rows_are_plain_means(people: int, means: list[tuple[float, float]]) -> None:
+def test_mean_rows_are_plain_means(people: int, means: list[tuple[float, float]]) -> None:
     rows = np.array([pairs for (n, _), pairs in ANGLES.items() if n == people])
     assert np.abs(rows.mean(axis=0) - np.array(means)).max() < 0.0051
 
 
-def test_h65_five_and_ten_people_are_a_straight_line() -> None:
+def test_five_and_ten_people_are_a_straight_line() -> None:
     """The paper's own columns for 5 and 10 people, from its columns for 1 to 4."""
     published = {5: (1.08, 1.03, 10.01, 0.25), 10: (2.22, 1.59, 16.81, 0.40)}
     for people, row in published.items():
@@ -64,12 +67,9 @@ def test_h65_five_and_ten_people_are_a_straight_line() -> None:
             assert line == pytest.approx(value, abs=0.011)
 
 
-def measure(rmse: float, deviation: float, switches: int = 0, jitter: float = 5.0) -> Measure:
-    return Measure(
-        angle_rmse=rmse, angle_deviation=deviation, position_angle_rmse=rmse, error=20.0,
-        deviation=8.0, jitter=jitter, limb_variation=0.0, first_frames=np.nan, switches=switches,
-        missing=0, false=0,
-    )  # fmt: skip
+def scores(rmse: float, deviation: float, switches: int = 0, jitter: float = 5.0) -> Scores:
+    angles = {"link_angle_rmse": rmse, "link_angle_deviation": deviation}
+    return replace(PERFECT, **angles, jitter=jitter, switches=switches)
 
 
 def published_runs(switches: int = 0) -> list[ActionRun]:
@@ -79,9 +79,9 @@ def published_runs(switches: int = 0) -> list[ActionRun]:
             people,
             action,
             {
-                "T": measure(*t, jitter=9.0),
-                "TMF": measure(*tmf),
-                "TMOF": measure(*tmof, switches=switches if action == "cross" else 0),
+                "T": scores(*t, jitter=9.0),
+                "TMF": scores(*tmf),
+                "TMOF": scores(*tmof, switches=switches if action == "cross" else 0),
             },
             dict.fromkeys(STEPS, 1.0),
         )
@@ -107,28 +107,28 @@ def test_a_switch_breaks_a_claim() -> None:
 
 def test_the_layout_of_the_tables() -> None:
     runs = published_runs()
-    rows = tables.angle_rows(runs)
+    rows = angle_table("Tables 6 and 7", runs).rows
     assert len(rows) == 2 * (26 + 4)
     assert rows[0][:3] == ("1", "bend", "17.98 (13.48)")
     assert rows[1] == ("", "paper", *rows[0][2:])
     assert rows[20][1] == "mean"
     assert rows[0][-2:] == ("-20.0% (-34.9%)", "-20.1% (-35.0%)")
-    times = tables.time_rows(runs)
-    assert [row[0] for row in times] == ["1", "2", "3", "4", "5", "10"]
-    assert tables.TIME_HEADER[-3:] == ("Sum", "Frames/s", "Side by side")
-    assert times[0][-3:] == ("4.000", "250", "1000")
-    assert all(len(row) == len(tables.TIME_HEADER) for row in times)
+    times = time_table(runs)
+    assert [row[0] for row in times.rows] == ["1", "2", "3", "4", "5", "10"]
+    assert times.header[-3:] == ("Sum", "Frames/s", "Side by side")
+    assert times.rows[0][-3:] == ("4.000", "250", "1000")
+    assert all(len(row) == len(times.header) for row in times.rows)
     assert step_times(runs)["merged"][4] == (1.0, 0.0)
 
 
 @pytest.mark.parametrize("people", [1, 2, 3, 4])
 def test_one_sequence_for_real(people: int) -> None:
     """The gain of section 4.2 with one to four people, and a time for every step."""
-    run = run_experiment(people, "cross", Config(), seconds=2.0, seed=0)
-    assert run.measures["TMOF"].error < run.measures["T"].error
-    assert run.measures["TMF"].angle_deviation < 0.8 * run.measures["T"].angle_deviation
-    assert run.measures["TMF"].jitter < run.measures["T"].jitter
-    assert run.measures["TMOF"].switches == 0
+    run = run_experiment(people, "cross", Config(), seconds=2.0)
+    assert run.scores["TMOF"].mean < run.scores["T"].mean
+    assert run.scores["TMF"].link_angle_deviation < 0.8 * run.scores["T"].link_angle_deviation
+    assert run.scores["TMF"].jitter < run.scores["T"].jitter
+    assert run.scores["TMOF"].switches == 0
     assert set(run.milliseconds) == set(STEPS)
     assert all(time > 0 for time in run.milliseconds.values())
 
@@ -145,9 +145,7 @@ def test_a_flip_that_stays_hurts_the_tracker_and_not_the_merger() -> None:
         stages = {name: by_frame(stage) for name, stage in table.items()}
         tracked = list(stages["tracked"](frames))
         filtered = stages["filtered"](stages["merged"](tracked))
-        before, after = (
-            Measure.of(evaluate(f, where.truth, where.model)) for f in (tracked, filtered)
-        )
+        before, after = (evaluate(f, where.truth, where.model) for f in (tracked, filtered))
         runs.append(ActionRun(2, action, {"T": before, "TMF": after, "TMOF": after}, {}))
     claims = {claim.text: claim for claim in check_claims(runs)}
     assert claims[STATIC_WORST].detail == "2 people: free_static"
@@ -168,10 +166,10 @@ def turned_round(frame: Frame) -> Frame:
     )
 
 
-def test_the_command_prints_the_three_configurations(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_prints_the_three_configurations(capsys: pytest.CaptureFixture[str]) -> None:
     """T, TMF and TMOF of every action with the paper's beside, and all claims."""
     runs = tuple(published_runs())
-    show_paper(Experiments(15.0, runs, tuple(check_claims(runs))))
+    report(runs, 15.0).show()
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     headers = [line for line in lines if line[:2] == ["People", "Action"]]
     assert headers[:2] == [["People", "Action", "T", "TMF", "TMOF", "T-TMF", "T-TMOF"]] * 2

@@ -1,0 +1,69 @@
+"""Errors summed up; NaN never counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.skeletons import Floats
+
+
+def nan_mean(values: Floats, axis: int) -> Floats:
+    """Mean along an axis without NaN; NaN where there is nothing else (and no warning)."""
+    known = ~np.isnan(values)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.where(known.any(axis=axis), total / np.maximum(known.sum(axis=axis), 1), np.nan)
+
+
+def mean_of(values: Floats) -> float:
+    """Mean of all values without NaN; NaN if there is nothing else."""
+    return float(nan_mean(np.asarray(values).reshape(-1, 1), 0)[0]) if values.size else np.nan
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStats:
+    """Distances to the truth, mm."""
+
+    mean: float
+    deviation: float
+    rmse: float
+    percentile_95: float
+    count: int
+
+    @classmethod
+    def of(cls, errors: Floats) -> ErrorStats:
+        """Summarise errors in mm, whatever their shape."""
+        known = errors[~np.isnan(errors)]
+        if not known.size:
+            return cls(np.nan, np.nan, np.nan, np.nan, 0)
+        return cls(
+            float(known.mean()),
+            float(known.std()),
+            float(np.sqrt((known * known).mean())),
+            float(np.percentile(known, 95)),
+            known.size,
+        )
+
+    @classmethod
+    def by_name(cls, names: tuple[str, ...], errors: Floats) -> dict[str, ErrorStats]:
+        """Summarise each column of errors (R, M), mm; columns without any are left out."""
+        stats = {name: cls.of(errors[:, k]) for k, name in enumerate(names)}
+        return {name: own for name, own in stats.items() if own.count}
+
+
+@dataclass(frozen=True, slots=True)
+class AngleStats:
+    """Errors of a joint's flexion, degrees (Hi-ROS eq. 20, with the mean and SD of the error)."""
+
+    rmse: float
+    deviation: float
+    """Without the constant offset that two conventions may have."""
+    bias: float
+    count: int
+
+    @classmethod
+    def of(cls, errors: Floats) -> AngleStats:
+        """Summarise errors in degrees."""
+        own = ErrorStats.of(errors)
+        return cls(own.rmse, own.deviation, own.mean, own.count)

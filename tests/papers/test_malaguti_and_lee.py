@@ -1,0 +1,122 @@
+"""The tables of Malaguti et al. (2019) and Lee et al. (2022) beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import lee_2022
+import malaguti_2019
+import numpy as np
+import pytest
+from published import LEE, LEE_CAMERAS, LEE_RADII, MALAGUTI
+
+from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, run_task
+from hiros_mcap.evaluate.scores import Scores
+from hiros_mcap.simulate.body_model import MARKERS
+from hiros_mcap.stages.cluster import LEE_JOINTS
+
+
+@pytest.fixture(scope="module")
+def scores() -> Scores:
+    walking = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
+    found = run_task(Task(walking, Entry("raw"))).scores
+    assert found is not None
+    return found
+
+
+def outcome(scores: Scores, name: str, mean: float) -> Outcome:
+    parts = {part: replace(stats, mean=mean) for part, stats in scores.parts.items()}
+    return Outcome("log", name, ("a",), 0.1, replace(scores, mean=mean, parts=parts))
+
+
+def outcomes(scores: Scores, names: Sequence[str], errors: Sequence[float]) -> list[Outcome]:
+    return [outcome(scores, name, error) for name, error in zip(names, errors, strict=True)]
+
+
+def test_the_published_numbers_agree_with_what_the_papers_say_of_them() -> None:
+    """Means of Malaguti's Table I; Lee's A5 is the mean over the radii."""
+    means = np.array(list(MALAGUTI.values())).mean(axis=0)[:, 0]
+    assert means == pytest.approx([9.42, 17.66, 15.45, 7.46], abs=0.006)
+    assert 1 - means[3] / means[0] == pytest.approx(0.208, abs=0.001)
+    assert 1 - means[3] / means[2] == pytest.approx(0.517, abs=0.001)
+    radii = np.array(list(LEE_RADII.values())).mean(axis=0)[:, 0]
+    assert radii == pytest.approx([pair[0] for pair in LEE["lee-a5"]], abs=0.11)
+    for part in range(3):
+        errors = [LEE_CAMERAS[n][part][0] for n in (1, 2, 3, 4)]
+        assert errors == sorted(errors, reverse=True)
+
+
+def test_the_order_of_malagutis_table_1(scores: Scores) -> None:
+    names = ("malaguti", "raw", "openptrack", "maf")
+    for errors, holds in (((10, 11, 12, 13), True), ((10, 12, 11, 13), False)):
+        (claim,) = malaguti_2019.check_claims(outcomes(scores, names, errors))
+        assert claim.holds == holds
+    assert list(malaguti_2019.check_claims(outcomes(scores, names[:2], (10, 11)))) == []
+
+
+def test_the_order_of_lees_variants_is_that_of_the_printed_digits(scores: Scores) -> None:
+    names = ("lee-a5", "lee-a4", "lee-a3", "lee-a1")
+    for errors, holds in (((10, 9.96, 12, 13), True), ((10, 9.94, 12, 13), False)):
+        (claim,) = lee_2022.check_claims(outcomes(scores, names, errors))
+        assert claim.holds == holds
+
+
+@pytest.mark.parametrize(("errors", "holds"), [((12, 10, 11, 15), True), ((12, 10, 11, 9), False)])
+def test_the_best_radius(scores: Scores, errors: Sequence[float], holds: bool) -> None:
+    names = [f"lee-a4,cluster.radius={radius:g}" for radius in LEE_RADII]
+    (claim,) = lee_2022.check_claims(outcomes(scores, names, errors))
+    assert claim.holds == holds
+
+
+def test_the_error_falls_with_every_camera() -> None:
+    falling = {"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0), 3: (19.0, 4.0)}}
+    rising = {"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0), 3: (20.0, 4.0)}}
+    assert [claim.holds for claim in lee_2022.check_cameras(falling)] == [True]
+    assert [claim.holds for claim in lee_2022.check_cameras(rising)] == [False]
+
+
+def test_malagutis_layout(scores: Scores) -> None:
+    names = ("raw", "maf", "openptrack", "malaguti")
+    rows = malaguti_2019.error_table(outcomes(scores, names, [50.0] * 4)).rows
+    assert rows[0][0] == "log"
+    assert rows[0][1].startswith("5.00 +- ")
+    assert rows[-1] == (
+        "paper: mean", "9.42 +- 8.48", "17.66 +- 9.22", "15.45 +- 7.77", "7.46 +- 4.26",
+    )  # fmt: skip
+    two = replace(outcome(scores, "malaguti", 20.0), people=2.0)
+    times = malaguti_2019.time_table([two]).rows
+    assert [row[1] for row in times] == [f"{n * 0.05:.3f}" for n in range(1, 7)]
+    assert [row[3] for row in times] == ["13.4", "26.8", "40.2", "53.6", "67.0", "80.4"]
+    assert [row[4] for row in times] == ["74.6", "37.3", "24.9", "18.7", "14.9", "12.4"]
+
+
+def test_lees_layout(scores: Scores) -> None:
+    (row,) = lee_2022.part_table("", [outcome(scores, "lee-a1", 30.0)]).rows
+    assert row[0] == "lee-a1"
+    assert row[3].startswith("30.0 (")
+    assert row[3].endswith("[90.9 (44.9)]")
+    radii = [outcome(scores, f"lee-a4,cluster.radius={r:g}", 30.0) for r in LEE_RADII]
+    upper = [row[3].partition(" [")[2] for row in lee_2022.part_table("", radii).rows]
+    assert upper == ["60.2 (36.2)]", "51.6 (26.7)]", "53.5 (26.6)]", "58.1 (27.8)]"]
+    joints = lee_2022.joint_table([outcome(scores, "lee-a1", 30.0)])
+    assert joints.header == ("Joint", "lee-a1")
+    assert [row[0] for row in joints.rows] == list(MARKERS)
+    cameras = lee_2022.camera_table({"hiros": {1: (30.0, 5.0), 2: (20.0, 4.0)}})
+    assert cameras.header == ("System", "1", "2")
+    assert cameras.rows[0] == ("hiros", "30.0 (5.0)", "20.0 (4.0)")
+    assert cameras.rows[2] == ("paper: upper limbs", "125.6 (64.2)", "103.5 (57.5)")
+
+
+def test_a_study_for_real_with_lees_sixteen_joints(
+    walking: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries = tuple(f"lee-a{k},cluster.joints=lee16" for k in (1, 4))
+    monkeypatch.setitem(lee_2022.ENTRIES, "variants", entries)
+    report = lee_2022.report("variants", [walking], jobs=1)
+    names = [row[0] for row in report.tables[1].rows]
+    assert sorted(names) == sorted(name.replace("NAVEL", "NAVAL") for name in LEE_JOINTS)
+    report.show()
+    assert capsys.readouterr().out.count("lee-a1,cluster.joints=lee16") == 2
+    assert "Lee et al. 2022: variants" in report.page().html()
