@@ -146,8 +146,8 @@ def test_rejected_person_is_tried_again():
 
 def test_frames_before_the_calibration_get_the_same_lengths():
     frames = list(optimize(arm_frames(600), ARM))
-    spread = lengths(frames).std(axis=0) / lengths(frames).mean(axis=0)
-    assert spread.max() < 0.005
+    variation = lengths(frames).std(axis=0) / lengths(frames).mean(axis=0)
+    assert variation.max() < 0.005
     assert lengths(frames)[0] == pytest.approx(LENGTHS, abs=0.004)
 
 
