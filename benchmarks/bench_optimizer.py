@@ -22,7 +22,7 @@ PARENTS += [26] * 5  # nose, eyes, ears
 
 
 def make(people: int, rng: np.random.Generator) -> tuple[SkeletonModel, Floats, list[Frame]]:
-    """Bodies of 32 markers and 31 links that move, and frames of them with coloured noise."""
+    """People of 32 markers and 31 links that move, and frames of them with coloured noise."""
     links = [(f"link {k}", parent, k + 1) for k, parent in enumerate(PARENTS)]
     model = SkeletonModel.of([f"marker {m}" for m in range(MARKERS)], links)
     lengths = np.concatenate([rng.uniform(0.12, 0.45, 26), rng.uniform(0.07, 0.11, 5)])
@@ -96,11 +96,11 @@ def effect(
         results[name] = run(made, variants[name], LimbTable())
     for name, result in results.items():
         points = np.array([frame.positions for frame in result])
-        bones = points[:, :, model.links[:, 0]] - points[:, :, model.links[:, 1]]
-        length = np.linalg.norm(bones, axis=-1)
-        spread = np.nanstd(length, axis=0) / np.nanmean(length, axis=0)
+        ways = points[:, :, model.links[:, 0]] - points[:, :, model.links[:, 1]]
+        length = np.linalg.norm(ways, axis=-1)
+        variation = np.nanstd(length, axis=0) / np.nanmean(length, axis=0)
         error = 1e3 * np.nanmean(np.linalg.norm(points - truth, axis=-1))
-        print(f"{name:24s}{error:10.2f}{spread.mean():10.4f}{spread.max():10.4f}")
+        print(f"{name:24s}{error:10.2f}{variation.mean():10.4f}{variation.max():10.4f}")
 
 
 if __name__ == "__main__":

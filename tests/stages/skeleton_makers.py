@@ -20,10 +20,10 @@ def random_model(rng, markers=20, loops=0):
 def random_poses(model, count, rng, sd=0.02, missing=0.12):
     """(start, nominal): noisy poses with markers missing, lengths of the poses without noise."""
     truth = rng.normal(size=(count, model.n_markers, 3)) * 0.4
-    bones = truth[:, model.links[:, 0]] - truth[:, model.links[:, 1]]
+    ways = truth[:, model.links[:, 0]] - truth[:, model.links[:, 1]]
     start = truth + rng.normal(size=truth.shape) * sd
     start[rng.random(start.shape[:2]) < missing] = np.nan
-    return start, np.ascontiguousarray(np.linalg.norm(bones, axis=2))
+    return start, np.ascontiguousarray(np.linalg.norm(ways, axis=2))
 
 
 def lengths_of(model, points):

@@ -55,7 +55,7 @@ def test_squared_residuals_are_the_energy(exact):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-5, 1e-3, 0.5, 3.0])
 def test_orientation_residual_has_the_angle_for_a_norm(angle):
-    residuals = Residuals(SkeletonModel.of("ab", [("bone", 0, 1)]))
+    residuals = Residuals(SkeletonModel.of("ab", [("link", 0, 1)]))
     start = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     residuals.load(start, np.array([1.0]), np.array([[0.0, 0.0, 0.0, 1.0]]))
     moved = np.array([[0.0, 0, 0], [np.cos(angle) - 1.0, np.sin(angle), 0]])

@@ -431,11 +431,11 @@ def test_lengths_settle_while_angles_and_positions_keep_right(lengths, less):
     result = np.array(
         [f.positions[0] for f in optimize(frames, MODEL, OptimizeParams(lengths=lengths))]
     )
-    spread = [
+    variation = [
         np.std(lengths_of(MODEL, x), 0) / np.mean(lengths_of(MODEL, x), 0)
         for x in (measured, result)
     ]
     error = [np.linalg.norm(x - truth, axis=-1).mean() for x in (measured, result)]
-    assert np.mean(spread[1]) < np.mean(spread[0]) / less
+    assert np.mean(variation[1]) < np.mean(variation[0]) / less
     assert angle_rmse(result, truth) < angle_rmse(measured, truth) + 0.3
     assert error[1] < error[0]
