@@ -485,6 +485,7 @@ def test_somebody_who_is_not_detected_is_held_for_a_while() -> None:
     assert [f.n_people for f in out] == [1] * 16 + [0] * 14
     assert out[15].positions[0, 0, 0] == pytest.approx(0.45, abs=0.05)
     assert same(out[15], out[9].replace(**held(out[15])))
+    assert np.array_equal(out[15].links, frames[9].links, equal_nan=True)
     assert out[15].stamps.tolist() == [at(15)]
 
 
