@@ -485,6 +485,7 @@ def test_somebody_who_is_not_detected_is_held_for_a_while() -> None:
     assert [f.n_people for f in out] == [1] * 16 + [0] * 14
     assert out[15].positions[0, 0, 0] == pytest.approx(0.45, abs=0.05)
     assert same(out[15], out[9].replace(**held(out[15])))
+    assert np.array_equal(out[15].links, frames[9].links, equal_nan=True)
     assert out[15].stamps.tolist() == [at(15)]
 
 
@@ -693,9 +694,10 @@ def test_the_moving_average_is_that_of_the_last_five_detections() -> None:
     assert [f.positions[0, 0, 0] for f in moving_average(frames, MODEL, params)] == list(range(10))
 
 
-@pytest.mark.parametrize(("late", "expected"), [(0.59, 4.5), (0.61, 9.0)])
+@pytest.mark.parametrize(("late", "expected"), [(0.59, 4.0), (0.61, 6.0), (0.91, 9.0)])
 def test_detections_count_for_point_six_seconds(late: float, expected: float) -> None:
-    frames = [seen([person(x)], at(0) + round(t * SECOND), ids=[0]) for x, t in ((0, 0), (9, late))]
+    track = (0, 0.0), (3, 0.3), (9, late)
+    frames = [seen([person(x)], at(0) + round(t * SECOND), ids=[0]) for x, t in track]
     (*_, last) = moving_average(frames, MODEL)
     assert last.positions[0, 0, 0] == expected
 
