@@ -16,7 +16,7 @@ COUNTED: Mapping[str, str] = {
     "not confirmed": "detections of bodies that too few messages or cameras bore out to be people",
     "optimizer not converged": "skeletons for which the solver stopped early",
     "predict: time not increasing": "skeletons not later than that person's last; not filtered",
-    "second body": "detections on somebody whom the same camera had reported already; left out",
+    "duplicate": "detections on somebody whom the same camera had reported already; left out",
     "too few markers": "detections with fewer markers than track.min_markers; they start nobody",
 }
 """Kind of an event -> what its number counts."""

@@ -168,7 +168,7 @@ class _Associator:
         """Start a track, unless it is a second body of somebody who is there."""
         nearest = min((math.hypot(t.x - x, t.y - y) for t in self.tracks), default=math.inf)
         if nearest < self.params.min_distance:
-            self.events.count("second body", frame.source)
+            self.events.count("duplicate", frame.source)
             return None
         track = Centroid.at(frame.stamp, x, y, self.params.position_noise)
         self.tracks.append(track)

@@ -128,7 +128,7 @@ def test_a_second_body_on_somebody_is_nobody() -> None:
     frames = [seen([person(), person(0.1)], at(k)) for k in range(10)]
     frames = list(associate(frames, MODEL, AT_ONCE, events))
     assert [sorted(f.ids.tolist()) for f in frames[1:]] == [[-1, 0]] * 9
-    assert events.total("second body") == 10
+    assert events.total("duplicate") == 10
 
 
 def test_centroids_are_means_of_what_is_known() -> None:
