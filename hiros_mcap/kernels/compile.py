@@ -27,7 +27,7 @@ def kernel(signature: Any, **options: Any) -> Any:
     return _njit(signature, **options)
 
 
-def inlined(function: FunctionType) -> Any:
+def inlined(function: Any) -> Any:
     """Compile a helper into the kernels that call it.
 
     A call that is left to the compiler's choice may cost more than the helper does: a NamedTuple of
