@@ -23,7 +23,7 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "not confirmed": ("detection", "ignored: seen too briefly or by too few cameras"),
     "optimizer not converged": ("skeleton", "for which the optimizer stopped early"),
     "predict: time not increasing": ("skeleton", "not filtered: not later than the one before"),
-    "second body": ("detection", "ignored: the same camera had already reported the person"),
+    "duplicate": ("detection", "ignored: the same camera had already reported the person"),
     "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
 }
 """Kind of an event that a stage counts -> noun, what happened to it."""

@@ -131,7 +131,7 @@ class _Associator:
         places = self._bank.past.states[list(self._bank.rows.values()), 0]
         distances = np.hypot(*(places - centroid[:2]).T)
         if distances.min(initial=np.inf) < self._params.min_distance:
-            self._events.count("second body", frame.source)
+            self._events.count("duplicate", frame.source)
             return None
         track = next(self._tracks)
         row = self._bank.row(track, frame.stamp)

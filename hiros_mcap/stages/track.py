@@ -558,7 +558,6 @@ class _Tracker:
         """Track messages in which everybody is certain, as update would; return how many."""
         if len(self.delay) or not all(track.certain for track in self.tracks):
             return 0
-        self._delete_unseen(int(block.stamps[place]))
         stamps = block.stamps[place : self._next_deletion(block, place)]
         tracks = self.tracks
         confirmed = kernels.ConfirmedTracks(

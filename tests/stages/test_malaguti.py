@@ -145,7 +145,7 @@ def test_a_second_report_of_a_person_starts_no_track(second: float, expected: li
     frames = [seen([person(), person(second)], at(k)) for k in range(2)]
     params = AT_ONCE.model_copy(update={"gate": 0.1})
     assert next(associate(frames, MODEL, params, events)).ids.tolist() == expected
-    assert events.total("second body") == expected.count(-1)
+    assert events.total("duplicate") == expected.count(-1)
 
 
 def test_a_detection_without_markers_is_nobody() -> None:
