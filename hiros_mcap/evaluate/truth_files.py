@@ -73,12 +73,12 @@ def read_trc(path: Path) -> Truth:
         if not line.strip():
             continue
         columns = 1 + 3 * len(names)
-        numbers = [_number(cell, path, number) for cell in cells[1 : 1 + columns]]
-        numbers += [math.nan] * (columns - len(numbers))
-        if math.isnan(numbers[0]):
+        values = [_number(cell, path, number) for cell in cells[1 : 1 + columns]]
+        values += [math.nan] * (columns - len(values))
+        if math.isnan(values[0]):
             raise ConfigError(f"{path}: line {number}: has no time")
-        times.append(numbers[0])
-        rows.append(numbers[1:])
+        times.append(values[0])
+        rows.append(values[1:])
     positions = _UNITS[unit] * np.array(rows, float).reshape(-1, 1, len(names), 3)
     return _truth(path, np.array(times), positions, names, (0,))
 

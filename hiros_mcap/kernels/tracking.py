@@ -196,7 +196,7 @@ class TrackWork(NamedTuple):
         )
 
 
-class Slots(NamedTuple):
+class SlotOrders(NamedTuple):
     """Which marker of a detection belongs to which of a track."""
 
     same: Ints
@@ -232,7 +232,7 @@ _PREDICTED = named_tuple(PredictedTracks, F3, F3)
 _WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
 _PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1)
 _WORK = named_tuple(TrackWork, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
-_SLOTS = named_tuple(Slots, J1, J1)
+_SLOTS = named_tuple(SlotOrders, J1, J1)
 _CONFIRMED = named_tuple(ConfirmedTracks, I1, J1, I1)
 _FOLLOWED = named_tuple(Followed, I1, F2)
 
@@ -338,7 +338,7 @@ def _compare(
     rows: Stamps,
     people: People,
     tracks: Tracks,
-    slots: Slots,
+    slots: SlotOrders,
     settings: TrackSettings,
     work: TrackWork,
 ) -> None:
@@ -435,7 +435,7 @@ def association_cost(
     rows: Stamps,
     people: People,
     tracks: Tracks,
-    slots: Slots,
+    slots: SlotOrders,
     settings: TrackSettings,
     work: TrackWork,
 ) -> None:
@@ -647,7 +647,7 @@ def correct(
     pairs: TrackPairs,
     people: People,
     tracks: Tracks,
-    slots: Slots,
+    slots: SlotOrders,
     settings: TrackSettings,
 ) -> None:
     """Bring the tracks in ``rows`` to ``stamp`` with the detections that ``match`` gives them.
@@ -714,7 +714,7 @@ def _associate(
     rows: Stamps,
     people: People,
     tracks: Tracks,
-    slots: Slots,
+    slots: SlotOrders,
     settings: TrackSettings,
     work: TrackWork,
 ) -> None:
@@ -750,7 +750,7 @@ def follow(
     people: People,
     tracks: Tracks,
     confirmed: ConfirmedTracks,
-    slots: Slots,
+    slots: SlotOrders,
     settings: TrackSettings,
     work: TrackWork,
     followed: Followed,

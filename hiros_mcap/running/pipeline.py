@@ -21,7 +21,7 @@ from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.outputs import check_outputs
 from hiros_mcap.running.observe import DETECTIONS, Observer
-from hiros_mcap.running.options import ProcessOptions, Progress, Silent, Watcher
+from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent, Watcher
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import (

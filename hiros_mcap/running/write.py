@@ -19,7 +19,7 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
-from hiros_mcap.running.options import ProcessOptions
+from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, merging_order, sections_of
 

@@ -348,7 +348,7 @@ class _Tracker:
         self.numbers, self.ids = itertools.count(), itertools.count()
         symmetry = symmetry_of(model)
         same = np.arange(model.n_markers, dtype=np.int32)
-        self.slots = kernels.Slots(same, symmetry.mirror)
+        self.slots = kernels.SlotOrders(same, symmetry.mirror)
         self.settings = kernels.TrackSettings._make(
             getattr(params, name) for name in kernels.TrackSettings._fields
         )._replace(flip_aware=params.flip_aware and symmetry.known)

@@ -73,7 +73,7 @@ def compared(
     work.pairs.wanted.fill(True)
     same = np.arange(m, dtype=np.int32)
     tracking.predict(SECOND, rows, tracks, used.horizon, work.predicted)
-    slots = tracking.Slots(same, same)
+    slots = tracking.SlotOrders(same, same)
     tracking.association_cost(rows, people, tracks, slots, used, work)
     return work.pairs
 

@@ -20,7 +20,7 @@ WHAT = ("joints", "angles", "both")
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
+class ExportFormat:
     """A kind of file."""
 
     text: str
@@ -35,19 +35,25 @@ class Format:
     """Whether its instants must have a fixed rate."""
 
 
-FORMATS: dict[str, Format] = {
-    ".csv": Format("table, a row per person and time", tables.write_csv),
-    ".parquet": Format("the same table for pandas, polars, R and DuckDB", tables.write_parquet),
-    ".jsonl": Format("one JSON object per person and time", tables.write_jsonl),
-    ".npz": Format("numpy arrays", tables.write_npz),
-    ".trc": Format("markers for OpenSim (mm, y up)", biomechanics.write_trc, ("joints",), True),
-    ".mot": Format("joint angles for OpenSim (degrees)", biomechanics.write_mot, ("angles",), True),
-    ".c3d": Format(
+FORMATS: dict[str, ExportFormat] = {
+    ".csv": ExportFormat("table, a row per person and time", tables.write_csv),
+    ".parquet": ExportFormat(
+        "the same table for pandas, polars, R and DuckDB", tables.write_parquet
+    ),
+    ".jsonl": ExportFormat("one JSON object per person and time", tables.write_jsonl),
+    ".npz": ExportFormat("numpy arrays", tables.write_npz),
+    ".trc": ExportFormat(
+        "markers for OpenSim (mm, y up)", biomechanics.write_trc, ("joints",), True
+    ),
+    ".mot": ExportFormat(
+        "joint angles for OpenSim (degrees)", biomechanics.write_mot, ("angles",), True
+    ),
+    ".c3d": ExportFormat(
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
         steady=True,
     ),
-    ".bvh": Format(
+    ".bvh": ExportFormat(
         "a moving skeleton for Blender and games (cm, y up)",
         animation.write_bvh,
         ("joints",),
@@ -58,7 +64,7 @@ FORMATS: dict[str, Format] = {
 """Suffix -> kind of file."""
 
 
-def format_of(target: Path) -> Format:
+def format_of(target: Path) -> ExportFormat:
     """Return the kind of file that a name asks for.
 
     Raises
