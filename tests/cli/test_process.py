@@ -232,6 +232,7 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--calibrate", "10-20"], "START:END"),
         (["--calibrate", "20:10"], "ends before it starts"),
         (["--calibrate=-5:-1"], "--calibrate: '-5:-1' starts before the log"),
+        (["--calibrate", "3.1:9"], "ends after 3.0 s; the calibration window 3.1:9"),
         (["--calibrate", "20:30"], "ends after 3.0 s; the calibration window 20:30"),
         (["--stages", "T", "--limbs", "x.toml"], "--limbs has no effect: --stages T"),
         (["--stages", "T", "--save-limbs", "x.toml"], "--save-limbs has no effect"),
