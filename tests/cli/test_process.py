@@ -128,7 +128,14 @@ def test_saved_limbs_can_be_loaded(walking: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [["--two-pass"], ["--calibrate", "0:2"], ["--solver", "ceres"], ["--topic", "/c*"]]
+    "options",
+    [
+        ["--two-pass"],
+        ["--system", "hiros-realtime", "--two-pass"],
+        ["--calibrate", "0:2"],
+        ["--solver", "ceres"],
+        ["--topic", "/c*"],
+    ],
 )
 def test_options_with_a_name_of_their_own(
     options: list[str], walking: Path, tmp_path: Path
