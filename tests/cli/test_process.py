@@ -128,7 +128,14 @@ def test_saved_limbs_can_be_loaded(walking: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [["--two-pass"], ["--calibrate", "0:2"], ["--solver", "ceres"], ["--topic", "/c*"]]
+    "options",
+    [
+        ["--two-pass"],
+        ["--system", "hiros-realtime", "--two-pass"],
+        ["--calibrate", "0:2"],
+        ["--solver", "ceres"],
+        ["--topic", "/c*"],
+    ],
 )
 def test_options_with_a_name_of_their_own(
     options: list[str], walking: Path, tmp_path: Path
@@ -232,6 +239,7 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--calibrate", "10-20"], "START:END"),
         (["--calibrate", "20:10"], "ends before it starts"),
         (["--calibrate=-5:-1"], "--calibrate: '-5:-1' starts before the log"),
+        (["--calibrate", "3.1:9"], "ends after 3.0 s; the calibration window 3.1:9"),
         (["--calibrate", "20:30"], "ends after 3.0 s; the calibration window 20:30"),
         (["--stages", "T", "--limbs", "x.toml"], "--limbs has no effect: --stages T"),
         (["--stages", "T", "--save-limbs", "x.toml"], "--save-limbs has no effect"),

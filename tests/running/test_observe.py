@@ -6,15 +6,18 @@ import re
 import time
 from collections import defaultdict
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
-from stick_figures import at, person, seen
+from stick_figures import MODEL, at, person, seen
 
 from hiros_cli.run_report import _limbs
 from hiros_mcap import stages
+from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import COUNTED, TOO_LATE, counted
 from hiros_mcap.frames import Block
+from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import (
     DETECTIONS,
     CameraClock,
@@ -22,8 +25,10 @@ from hiros_mcap.running.observe import (
     Observer,
     clock_notes,
 )
+from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import LimbSummary, cleaned, duration, number, quantity
+from hiros_mcap.systems import Run
 
 MS, S = 1_000_000, 1_000_000_000
 
@@ -89,13 +94,13 @@ def test_people_are_those_of_the_last_channel_cameras_those_of_the_tracker() -> 
         frame = seen([person()], at(k), ids=[7]).replace(source=source)
         observer.see(DETECTIONS, Block.of(frame.replace(ids=np.array([-1], np.int32))))
         observer.see("tracked", Block.of(frame))
-    for k in (2, 1):
+    for k in (2, 1, 3):
         observer.see("merged", Block.of(seen([person(), person()], at(k), ids=[7, -1])))
     assert observer.cameras_of(7) == ("a", "b")
     assert [*observer.people] == [7]
     presence = observer.people[7]
-    assert (presence.first, presence.last, presence.frames) == (at(1), at(2), 2)
-    assert observer.written == {"tracked": 3, "merged": 2}
+    assert (presence.first, presence.last, presence.frames) == (at(1), at(3), 3)
+    assert observer.written == {"tracked": 3, "merged": 3}
 
 
 def test_each_step_is_charged_with_its_own_time_only() -> None:
@@ -150,6 +155,28 @@ def test_numbers_of_things_are_told_in_words() -> None:
 )  # fmt: skip
 def test_a_duration_has_the_unit_that_fits(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+def report_on(run: Run) -> Report:
+    return Report(cast(Log, None), run, Observer(["tracked", "optimized"]), Stopwatch())
+
+
+def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:
+    limbs = {
+        name: Limb(1.0, cv, n) for name, cv, n in (("a", 0.1, 5), ("b", 0.4, 9), ("c", 0.2, 7))
+    }
+    summary = report_on(Run(MODEL, limbs=LimbTable({3: limbs})))._limbs(3)
+    assert summary == LimbSummary(9, 0.2, 0.4, "b", accepted=True)
+
+
+def test_the_last_reason_why_limbs_were_rejected_is_told() -> None:
+    run = Run(MODEL)
+    for who, why in ((3, "first"), (3, "last"), (4, "of another")):
+        run.events.note(0, "calibration rejected", person=who, detail=why)
+    summary = report_on(run)._limbs(3)
+    assert summary is not None
+    assert (summary.accepted, summary.reason) == (False, "last")
+    assert report_on(run)._limbs(5) is None
 
 
 def test_limb_lengths_are_told_in_words() -> None:

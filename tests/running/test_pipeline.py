@@ -23,7 +23,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Truth, evaluate
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.events import Events
-from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
@@ -353,3 +353,17 @@ def test_provenance_of_a_plain_mean_says_so(tmp_path: Path) -> None:
         sections = tomllib.loads(bytes(reader.attachment(config)).decode())
     assert provenance["merging"] == "mean"
     assert [*sections] == ["input", "output", "merge", "associate"]
+
+
+def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
+    source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
+    with McapReader(WALKING) as reader, McapWriter(source) as writer:
+        copier = ChunkCopier(reader, writer, reader.channels)
+        copier.finish()
+        late = max(chunk.end_time for chunk in reader.contents.chunks) + 10**10
+        writer.write(writer.add_channel("/truth/late", 0), late, b"late")
+        writer.commit()
+    process(source, target, options=ProcessOptions(stages="T"))
+    with target.open("rb") as file:
+        (found,) = make_reader(file).iter_messages(topics=["/truth/late"])
+    assert found[2].data == b"late"
