@@ -240,3 +240,11 @@ def test_jitter_does_not_count_across_a_pause() -> None:
     for frame in rest[20:]:
         frame.positions[0] += [0.5, 0, 0]
     assert evaluate(rest, Truth.of(still()), MODEL).jitter == pytest.approx(0, abs=1e-9)
+
+
+def test_similarity_falls_to_zero_at_the_matching_distance() -> None:
+    """Half a metre off: half similar at 1 m, three quarters at 2 m."""
+    away = [f.replace(markers=f.markers + np.eye(19)[0] * 0.5) for f in still()]
+    for distance, similarity in ((1.0, 0.5), (2.0, 0.75)):
+        tracking = evaluate(away, Truth.of(still()), MODEL, distance).tracking
+        assert tracking.motp == pytest.approx(similarity)

@@ -11,9 +11,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate import load_truth
+from hiros_mcap.evaluate import Truth, evaluate, load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.frames import by_block, by_frame
 from hiros_mcap.regression import check_report
@@ -25,6 +26,7 @@ from hiros_mcap.regression.differences import (
 )
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import (
+    METRICS,
     Threshold,
     load_metrics,
     metrics_of,
@@ -389,3 +391,27 @@ def test_markdown_keeps_to_its_table() -> None:
 def test_json_is_json() -> None:
     data = json.loads(json.dumps(check_report.as_dict(RESULTS)))
     assert (data["equal"], data["different"], data["errors"]) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("mpjpe", "mean"),
+        ("mpjpe_sd", "deviation"),
+        ("mpjpe_95", "percentile_95"),
+        ("angle_rmse", "angle_rmse"),
+        ("link_angle_rmse", "link_angle_rmse"),
+        ("orientation_error", "orientation_error"),
+        ("limb_error", "limb_error"),
+        ("missing", "missing"),
+        ("false", "false"),
+        ("id_switches", "switches"),
+    ],
+)
+def test_each_metric_is_that_of_its_name(name: str, field: str) -> None:
+    frame = [seen([person()], at(0), ids=[0])]
+    scores = evaluate(frame, Truth.of(frame), MODEL)
+    changed = replace(scores, **{field: 7})
+    read = METRICS[name].of
+    assert read is not None
+    assert read(changed) == 7

@@ -13,6 +13,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
+from hiros_mcap.simulate.randomness import coloured
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import (
@@ -163,15 +164,23 @@ def test_noise_has_the_spread_that_was_asked_for() -> None:
     assert np.std(error[~np.isnan(error)]) == pytest.approx(0.01, rel=0.05)
 
 
-def test_slow_noise_is_correlated_as_asked() -> None:
+def test_coloured_noise_has_a_deviation_of_one() -> None:
+    noise = coloured(np.random.default_rng(0), (50_000,), 0.85)
+    assert np.std(noise) == pytest.approx(1, abs=0.05)
+    assert np.mean(noise[1:] * noise[:-1]) == pytest.approx(0.85, abs=0.05)
+
+
+@pytest.mark.parametrize(("rate", "correlation"), [(30, 0.85), (15, 0.85**2)])
+def test_slow_noise_is_correlated_as_asked(rate: float, correlation: float) -> None:
     slow = {"coloured": 0.02, "bias": 0.0, "white": 0.0, "correlation": 0.85}
     detector = DetectorParams.model_validate(slow)
-    changes = {"action": "free_static", "seconds": 6, "cameras": 1}
+    rig = RigParams(rate=rate)
+    changes = {"action": "free_static", "seconds": 12, "cameras": 1, "rig": rig}
     noisy = in_room(perfect(noise=1.0, detector=detector, **changes))
     still = in_room(perfect(**changes))
     error = np.stack([a[0] - b[0] for (_, a), (_, b) in zip(noisy, still, strict=True)])
     lagged = np.mean(error[1:] * error[:-1]) / np.mean(error**2)
-    assert lagged == pytest.approx(0.85, abs=0.05)
+    assert lagged == pytest.approx(correlation, abs=0.06)
 
 
 def test_flips_swap_the_sides() -> None:
