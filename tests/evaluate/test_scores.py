@@ -10,7 +10,8 @@ import pytest
 from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.angles import flexions
-from hiros_mcap.evaluate import Truth, evaluate
+from hiros_mcap.evaluate import PCK_MM, Truth, evaluate
+from hiros_mcap.evaluate.scores import pck_curves
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 ARM = SkeletonModel.of(["Neck", "Pelvis", "LShoulder", "LElbow", "LWrist"], [])
@@ -248,3 +249,8 @@ def test_similarity_falls_to_zero_at_the_matching_distance() -> None:
     for distance, similarity in ((1.0, 0.5), (2.0, 0.75)):
         tracking = evaluate(away, Truth.of(still()), MODEL, distance).tracking
         assert tracking.motp == pytest.approx(similarity)
+
+
+def test_a_joint_at_the_threshold_is_within_it() -> None:
+    curve = pck_curves(np.full((1, 8), 50.0), MODEL)["all"]
+    assert (curve[PCK_MM.index(45)], curve[PCK_MM.index(50)]) == (0, 1)
