@@ -254,3 +254,12 @@ def test_similarity_falls_to_zero_at_the_matching_distance() -> None:
 def test_a_joint_at_the_threshold_is_within_it() -> None:
     curve = pck_curves(np.full((1, 8), 50.0), MODEL)["all"]
     assert (curve[PCK_MM.index(45)], curve[PCK_MM.index(50)]) == (0, 1)
+
+
+def test_limbs_are_compared_with_the_median_length_of_their_own_person() -> None:
+    """A child beside an adult; in one true instant of 60 the child is a tenth too large."""
+    child = POSE * 0.7 + [2.0, 0, 0]
+    result = [seen([person(), child], at(k), ids=[0, 1]) for k in range(60)]
+    truth = Truth.of(seen([person(), child], at(k), ids=[0, 1]) for k in range(60))
+    truth.positions[30, 1] = 1.1 * child
+    assert evaluate(result, truth, MODEL).limb_error == pytest.approx(0, abs=1e-9)
