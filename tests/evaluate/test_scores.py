@@ -10,7 +10,8 @@ import pytest
 from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.angles import flexions
-from hiros_mcap.evaluate import Truth, evaluate
+from hiros_mcap.evaluate import PCK_MM, Truth, evaluate
+from hiros_mcap.evaluate.scores import pck_curves
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 ARM = SkeletonModel.of(["Neck", "Pelvis", "LShoulder", "LElbow", "LWrist"], [])
@@ -240,3 +241,25 @@ def test_jitter_does_not_count_across_a_pause() -> None:
     for frame in rest[20:]:
         frame.positions[0] += [0.5, 0, 0]
     assert evaluate(rest, Truth.of(still()), MODEL).jitter == pytest.approx(0, abs=1e-9)
+
+
+def test_similarity_falls_to_zero_at_the_matching_distance() -> None:
+    """Half a metre off: half similar at 1 m, three quarters at 2 m."""
+    away = [f.replace(markers=f.markers + np.eye(19)[0] * 0.5) for f in still()]
+    for distance, similarity in ((1.0, 0.5), (2.0, 0.75)):
+        tracking = evaluate(away, Truth.of(still()), MODEL, distance).tracking
+        assert tracking.motp == pytest.approx(similarity)
+
+
+def test_a_joint_at_the_threshold_is_within_it() -> None:
+    curve = pck_curves(np.full((1, 8), 50.0), MODEL)["all"]
+    assert (curve[PCK_MM.index(45)], curve[PCK_MM.index(50)]) == (0, 1)
+
+
+def test_limbs_are_compared_with_the_median_length_of_their_own_person() -> None:
+    """A child beside an adult; in one true instant of 60 the child is a tenth too large."""
+    child = POSE * 0.7 + [2.0, 0, 0]
+    result = [seen([person(), child], at(k), ids=[0, 1]) for k in range(60)]
+    truth = Truth.of(seen([person(), child], at(k), ids=[0, 1]) for k in range(60))
+    truth.positions[30, 1] = 1.1 * child
+    assert evaluate(result, truth, MODEL).limb_error == pytest.approx(0, abs=1e-9)

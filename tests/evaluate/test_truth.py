@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stick_figures import MODEL, START, at, person, seen
 
+from hiros_mcap.body.rotations import rotate
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import Truth, evaluate, load_truth
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -205,3 +206,12 @@ def test_orientations_between_instants_take_the_shorter_way(
         assert turn <= way + 1e-6
         if way < 3:
             assert turn == pytest.approx(share * way, abs=0.12 * way + 1e-6)
+
+
+def test_orientations_become_z_up_as_positions_do() -> None:
+    """A link that lies along y of the file lies along z of the log."""
+    identity = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1, 1, 1))
+    positions = np.tile([0.0, 1.0, 0.0], (2, 1, 1, 1))
+    truth = Truth(np.array([at(0), at(1)]), positions, identity, (0,)).moved(up="y")
+    assert rotate(truth.orientations[0, 0, 0], positions[0, 0, 0]) == pytest.approx([0, 0, 1])
+    assert truth.positions[0, 0, 0] == pytest.approx([0, 0, 1])

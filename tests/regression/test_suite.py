@@ -11,22 +11,29 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from stick_figures import MODEL, at, person, seen
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate import load_truth
+from hiros_mcap.evaluate import Truth, evaluate, load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.frames import by_block, by_frame
 from hiros_mcap.regression import check_report
-from hiros_mcap.regression.differences import compare_logs
+from hiros_mcap.regression.differences import (
+    ChannelComparison,
+    Comparison,
+    Divergence,
+    compare_logs,
+)
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import (
+    METRICS,
     Threshold,
     load_metrics,
     metrics_of,
     save_metrics,
     worse,
 )
-from hiros_mcap.regression.suite import CaseResult, SuiteOptions, load_suite, run_suite
+from hiros_mcap.regression.suite import CaseResult, Golden, SuiteOptions, load_suite, run_suite
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
@@ -101,6 +108,27 @@ def test_a_broken_stage_is_caught_and_named(
     if equal:
         assert result.faults[0].startswith(f"first stage that differs: /hiros/{stage}; equal: ")
         assert f"/hiros/{equal[-1]}" in result.faults[0]
+
+
+def test_what_is_tolerated_is_no_first_difference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of ten frames, one is missing in the merger's channel, two in the filter's."""
+    first = Divergence(3, 0, 0.1, "the frame is missing")
+    channels = [
+        ChannelComparison(f"/hiros/{name}", frames=10, missing_frames=missing, first=first)
+        for name, missing in (("merged", 1), ("filtered", 2))
+    ]
+    monkeypatch.setattr("hiros_mcap.regression.suite.compare_logs", lambda *_: Comparison(channels))
+    golden = Golden(tmp_path / "golden.mcap", Tolerances(frames=0.1))
+    golden.path.touch()
+    result = golden.check(CaseResult("walk", "equal"), tmp_path, "/hiros/filtered", bless=False)
+    assert result.status == "different"
+    assert result.faults == (
+        "first stage that differs: /hiros/filtered; equal: /hiros/merged",
+        "/hiros/filtered: frames: 2 missing, 0 extra of 10",
+    )
+    assert result.first == (("/hiros/filtered", first),)
 
 
 def renumbered(frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -363,3 +391,27 @@ def test_markdown_keeps_to_its_table() -> None:
 def test_json_is_json() -> None:
     data = json.loads(json.dumps(check_report.as_dict(RESULTS)))
     assert (data["equal"], data["different"], data["errors"]) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("mpjpe", "mean"),
+        ("mpjpe_sd", "deviation"),
+        ("mpjpe_95", "percentile_95"),
+        ("angle_rmse", "angle_rmse"),
+        ("link_angle_rmse", "link_angle_rmse"),
+        ("orientation_error", "orientation_error"),
+        ("limb_error", "limb_error"),
+        ("missing", "missing"),
+        ("false", "false"),
+        ("id_switches", "switches"),
+    ],
+)
+def test_each_metric_is_that_of_its_name(name: str, field: str) -> None:
+    frame = [seen([person()], at(0), ids=[0])]
+    scores = evaluate(frame, Truth.of(frame), MODEL)
+    changed = replace(scores, **{field: 7})
+    read = METRICS[name].of
+    assert read is not None
+    assert read(changed) == 7

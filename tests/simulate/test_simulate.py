@@ -6,15 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
+from hiros_mcap.simulate.randomness import coloured
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.skeletons import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    ANGULAR_VELOCITY,
+    VELOCITY,
+    Floats,
+    Stamps,
+)
 
 OFF = {
     "noise": 0.0, "occlusion": 0.0, "flips": 0.0, "dropouts": 0.0, "clock_jitter": 0.0,
@@ -37,8 +46,6 @@ def in_room(simulation: Simulation) -> list[tuple[str, Floats]]:
 
 
 def _matrix(xyzw: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(xyzw).as_matrix()
 
 
@@ -89,6 +96,57 @@ def test_the_truth_moves_at_its_own_velocities() -> None:
     assert moved == pytest.approx(truth[10].velocities, abs=0.25)
 
 
+def test_velocities_and_accelerations_are_derivatives_of_the_true_motion() -> None:
+    """Differences over 2 ms of one second of a throw."""
+    stamps = _instants()[1] + np.array([-1, 0, 1]) * 1_000_000
+    before, now, after = perfect(action="throw").truth_at(stamps)
+    step = 0.002
+    moved = (after.positions - before.positions) / step
+    assert now.markers[..., VELOCITY] == pytest.approx(moved, abs=1e-3)
+    change = after.markers[..., VELOCITY] - before.markers[..., VELOCITY]
+    assert now.markers[..., ACCELERATION] == pytest.approx(change / step, abs=0.1)
+    turned = [Rotation.from_quat(frame.orientations[0]) for frame in (before, after)]
+    angular = (turned[1] * turned[0].inv()).as_rotvec() / step
+    assert now.links[0, :, ANGULAR_VELOCITY] == pytest.approx(angular, abs=1e-3)
+    assert np.abs(angular).max() > 0.5
+    change = after.links[0, :, ANGULAR_VELOCITY] - before.links[0, :, ANGULAR_VELOCITY]
+    assert now.links[0, :, ANGULAR_ACCELERATION] == pytest.approx(change / step, abs=0.1)
+
+
+def test_link_noise_has_the_deviation_that_was_asked_for() -> None:
+    """2 degrees per axis, and nothing else."""
+    quiet = {"orientation_coloured": 0.0, "orientation_bias": 0.0, "orientation_white": 2.0,
+             "extremities": 1.0, "range_growth": 0.0}  # fmt: skip
+    scene = {"action": "free_static", "seconds": 3}
+    noisy = perfect(noise=1.0, detector=DetectorParams.model_validate(quiet), **scene)
+    errors = [
+        (Rotation.from_quat(a.orientations[0]) * Rotation.from_quat(b.orientations[0]).inv())
+        for a, b in zip(noisy.detections, perfect(**scene).detections, strict=True)
+        if a.n_people and b.n_people
+    ]
+    degrees = np.degrees(np.stack([error.as_rotvec() for error in errors]))
+    assert np.std(degrees) == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_bad_clock_shifts_what_the_camera_stamps_not_when_it_arrives() -> None:
+    right, wrong = (perfect(cameras=3, rig=RigParams(clock_offset=s)) for s in (0.0, 0.05))
+    for good, bad in zip(right.cameras, wrong.cameras, strict=True):
+        (own,) = {int(x) for x in bad.ticks.stamped - good.ticks.stamped}
+        assert own != 0
+        assert set(bad.ticks.sent - good.ticks.sent) == {own}
+        assert np.array_equal(bad.ticks.logged, good.ticks.logged)
+
+
+def test_published_orientations_are_off_by_the_deviation_in_degrees() -> None:
+    rig = RigParams(orientation_error=3.0, position_error=0.0)
+    cameras = perfect(cameras=32, calibration_error=1.0, rig=rig).cameras
+    off = [
+        (Rotation.from_quat(c.published.xyzw) * Rotation.from_quat(c.pose.xyzw).inv()).as_rotvec()
+        for c in cameras
+    ]
+    assert np.degrees(np.std(off)) == pytest.approx(3.0, rel=0.2)
+
+
 def test_same_seed_same_bytes_other_seed_others(tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_log(tmp_path / name, SimulateParams(seconds=1, cameras=2, seed=seed))
@@ -106,15 +164,23 @@ def test_noise_has_the_spread_that_was_asked_for() -> None:
     assert np.std(error[~np.isnan(error)]) == pytest.approx(0.01, rel=0.05)
 
 
-def test_slow_noise_is_correlated_as_asked() -> None:
+def test_coloured_noise_has_a_deviation_of_one() -> None:
+    noise = coloured(np.random.default_rng(0), (50_000,), 0.85)
+    assert np.std(noise) == pytest.approx(1, abs=0.05)
+    assert np.mean(noise[1:] * noise[:-1]) == pytest.approx(0.85, abs=0.05)
+
+
+@pytest.mark.parametrize(("rate", "correlation"), [(30, 0.85), (15, 0.85**2)])
+def test_slow_noise_is_correlated_as_asked(rate: float, correlation: float) -> None:
     slow = {"coloured": 0.02, "bias": 0.0, "white": 0.0, "correlation": 0.85}
     detector = DetectorParams.model_validate(slow)
-    changes = {"action": "free_static", "seconds": 6, "cameras": 1}
+    rig = RigParams(rate=rate)
+    changes = {"action": "free_static", "seconds": 12, "cameras": 1, "rig": rig}
     noisy = in_room(perfect(noise=1.0, detector=detector, **changes))
     still = in_room(perfect(**changes))
     error = np.stack([a[0] - b[0] for (_, a), (_, b) in zip(noisy, still, strict=True)])
     lagged = np.mean(error[1:] * error[:-1]) / np.mean(error**2)
-    assert lagged == pytest.approx(0.85, abs=0.05)
+    assert lagged == pytest.approx(correlation, abs=0.06)
 
 
 def test_flips_swap_the_sides() -> None:
