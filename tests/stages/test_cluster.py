@@ -219,6 +219,8 @@ def test_previous_position_changes_the_winner(helps: bool, expected: float) -> N
 def test_a_position_of_long_ago_is_not_the_previous_one() -> None:
     frames = [*views([with_wrist(0.0, 0.0, 1.0)] * 3, 0)]
     late = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 1.04)], 4)
+    for frame, confidence in zip(late, (0.66, 0.33, 0.33), strict=True):
+        frame.marker_confidences[:] = confidence  # the previous position would decide
     params = NO_HELP.model_copy(update={"cameras": 3, "previous_helps": True, "rearrange": "off"})
     _, out = cluster([*frames, *late], MODEL, params)
     assert out.positions[0, WRIST, 0] == pytest.approx(1.02)
