@@ -218,7 +218,9 @@ def test_previous_position_changes_the_winner(helps: bool, expected: float) -> N
 
 def test_a_position_of_long_ago_is_not_the_previous_one() -> None:
     frames = [*views([with_wrist(0.0, 0.0, 1.0)] * 3, 0)]
-    late = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 1.04)], 30)
+    late = views([with_wrist(x, 0.0, 1.0) for x in (0.0, 1.0, 1.04)], 4)
+    for frame, confidence in zip(late, (0.66, 0.33, 0.33), strict=True):
+        frame.marker_confidences[:] = confidence  # the previous position would decide
     params = NO_HELP.model_copy(update={"cameras": 3, "previous_helps": True, "rearrange": "off"})
     _, out = cluster([*frames, *late], MODEL, params)
     assert out.positions[0, WRIST, 0] == pytest.approx(1.02)
@@ -437,3 +439,13 @@ def test_the_previous_position_of_somebody_who_left_is_forgotten() -> None:
     frames[0].markers[0, :, :3], frames[1].markers[0, :, :3] = far
     (out,) = cluster(frames, MODEL, ClusterParams(cameras=2, rearrange="off"))
     assert out.positions[0, WRIST, 0] == pytest.approx(0.275)  # no previous position decides
+
+
+def test_the_links_of_a_view_stay_if_only_half_of_its_pairs_were_exchanged() -> None:
+    wrong = person()
+    wrong[[WRIST, OTHER_WRIST]] = wrong[[OTHER_WRIST, WRIST]]
+    wrong[[4, 5]] = np.nan  # no hips: two pairs are compared
+    frames = views([person(), person(), wrong], turns=True)
+    frames[2].links[0, 0, 3:7] = Rotation.from_euler("z", 0.3).as_quat()
+    (out,) = cluster(frames, MODEL, ClusterParams(cameras=3))
+    assert Rotation.from_quat(out.orientations[0, 0]).magnitude() == pytest.approx(0.1, abs=1e-3)

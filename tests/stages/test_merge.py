@@ -265,8 +265,9 @@ def test_orientations_are_averaged_whatever_their_sign() -> None:
 def test_somebody_unseen_for_a_moment_is_bridged_and_then_absent() -> None:
     frames = [seen([person(), person(2)], at(k), "a", ids=[0, 1]) for k in range(5)]
     frames += [seen([person()], at(k), "a", ids=[0]) for k in range(5, 15)]
-    counts = [f.n_people for f in merge(frames, MODEL, MergeParams(bridge=0.12))]
-    assert counts == [2] * 5 + [2] * 3 + [1] * 7
+    merged = list(merge(frames, MODEL, MergeParams(bridge=0.12)))
+    assert [f.n_people for f in merged] == [2] * 5 + [2] * 3 + [1] * 7
+    assert merged[7].positions[1] == pytest.approx(person(2))  # no velocity is known
 
 
 def test_untracked_people_are_left_out() -> None:
