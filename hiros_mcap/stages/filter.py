@@ -40,8 +40,8 @@ _HIGHEST = 0.4
 """Highest cut-off over the sample rate; half of the rate cannot be filtered at all."""
 _BATCH = 16
 """Most frames that are filtered in one call: each takes a slot of the rings."""
-_SLOTS = 4
-"""Slots of the rings at first."""
+_SLOTS = 32
+"""Slots of the rings at first: enough for a batch and the default look-ahead at 30 Hz."""
 
 
 class FilterParams(Params):
@@ -144,7 +144,7 @@ def filter_blocks(
 
 
 class _SkeletonFilter:
-    """The filters of all people, and the frames whose look-ahead is not complete."""
+    """Hi-ROS 2023, section 3.4: the filters of all people, and the frames that are held."""
 
     def __init__(self, model: SkeletonModel, params: FilterParams, events: Events) -> None:
         self._params, self._events, self._method = params, events, _method(params)
@@ -167,31 +167,34 @@ class _SkeletonFilter:
         for i in frames:
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
             if self._last and stamp - self._last[0] > self._params.max_gap * 1e9:
-                self._estimate(plan, self._delay.rest(), self._last[1])  # nothing waits over a gap
-            self._delay.push(stamp, self._add(plan, (block, i), stamp))
+                self._estimate(plan, self._delay.rest(), self._last[1])  # no frame waits over a gap
+            held = self._add(plan, (block, i), stamp)  # 3.4: needs people with ids
+            self._delay.push(stamp, held)  # until its look-ahead is complete
             self._estimate(plan, self._delay.release(stamp, lambda held: False), log_time)
             self._last = stamp, log_time
-        yield from self._carry_out(plan, block.people)
+        yield from self._filter(plan, block.people)
 
     def rest(self) -> Iterator[Block]:
         """Yield the frames that are left, after the last one of the log."""
         plan = _FilterPlan()
         if self._last:
             self._estimate(plan, self._delay.rest(), self._last[1])
-            yield from self._carry_out(plan, None)
+            yield from self._filter(plan, None)
 
-    def _carry_out(self, plan: _FilterPlan, people: People | None) -> Iterator[Block]:
-        """Take the measurements of ``people``, then write the estimates that are due."""
+    def _filter(self, plan: _FilterPlan, people: People | None) -> Iterator[Block]:
+        """Take over the poses of ``people``, then write the estimates that are complete."""
         self._reserve(plan)
         past, settings, work = self._bank.past, self._settings, self._work
         if people is not None:
             steps = plan.updates(past)
-            self._method.update(people, steps, past, settings, work)  # predict, correct
+            # 3.4: low-pass of marker positions and link orientations, by the chosen method
+            self._method.update(people, steps, past, settings, work)
             if self._params.keep_lengths:
                 average_lengths(people, steps, past, self._links, self._params.length_time)
         if plan.done:
             out, steps = join(plan.done), plan.estimates()
-            self._method.estimate(out.people, steps, past, settings, work)  # fixed-lag smoothing
+            # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
+            self._method.estimate(out.people, steps, past, settings, work)
             if self._params.keep_lengths:
                 restore_lengths(out.people, steps, past, self._links)
             yield replace(out, log_times=np.array(plan.log_times, np.int64))

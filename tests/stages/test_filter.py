@@ -604,3 +604,13 @@ def test_rigid_motion_moves_the_result(p, rotation, shift, seed):
         assert abs(b.links[0, 0, 3:7] @ expected) > 1 - 1e-9
         expected = rotation.apply(a.links[0, 0, 10:13])
         np.testing.assert_allclose(b.links[0, 0, 10:13], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(("lookahead", "n_averaged"), [(0.0, 1), (0.1, 4), (0.3, 10)])
+def test_mean_length_counts_every_frame_until_the_end_of_the_lookahead(lookahead, n_averaged):
+    """The first limb is .3 m long, all others are .4 m."""
+    frames = [frame_at(k / 30, hand=(0.3 if k == 0 else 0.4, 0, 0)) for k in range(30)]
+    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=lookahead)))
+    for k in (0, 1):
+        mean = 0.4 - 0.1 / (n_averaged + k)
+        assert out[k].markers[0, 1, 0] - out[k].markers[0, 0, 0] == pytest.approx(mean, abs=8e-4)
