@@ -226,6 +226,13 @@ def test_the_stamp_is_source_time_or_header_time_or_log_time(path):
     assert [f.stamp for f in frames_of(path)[0]] == [700, 1000, 30]
 
 
+def test_the_stamp_is_the_latest_time_of_the_people(path):
+    with Maker(path) as log:
+        log.add(seen(0, 2000, n=3).replace(stamps=np.array([700, 900, 0])))
+    (frame,), _ = frames_of(path)
+    assert (frame.stamp, frame.stamps.tolist()) == (900, [700, 900, 0])
+
+
 def test_cameras_of_one_name_go_by_their_topics(path):
     with Maker(path) as log:
         for topic in ("/left", "/right"):
@@ -374,6 +381,16 @@ def test_people_without_a_time_are_never_repeats(path):
         for _ in range(3):
             log.add(nobody_knows_when)
     assert len(frames_of(path)[0]) == 3
+
+
+def test_of_a_repeated_message_only_people_with_a_time_are_repeats(path):
+    both = seen(0, 1000, n=2).replace(stamps=np.array([1000, 0]), ids=np.array([5, 6], np.int32))
+    with Maker(path) as log:
+        log.add(both)
+        log.add(both)
+    frames, log = frames_of(path)
+    assert [f.ids.tolist() for f in frames] == [[5, 6], [6]]
+    assert log.accounts["/camera_0/skeletons"].stale == 1
 
 
 def test_a_message_of_several_cameras_is_used_if_one_of_them_has_something_new(path):

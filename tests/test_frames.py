@@ -1,0 +1,68 @@
+"""Frames are views of people; blocks hold several of them."""
+
+import numpy as np
+import pytest
+
+from hiros_mcap.frames import Block, join
+from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
+
+MODEL = SkeletonModel.of("ab", [("ab", 0, 1)])
+
+
+def numbered(n: int, start: int) -> Frame:
+    """A frame of people whose ids and markers count up."""
+    frame = Frame.empty(n, MODEL, stamp=start, source="camera", frame_id="map")
+    frame.ids[:] = start + np.arange(n)
+    frame.markers[:] = frame.ids[:, None, None]
+    return frame
+
+
+def test_the_fields_of_people_are_those_of_the_frame() -> None:
+    frame = numbered(3, 5)
+    assert all(getattr(frame, name) is getattr(frame.people, name) for name in People._fields)
+
+
+def test_nothing_is_known_of_the_people_of_an_empty_frame() -> None:
+    frame = Frame.empty(2, MODEL, stamp=7)
+    assert (frame.ids.tolist(), frame.stamps.tolist(), frame.log_time) == (
+        [UNTRACKED] * 2,
+        [7] * 2,
+        7,
+    )
+    assert all(np.isnan(numbers).all() for numbers in frame.people[2:])
+
+
+def test_replace_changes_fields_of_the_frame_and_of_its_people_and_shares_the_rest() -> None:
+    frame = numbered(2, 5)
+    other = frame.replace(stamp=9, ids=np.array([1, 2], np.int32))
+    assert (other.stamp, other.source, other.ids.tolist()) == (9, "camera", [1, 2])
+    assert other.markers is frame.markers
+    assert frame.ids.tolist() == [5, 6]
+    with pytest.raises(TypeError, match="colour"):
+        frame.replace(colour=1)
+
+
+@pytest.mark.parametrize(
+    ("rows", "ids"), [([2, 0], [7, 5]), ([], []), ([True, False, True], [5, 7])]
+)
+def test_selected_people_are_copies(rows: list[int], ids: list[int]) -> None:
+    frame = numbered(3, 5)
+    chosen = frame.select(rows)
+    assert chosen.ids.tolist() == ids
+    chosen.markers[:] = 0
+    assert frame.markers.min() == 5
+
+
+def test_people_are_reordered_in_every_array_from_a_row_on() -> None:
+    frame = numbered(4, 5)
+    frame.people.reorder(1, [2, 0, 1])
+    assert frame.ids.tolist() == [5, 8, 6, 7]
+    assert frame.markers[:, 0, 0].tolist() == [5, 8, 6, 7]
+
+
+def test_joined_frames_keep_their_people_in_this_order() -> None:
+    blocks = [Block.of(numbered(n, 10 * n)) for n in (2, 0, 3)]
+    joined = join([(blocks[k], 0) for k in (2, 1, 0, 2)])
+    assert joined.rows.tolist() == [[0, 3], [3, 3], [3, 5], [5, 8]]
+    assert joined.people.ids.tolist() == [30, 31, 32, 20, 21, 30, 31, 32]
+    assert joined.people.markers[:, 1, 4].tolist() == joined.people.ids.tolist()
