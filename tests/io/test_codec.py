@@ -346,6 +346,12 @@ def test_times_before_the_epoch_and_unset_ones_are_kept() -> None:
     assert decoded.stamps.tolist() == [0, -2_500_000_000]
 
 
+def test_a_time_before_1970_is_none_unless_bits_are_to_be_kept() -> None:
+    frame = full(stick(), 2).replace(stamps=np.array([-2_500_000_000, 7]))
+    (decoded,) = Decoder(stick()).decode_message(Encoder(stick()).encode(frame))
+    assert decoded.stamps.tolist() == [0, 7]
+
+
 def test_frames_own_their_arrays() -> None:
     decoder, data = Decoder(stick()), Encoder(stick()).encode(full(stick()))
     (first,), (second,) = decoder.decode_message(data), decoder.decode_message(data)
@@ -746,6 +752,17 @@ def test_a_batch_of_many_says_what_batches_of_one_say() -> None:
         assert all(gen.same(a, b) for a, b in pairs)
     assert 10 < len(many.faults) < len(messages) - 10
     assert len(many.parts[-1]) == 2
+
+
+def test_a_damaged_message_of_another_schema_is_the_only_one_with_a_fault() -> None:
+    text = VARIANTS["a field added"]
+    good = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
+    chunks = [records_of([good, good]), records_of([good, good[:50], good], 10**6)]
+    decoder = Decoder(stick(), layouts={0: checked(text)})
+    (decoded,) = decoder.decode(Batch(chunks, None))
+    assert list(decoded.faults) == [3]
+    assert "its own schema" in decoded.faults[3]
+    assert [len(parts) for parts in decoded.parts] == [1, 1, 1, 0, 1]
 
 
 def test_a_batch_may_be_empty() -> None:
