@@ -170,8 +170,7 @@ def aside(frames: Sequence[Frame], metres: float) -> list[Frame]:
 def both(one: Frame, other: Frame) -> Frame:
     """One message with the people of two."""
     arrays = {
-        name: np.concatenate([getattr(one, name), getattr(other, name)])
-        for name in People._fields
+        name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in People._fields
     }
     return one.replace(**arrays)
 

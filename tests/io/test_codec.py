@@ -781,6 +781,15 @@ def test_a_batch_that_needs_much_memory_is_decoded_in_parts(
     assert all(gen.same(f, full(stick(), 3, seed)) for seed, f in enumerate(found))
 
 
+def test_the_halves_of_a_batch_are_the_earlier_and_the_later_messages() -> None:
+    backwards = records_of([b"a"] * 4)
+    backwards.messages[:, 2] = [40, 10, 30, 20]
+    early, late = Batch([backwards], 99).halves()
+    assert sorted(early.records[0].messages[:, 2].tolist()) == [10, 20]
+    assert sorted(late.records[0].messages[:, 2].tolist()) == [30, 40]
+    assert (early.until, late.until) == (30, 99)
+
+
 def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
     turn = Rigid(np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]), np.array([1.0, 2.0, 3.0]))
     frames = [full(stick(), 2).replace(frame_id=name) for name in ("map", "/map", "other", "hall")]
