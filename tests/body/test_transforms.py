@@ -307,3 +307,12 @@ def test_a_moving_camera_is_taken_at_the_time_of_the_frame():
     moved = list(transform_to_fixed(frames, tree_of(*rows, static=False), "w"))
     shift = [m.markers[0, 0, 0] - f.markers[0, 0, 0] for f, m in zip(frames, moved, strict=True)]
     np.testing.assert_allclose(shift, [2, 7])
+
+
+def test_a_marker_of_which_only_the_position_is_known_moves() -> None:
+    frame = Frame.empty(1, MODEL, frame_id="camera")
+    frame.markers[0, 0, :3] = 1.0
+    tree = tree_of(("camera", "world", (1.0, 2.0, 3.0), NONE))
+    (moved,) = transform_to_fixed([frame], tree, "world")
+    assert moved.positions[0, 0].tolist() == [2.0, 3.0, 4.0]
+    assert np.isnan(moved.markers[0, 0, 3:]).all()

@@ -346,6 +346,12 @@ def test_times_before_the_epoch_and_unset_ones_are_kept() -> None:
     assert decoded.stamps.tolist() == [0, -2_500_000_000]
 
 
+def test_a_time_before_1970_is_none_unless_bits_are_to_be_kept() -> None:
+    frame = full(stick(), 2).replace(stamps=np.array([-2_500_000_000, 7]))
+    (decoded,) = Decoder(stick()).decode_message(Encoder(stick()).encode(frame))
+    assert decoded.stamps.tolist() == [0, 7]
+
+
 def test_frames_own_their_arrays() -> None:
     decoder, data = Decoder(stick()), Encoder(stick()).encode(full(stick()))
     (first,), (second,) = decoder.decode_message(data), decoder.decode_message(data)
@@ -748,6 +754,17 @@ def test_a_batch_of_many_says_what_batches_of_one_say() -> None:
     assert len(many.parts[-1]) == 2
 
 
+def test_a_damaged_message_of_another_schema_is_the_only_one_with_a_fault() -> None:
+    text = VARIANTS["a field added"]
+    good = gen.generic_writer(text)(gen.message_of(full(stick()), stick()))
+    chunks = [records_of([good, good]), records_of([good, good[:50], good], 10**6)]
+    decoder = Decoder(stick(), layouts={0: checked(text)})
+    (decoded,) = decoder.decode(Batch(chunks, None))
+    assert list(decoded.faults) == [3]
+    assert "its own schema" in decoded.faults[3]
+    assert [len(parts) for parts in decoded.parts] == [1, 1, 1, 0, 1]
+
+
 def test_a_batch_may_be_empty() -> None:
     assert batch_of(stick(), []).parts == []
 
@@ -762,6 +779,15 @@ def test_a_batch_that_needs_much_memory_is_decoded_in_parts(
     assert [len(part.parts) for part in parts] == [2, 2, 2, 1, 2]
     found = [f for part in parts for i in range(len(part.parts)) for f in frames_of(part, i)]
     assert all(gen.same(f, full(stick(), 3, seed)) for seed, f in enumerate(found))
+
+
+def test_the_halves_of_a_batch_are_the_earlier_and_the_later_messages() -> None:
+    backwards = records_of([b"a"] * 4)
+    backwards.messages[:, 2] = [40, 10, 30, 20]
+    early, late = Batch([backwards], 99).halves()
+    assert sorted(early.records[0].messages[:, 2].tolist()) == [10, 20]
+    assert sorted(late.records[0].messages[:, 2].tolist()) == [30, 40]
+    assert (early.until, late.until) == (30, 99)
 
 
 def test_a_batch_moves_people_by_the_poses_that_it_knows() -> None:
