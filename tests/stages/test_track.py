@@ -304,6 +304,16 @@ def test_a_camera_that_fell_silent_is_not_waited_for_any_more() -> None:
     assert all(now - stamp < 200 for stamp, _, now in order if 5000 < stamp < 9500)
 
 
+def test_a_camera_that_was_late_once_is_waited_for_as_long_again() -> None:
+    """A message of b is overtaken by 0.4 s of its own later ones at 2 s, and another at 3 s."""
+    frames = every(50, 1000, 5000, "a") + every(50, 1000, 5000, "b")
+    late = {(2000, "b"), (3000, "b")}
+    arrivals = sorted(frames, key=lambda f: f[0] + (400 if f[:2] in late else 0))
+    order = [frame[:2] for frame in order_of(arrivals, 1.0)]
+    after = [frame for frame in order if frame[0] >= 2500]
+    assert after == sorted(after)
+
+
 def test_frames_in_which_nothing_can_change_are_not_held() -> None:
     """Two cameras see somebody: once that is settled, the look-ahead has nothing to wait for."""
     params = TrackParams(reorder=0.0)
