@@ -24,8 +24,8 @@ def write_golden(
 ) -> None:
     """Write a compact copy of channels of an output.
 
-    Kept are times, ids, joint positions and link orientations (rounded to :data:`GRID`) and the
-    limb lengths; velocities, accelerations, confidences and boxes are left out.
+    Kept are times, ids, joint positions, link orientations and confidences (rounded to
+    :data:`GRID`) and the limb lengths; velocities, accelerations and boxes are left out.
 
     Parameters
     ----------
@@ -56,9 +56,10 @@ def compact(frame: Frame) -> Frame:
     return frame.replace(
         markers=markers,
         links=links,
-        confidences=np.full_like(frame.confidences, np.nan),
-        marker_confidences=np.full_like(frame.marker_confidences, np.nan),
-        link_confidences=np.full_like(frame.link_confidences, np.nan),
+        # Without orientations, its confidence is all that is known of a link.
+        confidences=_rounded(frame.confidences),
+        marker_confidences=_rounded(frame.marker_confidences),
+        link_confidences=_rounded(frame.link_confidences),
         boxes=np.full_like(frame.boxes, np.nan),
     )
 

@@ -7,10 +7,13 @@ import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+from odd_logs import changed
 
 from hiros_cli.app import run
 from hiros_mcap.running.pipeline import process
+from hiros_mcap.skeletons import Frame
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
@@ -28,6 +31,17 @@ def suite(tmp_path: Path) -> Path:
     path = tmp_path / "suite.toml"
     path.write_text('[[log]]\ninput = "one_person_walking.mcap"\nrequire = ["people = 1"]\n')
     return path
+
+
+def test_a_result_without_orientations_equals_its_golden_log(tmp_path: Path) -> None:
+    def position_only(frame: Frame, _: int) -> Frame:
+        return frame.replace(links=np.full_like(frame.links, np.nan))
+
+    log = changed(SAMPLES / "one_person_walking.mcap", tmp_path / "log.mcap", position_only)
+    out, golden = tmp_path / "out.mcap", tmp_path / "golden.mcap"
+    process(log, out)
+    assert run(["check", str(out), "--golden", str(golden), "--bless"]) == 0
+    assert run(["check", str(out), "--golden", str(golden)]) == 0
 
 
 def test_bless_check_and_differ(
