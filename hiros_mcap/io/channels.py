@@ -50,9 +50,7 @@ class ChannelInfo:
 
     def has_type(self, name: str) -> bool:
         """Whether messages are of a type, ``pkg/msg/Type``; the form ``pkg/Type`` is the same."""
-        return bool(self.schema) and hiros_schemas.short_name(self.schema) == (
-            hiros_schemas.short_name(name)
-        )
+        return self.schema in (name, hiros_schemas.short_name(name))
 
 
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:

@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 from odd_logs import Change, believed, changed, later, scaled
 
+from hiros_cli.app import run as command
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import look
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
@@ -131,3 +134,18 @@ def test_a_latched_transform_of_time_0_makes_the_log_no_longer(
     source = changed(crossing, tmp_path / "odd.mcap", plain, latched=0)
     assert process(source).log_s == pytest.approx(process(crossing).log_s) == pytest.approx(5, 0.1)
     assert look(source).seconds == pytest.approx(5, 0.1)
+
+
+@pytest.mark.parametrize("schema", ["foxglove.Pose", "Example", "a/b/c/d", ""])
+def test_channels_of_other_programs_do_no_harm(schema: str, walking: Path, tmp_path: Path) -> None:
+    log = tmp_path / "foreign.mcap"
+    with open_log(walking) as source, McapWriter(log) as writer:
+        writer.copy_definitions(source.reader, source.reader.channels)
+        foreign = writer.add_schema(schema, b"{}", encoding="jsonschema")
+        channel = writer.add_channel("/pose", foreign, encoding="json")
+        for message in source.reader.messages():
+            writer.write(message.channel_id, message.log_time, bytes(message.data))
+            writer.write(channel, message.log_time, b"{}")
+        writer.commit()
+    assert len(process(log).people) == 1
+    assert command(["info", str(log)]) == 0
