@@ -249,7 +249,7 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--system", "malaguti", "--two-pass"], "--two-pass has no effect: --system malaguti"),
         (["--system", "malaguti", "--limbs", "x.toml"], "has an optimizer of its own"),
         (["--limbs", "x.toml", "--two-pass"], "--two-pass has no effect: the limb lengths come"),
-        (["--calibrate=-inf:3"], "starts at no finite time"),
+        (["--calibrate=-inf:3"], "must start at a finite time"),
         (["--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),
