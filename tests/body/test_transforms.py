@@ -252,7 +252,7 @@ def test_an_unreadable_extrinsics_file_is_an_error(tmp_path):
 def test_extrinsics_that_go_round_are_an_error_of_the_file(tmp_path):
     circle = [CAMERA, CAMERA | {"frame": "lab", "parent": "c"}]
     path = extrinsics(tmp_path, json.dumps({"camera": circle}), "c.json")
-    with pytest.raises(ConfigError, match=r"c\.json: the transforms go round in a circle: c -> "):
+    with pytest.raises(ConfigError, match=r"c\.json: the transforms form a loop: c -> "):
         read_extrinsics(path)
 
 

@@ -156,7 +156,10 @@ def test_malaguti_saves_the_limbs_that_it_finds(crossing: Path, tmp_path: Path) 
     ("options", "said"),
     [
         (["--keep", "/nope*", "--keep", "/tf*"], "keep: the log has no channel /nope*"),
-        (["--calibrate", "2.99:9"], "limb lengths: nobody was seen in the calibration windows"),
+        (
+            ["--calibrate", "2.99:9"],
+            "limb lengths not calibrated: nobody was seen in the calibration windows",
+        ),
         (["--calibrate", "0:2"], ""),
     ],
 )

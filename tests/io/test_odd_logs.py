@@ -71,12 +71,14 @@ def test_a_time_that_cannot_be_is_that_of_the_log(
         )
     assert len(summary.people) == 2
     assert summary.skipped == 0
-    assert noted(summary, "/camera_0/skeletons: 145 messages have no time, or one before 1970")
+    assert noted(
+        summary, "/camera_0/skeletons: 145 messages without a time, or with one before 1970"
+    )
 
 
 def test_channels_that_name_no_frame_are_told(crossing: Path, tmp_path: Path) -> None:
     summary = run(crossing, tmp_path, lambda f, _: f.replace(frame_id="", source=""))
-    (note,) = noted(summary, "name no coordinate frame")
+    (note,) = noted(summary, "without a coordinate frame")
     assert note.startswith("3 channels")
     assert "transforms are not used" in note
     overview = look(tmp_path / "odd.mcap")
@@ -98,7 +100,7 @@ def test_negative_confidences_are_not_given_and_large_ones_are_1(
 ) -> None:
     negative = run(crossing, tmp_path, lambda f, _: believed(f, -1.0))
     assert len(negative.people) == 2
-    assert noted(negative, r"/camera_0/skeletons: \d+ negative confidences taken as not given")
+    assert noted(negative, r"/camera_0/skeletons: \d+ negative confidences taken as missing")
     percent = run(crossing, tmp_path, lambda f, _: believed(f, 99.0))
     assert len(percent.people) == 2
     assert noted(percent, r"/camera_0/skeletons: \d+ confidences above 1 taken as 1")

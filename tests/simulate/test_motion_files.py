@@ -203,7 +203,7 @@ def test_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ("a.bvh", bvh().rsplit(" ", 1)[0], "frame 40: 56 numbers instead of 57"),
         ("a.bvh", bvh().replace("LeftLeg", "LeftThing"), "has no left knee"),
         ("a.fbx", "x", "ends in .amc or .bvh"),
-        ("a.amc", AMC, "needs the skeleton"),
+        ("a.amc", AMC, "needs its skeleton"),
     ],
 )
 def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:

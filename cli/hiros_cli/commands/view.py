@@ -40,9 +40,7 @@ def view(
     ] = False,
     connect: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL", help="Send to a running viewer: rerun+http://HOST:PORT/proxy."
-        ),
+        typer.Option(metavar="URL", help="Send to a running viewer: rerun+http://HOST:PORT/proxy."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
