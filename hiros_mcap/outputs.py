@@ -67,10 +67,14 @@ def check_outputs(
         if any(_same(path, other) for other in taken):
             raise LogError("would be written twice; choose another output", path=path)
         if not (force or _may_replace(path, kind)):
-            article = "an" if kind in ("HTML page", "export") else "a"
-            fault = f"exists and is not {article} {kind} of hiros; {remedy} overwrites it"
-            raise LogError(fault, path=path)
+            raise LogError(f"{_reason(kind)}; {remedy} overwrites it", path=path)
         taken.append(path)
+
+
+def _reason(kind: Kind) -> str:
+    """Return why an existing file is not replaced. A foreign format never shows who wrote it."""
+    article = "an" if kind == "HTML page" else "a"
+    return "exists" if kind == "export" else f"exists and is not {article} {kind} of hiros"
 
 
 def _files(path: Path) -> list[Path]:

@@ -175,7 +175,7 @@ def test_a_missing_transform_names_the_camera_and_the_known_frames():
     ("row", "reason"),
     [
         (("c", "other", (0, 0, 0), NONE), "two parents"),
-        (("world", "c", (0, 0, 0), NONE), "circle: c -> world -> c"),
+        (("world", "c", (0, 0, 0), NONE), "loop: c -> world -> c"),
         (("c", "world", (0, 0, 0), (0, 0, 0, 0)), "length 0"),
         (("c", "world", (NAN, 0, 0), NONE), "not finite"),
         (("c", "world", (0, 0, 0), (0, 0, 0, math.inf)), "not finite"),
@@ -226,7 +226,7 @@ def test_extrinsics_are_read_from_toml_and_json(tmp_path):
     [
         ({"translation": [1, 2]}, r"camera\.0\.translation"),
         ({"translation": [1, 2, "x"]}, r"camera\.0\.translation\.2"),
-        ({"quaternion_xyzw": [0, 0, 0, 2]}, r"camera\.0\.quaternion_xyzw: has not the length 1"),
+        ({"quaternion_xyzw": [0, 0, 0, 2]}, r"camera\.0\.quaternion_xyzw: its length is not 1"),
         ({"frame": ""}, r"camera\.0\.frame"),
         ({"rotation": []}, r"camera\.0\.rotation: there is no such key"),
     ],

@@ -205,7 +205,7 @@ def test_the_library_does_not_replace_a_foreign_file_either(tmp_path: Path) -> N
     target, limbs = tmp_path / "notes.txt", tmp_path / "limbs.toml"
     target.write_text("the only copy")
     limbs.write_text("the only copy")
-    with pytest.raises(LogError, match="force=True replaces it"):
+    with pytest.raises(LogError, match="force=True overwrites it"):
         hiros_mcap.process(SAMPLE, target)
     with pytest.raises(LogError, match=r"limbs\.toml: exists"):
         options = ProcessOptions(limbs_out=limbs)

@@ -173,7 +173,7 @@ def test_every_format_from_the_command_line(
     assert all(path.stat().st_size > 100 for path in paths)
     assert capsys.readouterr().out == "".join(f"wrote {path}\n" for path in paths)
     assert run(["export", str(log), "-o", str(target)]) == 2
-    assert "--force replaces it" in capsys.readouterr().err
+    assert "exists; --force overwrites it" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == sorted(paths)
 
 

@@ -208,10 +208,10 @@ FAULTS = {
     "lz4 bomb": ([chunk(bytes(2**25), compression="lz4", size=100)], "lz4"),
     "index without chunk": ([channel(), index(1, [])], "does not follow a chunk"),
     "index twice": ([chunk(), index(1, []), index(1, [])], "two message indexes"),
-    "index lies": ([chunk(channel(), message()), index(1, [(5, 0)] * 2)], "not those of"),
+    "index lies": ([chunk(channel(), message()), index(1, [(5, 0)] * 2)], "do not match"),
     "index of another": (
         [channel(2), chunk(channel(), message()), index(2, [(5, 0)])],
-        "not those",
+        "do not match",
     ),
     "reserved opcode": ([r.record(0x20, b"")], "not allowed here"),
     "opcode 0": ([r.record(0, b"")], "not allowed here"),
