@@ -85,8 +85,8 @@ class CalibrationParams(Params):
         le=1.0,
         description="Share of the links that may fail the quality gate. These links keep their "
         "measured lengths; the others become constant. If more links fail, the person is not "
-        "calibrated. With 0, one failing link is enough (paper), even a thumb that a single camera"
-        " guesses.",
+        "calibrated. With 0 (paper), one failing link rejects the person, even a thumb that a "
+        "single camera guesses.",
     )
     debias: bool = advanced(
         True,

@@ -58,9 +58,9 @@ class TrackParams(Params):
     max_distance: float = Field(
         0.6,
         gt=0,
-        description="Gate, m: a detection does not match a track if its markers are on average "
-        "farther away (section 3.1.2). Views of one person differ by 0.05 to 0.35 m. The published"
-        " code's launch file has 0.8 m, which also matches a neighbour.",
+        description="Gate, m: largest mean distance of a detection's markers from a track (section "
+        "3.1.2). Views of one person differ by 0.05 to 0.35 m. The published code works with 0.8 "
+        "m, which also matches a neighbour.",
     )
     max_gap: float = Field(
         1.5,
