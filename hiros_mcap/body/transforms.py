@@ -146,6 +146,11 @@ class TransformTree:
             by_root.setdefault(self.root(frame), []).append(frame)
         if len(by_root) == 1:
             return next(iter(by_root))
+        if not self.frames:
+            raise LogError(
+                "the log has no /tf or /tf_static, so the camera poses are unknown; record "
+                "/tf_static or pass --extrinsics cameras.toml"
+            )
         groups = "; ".join(
             f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
             for root, names in by_root.items()
@@ -209,7 +214,7 @@ class TransformTree:
 
 def _listing(names: list[str]) -> str:
     if not names:
-        return "no frame at all"
+        return "none"
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return ", ".join(names[:_LISTED]) + more
 

@@ -276,7 +276,7 @@ class Calibration:
             return
         self._settle(identity, person)
         if not person.calibrated and person.buffer:
-            self._reject(identity, f"{len(person.buffer)} frames are too few")
+            self._reject(identity, f"only {len(person.buffer)} frames")
 
     @property
     def _enough(self) -> int:
@@ -336,7 +336,7 @@ class Calibration:
         bad = person.tried & (person.accepted[COUNT] == 0)
         names = ", ".join(key for key, fault in zip(self._keys, bad, strict=True) if fault)
         if bad.sum() > self._params.max_free * person.tried.sum():
-            self._reject(identity, f"{names} varies too much")
+            self._reject(identity, f"measured lengths vary too much: {names}")
             person.accepted[:], person.tried[:] = 0.0, False
             return
         person.calibrated = True
@@ -344,7 +344,7 @@ class Calibration:
             lengths[self._bank.rows[identity]] = self._estimate(person)
         self._record(identity, person)
         frames = int(person.accepted[COUNT].max())
-        free = f", {names} left free" if names else ""
+        free = f"; not made constant: {names}" if names else ""
         self._note(identity, "limbs calibrated", f"{frames} frames{free}")
         self._events.count("limbs left free", n=int(bad.sum()))
 

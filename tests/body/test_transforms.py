@@ -165,6 +165,11 @@ def test_cameras_without_a_common_root_are_named():
         tree.common_root(["c0", "c1"])
 
 
+def test_a_log_without_transforms_names_the_remedy():
+    with pytest.raises(LogError, match=r"no /tf or /tf_static.*--extrinsics"):
+        TransformTree().common_root(["c0", "c1"])
+
+
 def test_a_missing_transform_names_the_camera_and_the_known_frames():
     tree = tree_of(("c0", "world", (0, 0, 0), NONE))
     with pytest.raises(LogError, match=r"'c1' to 'world'; known frames: c0, world"):
