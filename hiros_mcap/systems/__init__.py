@@ -22,7 +22,7 @@ _HIROS_SECTIONS = ("track", "merge", "optimize", "filter")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(
-        "Hi-ROS 2023, extended for real logs: track, merge, optimize, filter",
+        "Hi-ROS 2023, extended for real logs",
         hiros,
         _HIROS,
         _HIROS_SECTIONS,
@@ -34,13 +34,13 @@ SYSTEMS: dict[str, System] = {
         _HIROS_SECTIONS,
     ),
     "malaguti": System(
-        "Malaguti 2019: one Kalman filter per person, fed by every message; limb lengths",
+        "Malaguti 2019: one Kalman filter per person, limb lengths",
         malaguti,
         ("T", "TM", "TMO"),
         ("associate", "kalman", "straighten"),
     ),
     "openptrack": System(
-        "OpenPTrack's Kalman filter per joint, a baseline of Malaguti 2019",
+        "OpenPTrack's Kalman filters, a baseline of Malaguti 2019",
         openptrack,
         ("T", "TM"),
         ("associate", "kalman"),
@@ -113,8 +113,7 @@ def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
     chosen = stages.upper() or chains[-1]
     if chosen not in chains:
         raise ConfigError(
-            f"system {name} has no chain of stages {stages!r}: merging, optimizing and filtering "
-            f"need the tracker's ids, in this order (there are: {', '.join(chains)})"
+            f"system {name} cannot run the stages {stages!r} (there are: {', '.join(chains)})"
         )
     return tuple(LETTERS[letter] for letter in chosen)
 
