@@ -39,8 +39,18 @@ def export(
             metavar="HZ", help="Resample to this rate. Default: only if the format needs it."
         ),
     ] = None,
-    start: Annotated[float, typer.Option(metavar="S", help="First second.")] = float("-inf"),
-    end: Annotated[float, typer.Option(metavar="S", help="Last second.")] = float("inf"),
+    start: Annotated[
+        float,
+        typer.Option(
+            metavar="S", show_default=False, help="Start, s from the log's start. Default: all."
+        ),
+    ] = float("-inf"),
+    end: Annotated[
+        float,
+        typer.Option(
+            metavar="S", show_default=False, help="End, s from the log's start. Default: all."
+        ),
+    ] = float("inf"),
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
