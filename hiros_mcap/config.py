@@ -51,21 +51,21 @@ class OutputParams(Params):
 
     log_time: Literal["causal", "stamp"] = Field(
         "causal",
-        description="Log time of results, which players and `ros2 bag play` follow. causal: when "
-        "a live system could have produced them, with the default look-ahead seconds after the "
-        "data. stamp: the time of the data, as in the header; Foxglove, Lichtblick and RViz then "
-        "show results beside the recording.",
+        description="Log time of the results; players and `ros2 bag play` replay by it. causal: the"
+        " time when a live system could have produced the result; with the default look-ahead, "
+        "this is some seconds after the data. stamp: the time of the data, as in the header; "
+        "Foxglove, Lichtblick and RViz then show results beside the recording.",
     )
     derivatives: Literal["filtered", "all"] = Field(
         "filtered",
-        description="Where velocities and accelerations are written. filtered: in the last channel "
-        "of the chain, which is /hiros/filtered if the system filters; the other channels hold "
-        "poses. all: in every channel whose stage knows them.",
+        description="Where velocities and accelerations are written. filtered: only in the last "
+        "channel of the chain (/hiros/filtered if the system filters); the other channels hold "
+        "poses. all: in every channel whose stage computes them.",
     )
     precision: Literal["micrometre", "full"] = Field(
         "micrometre",
-        description="How exactly numbers are written. micrometre: 20 bits of mantissa, which is "
-        "an error of at most 0.5 um at 1 m, 1 um at 2 m; halves the compressed size. full: every "
+        description="Precision of the written numbers. micrometre: 20 bits of mantissa; the error "
+        "is at most 0.5 um at 1 m and 1 um at 2 m, and the compressed size is half. full: every "
         "bit.",
     )
 
@@ -75,29 +75,33 @@ class Config(Params):
 
     input: InputParams = Field(InputParams(), description="Reading the cameras.")
     output: OutputParams = Field(OutputParams(), description="Writing the results.")
-    track: TrackParams = Field(TrackParams(), description="Who is who (Hi-ROS 3.1).")
-    merge: MergeParams = Field(MergeParams(), description="One skeleton per person (Hi-ROS 3.2).")
-    optimize: OptimizeParams = Field(
-        OptimizeParams(), description="Constant limb lengths (Hi-ROS 3.3)."
+    track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
+    merge: MergeParams = Field(
+        MergeParams(), description="Merging: one skeleton per person (Hi-ROS 3.2)."
     )
-    filter: FilterParams = Field(FilterParams(), description="Smooth motion (Hi-ROS 3.4).")
+    optimize: OptimizeParams = Field(
+        OptimizeParams(), description="Optimizing: constant limb lengths (Hi-ROS 3.3)."
+    )
+    filter: FilterParams = Field(
+        FilterParams(), description="Filtering: smooth motion (Hi-ROS 3.4)."
+    )
     associate: AssociateParams = Field(
-        AssociateParams(), description="Who is who, of malaguti and the baselines (III-A)."
+        AssociateParams(), description="Tracking in malaguti and the baselines (Malaguti III-A)."
     )
     kalman: KalmanParams = Field(
-        KalmanParams(), description="Fusing of malaguti and openptrack (III-B to III-D)."
+        KalmanParams(), description="Fusion in malaguti and openptrack (Malaguti III-B to III-D)."
     )
     straighten: StraightenParams = Field(
-        StraightenParams(), description="Constant limb lengths of malaguti (III-E)."
+        StraightenParams(), description="Constant limb lengths in malaguti (Malaguti III-E)."
     )
     moving_average: MovingAverageParams = Field(
-        MovingAverageParams(), description="The baseline maf."
+        MovingAverageParams(), description="Moving average in the baseline maf."
     )
     cluster: ClusterParams = Field(
-        ClusterParams(), description="One skeleton per person, as Lee et al. merge (2.2)."
+        ClusterParams(), description="Merging in lee: one skeleton per person (Lee 2.2)."
     )
     predict: PredictParams = Field(
-        PredictParams(), description="Smooth motion, as Lee et al. filter (2.2.3)."
+        PredictParams(), description="Filtering in lee: smooth motion (Lee 2.2.3)."
     )
 
 

@@ -13,16 +13,16 @@ TOO_LATE = "too late to be merged"
 """Counts messages, by source, that came after their time had been merged."""
 
 COUNTED: Mapping[str, tuple[str, str]] = {
-    "bridged": ("skeleton", "carried on while no camera saw the person"),
+    "bridged": ("skeleton", "predicted while no camera saw the person"),
     "calibration rejected": ("calibration", "rejected: limb lengths stay as measured"),
-    "filter: cut-off lowered": ("filter", "with a lower cut-off: the rate is too low"),
-    "filter: time not increasing": ("skeleton", "not filtered: not later than the one before"),
-    "limbs left free": ("limb", "left as measured: their lengths varied too much"),
+    "filter: cut-off lowered": ("filter", "with a lower cut-off: the frame rate is too low"),
+    "filter: time not increasing": ("skeleton", "not filtered: its time did not increase"),
+    "limbs left free": ("limb", "not made constant: the measured length varied too much"),
     "low confidence": ("detection", "ignored: confidence below track.min_skeleton_confidence"),
     "no markers": ("detection", "ignored: no marker that is confident enough"),
     "not confirmed": ("detection", "ignored: seen too briefly or by too few cameras"),
-    "optimizer not converged": ("skeleton", "for which the optimizer stopped early"),
-    "predict: time not increasing": ("skeleton", "not filtered: not later than the one before"),
+    "optimizer not converged": ("skeleton", "not fully optimized: the solver did not converge"),
+    "predict: time not increasing": ("skeleton", "not filtered: its time did not increase"),
     "duplicate": ("detection", "ignored: the same camera had already reported the person"),
     "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
 }

@@ -67,9 +67,14 @@ def check_outputs(
         if any(_same(path, other) for other in taken):
             raise LogError("would be written twice; choose another output", path=path)
         if not (force or _may_replace(path, kind)):
-            fault = f"exists and is no {kind} that hiros wrote; {remedy} replaces it"
-            raise LogError(fault, path=path)
+            raise LogError(f"{_reason(kind)}; {remedy} overwrites it", path=path)
         taken.append(path)
+
+
+def _reason(kind: Kind) -> str:
+    """Return why an existing file is not replaced. A foreign format never shows who wrote it."""
+    article = "an" if kind == "HTML page" else "a"
+    return "exists" if kind == "export" else f"exists and is not {article} {kind} of hiros"
 
 
 def _files(path: Path) -> list[Path]:
@@ -83,7 +88,7 @@ def _check_place(path: Path) -> None:
         raise LogError("is a device or a pipe, not a file to write", path=path)
     folder = Path(os.path.realpath(path)).parent
     if not folder.is_dir():
-        raise LogError("no such folder to write into", path=path.parent)
+        raise LogError("no such folder", path=path.parent)
     if not os.access(folder, os.W_OK):
         raise LogError("cannot be written: Permission denied", path=path)
 

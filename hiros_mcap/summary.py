@@ -131,12 +131,12 @@ class Summary:
 
 
 CLEANED: Mapping[str, tuple[str, str]] = {
-    "absurd number": ("vector", "left out: infinite, or a number beyond 10000"),
-    "incomplete vector": ("vector", "left out: some of its numbers are missing"),
-    "quaternion of length 0": ("orientation", "left out: a quaternion of length 0"),
+    "absurd number": ("vector", "ignored: infinite, or a number beyond 10000"),
+    "incomplete vector": ("vector", "ignored: some of its numbers are missing"),
+    "quaternion of length 0": ("orientation", "ignored: a quaternion of length 0"),
     "quaternion normalised": ("quaternion", "normalized"),
     "confidence above 1": ("confidence", "above 1 taken as 1"),
-    "negative confidence": ("negative confidence", "taken as not given"),
+    "negative confidence": ("negative confidence", "taken as missing"),
 }
 """Kind of a number that cannot be true (see codec.clean) -> noun, what was done about it."""
 

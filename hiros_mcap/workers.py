@@ -132,7 +132,7 @@ class _Pool:
         worker.join(_JOIN_S)
         code = worker.exitcode or 0
         how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-        return HirosError(f"a process {how}; is there enough memory? --jobs 1 takes the least")
+        return HirosError(f"a process {how}; is there enough memory? --jobs 1 needs the least")
 
     def stop(self) -> None:
         """Interrupt all processes."""

@@ -46,8 +46,8 @@ def show_truth(
 def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:
     """Print what a log says about itself."""
     out = console()
-    _title(out, f"{log}: no truth; each camera against what all others give", "")
-    title = "Distance of the camera left out, mm"
+    _title(out, f"{log}: no truth; each camera against the result of the others", "")
+    title = "Distance of each left-out camera, mm"
     _show(out, title, score_tables.left_out_table(scores.cameras))
     pairs = [(a, b, number(mm, 1)) for (a, b), mm in scores.disagreement.items()]
     _title(out, "Disagreement between cameras at one time, median mm")

@@ -16,11 +16,13 @@ Preset = Annotated[
 ]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="TOML file as `hiros config` prints it."),
+    typer.Option(
+        "--config", metavar="FILE", help="TOML file with parameters, as `hiros config` prints."
+    ),
 ]
 SystemName = Annotated[
     str,
-    typer.Option("--system", metavar="NAME", help="hiros, or another one (`hiros systems`)."),
+    typer.Option("--system", metavar="NAME", help="System to run; `hiros systems` lists them."),
 ]
 Assignments = Annotated[
     list[str] | None,
@@ -28,18 +30,18 @@ Assignments = Annotated[
         "--set", metavar="STAGE.PARAM=VALUE", help="Change one parameter; may be repeated."
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines instead.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 QuietResult = Annotated[
     bool,
     typer.Option(
         "--quiet",
         "-q",
-        help="Print nothing but errors, not the result either: for its exit code and files.",
+        help="Print only errors; use the exit code and the files.",
     ),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", "-f", help="Replace a file that hiros did not write.")
+    bool, typer.Option("--force", "-f", help="Also overwrite files that hiros did not write.")
 ]
 
 
@@ -57,7 +59,7 @@ def seconds_range(option: str, text: str) -> tuple[float, float]:
     except ValueError:
         raise ConfigError(f"{option}: {text!r} is not of the form START:END, in s") from None
     if math.isinf(window[0]):
-        raise ConfigError(f"{option}: {text!r} starts at no finite time")
+        raise ConfigError(f"{option}: {text!r} must start at a finite time")
     if not window[0] < window[1]:
         raise ConfigError(f"{option}: {text!r} ends before it starts")
     return window

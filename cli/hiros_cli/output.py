@@ -35,5 +35,5 @@ def beside(source: Path, suffix: str) -> Path:
     """
     path = source if source.name else source.resolve()
     if not path.name:
-        raise ConfigError(f"{source}: gives the output no name; say one by --output")
+        raise ConfigError(f"{source}: gives no name for the output; choose one with --output")
     return path.with_name(path.stem + suffix)

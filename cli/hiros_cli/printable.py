@@ -36,8 +36,8 @@ def error_line(error: BaseException, *, bug: bool = False) -> str:
     if bug:
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         return printable(
-            f"hiros: bug: {what} (a fault of hiros, not of your input; please report it with what "
-            "--debug prints)",
+            f"hiros: bug: {what} (this is a fault of hiros, not of your input; please report it "
+            "with the output of --debug)",
             LINE_LIMIT,
         )
     return f"hiros: error: {_reason(error)}"

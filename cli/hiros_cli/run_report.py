@@ -106,7 +106,7 @@ def _limbs(limbs: LimbSummary | None) -> str:
     if limbs is None:
         return "-"
     if not limbs.accepted:
-        return f"not calibrated, passed through: {limbs.reason}"
+        return f"not calibrated, skeletons unchanged: {limbs.reason}"
     if not limbs.worst_link:
         return f"{limbs.frames} frames"
     return (

@@ -146,14 +146,19 @@ class TransformTree:
             by_root.setdefault(self.root(frame), []).append(frame)
         if len(by_root) == 1:
             return next(iter(by_root))
+        if not self.frames:
+            raise LogError(
+                "the log has no /tf or /tf_static, so the camera poses are unknown; record "
+                "/tf_static or pass --extrinsics cameras.toml"
+            )
         groups = "; ".join(
             f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
             for root, names in by_root.items()
         )
         raise LogError(
-            f"no transforms join the cameras' frames ({groups}); the log has transforms of "
-            f"{_listing(self.frames)}. Give the missing ones with --extrinsics FILE, "
-            "or choose cameras with --topic"
+            f"no transforms connect the cameras' frames ({groups}); the log has transforms of "
+            f"{_listing(self.frames)}. Record /tf_static, pass the camera poses with "
+            "--extrinsics FILE, or choose cameras with --topic"
         )
 
     def lookup(self, frame: str, fixed: str, stamp: int) -> Rigid:
@@ -167,8 +172,9 @@ class TransformTree:
         down, up = self._path(frame), self._path(fixed)
         if down[-1] != up[-1]:
             raise LogError(
-                f"no transform leads from the frame {frame!r} to {fixed!r}; "
-                f"known frames: {_listing(self.frames)}. Give it with --extrinsics FILE"
+                f"there is no transform from the frame {frame!r} to {fixed!r}; known frames: "
+                f"{_listing(self.frames)}. Check the names, or pass the camera poses with "
+                "--extrinsics FILE"
             )
         while len(down) > 1 and len(up) > 1 and down[-2] == up[-2]:
             down.pop()
@@ -202,13 +208,13 @@ class TransformTree:
                 raise LogError(f"the frame {name!r} {self._faults[name]}")
             path.append(self._edges[name].parent)
             if path[-1] in path[:-1]:
-                raise LogError(f"the transforms go round in a circle: {' -> '.join(path)}")
+                raise LogError(f"the transforms form a loop: {' -> '.join(path)}")
         return path
 
 
 def _listing(names: list[str]) -> str:
     if not names:
-        return "no frame at all"
+        return "none"
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return ", ".join(names[:_LISTED]) + more
 
@@ -314,7 +320,7 @@ def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:
     x, y, z = camera.translation
     qx, qy, qz, qw = camera.quaternion_xyzw
     if abs(math.hypot(qx, qy, qz, qw) - 1) > _DENORMALISED:
-        raise ConfigError(f"{where}.quaternion_xyzw: has not the length 1")
+        raise ConfigError(f"{where}.quaternion_xyzw: its length is not 1")
     if camera.frame in tree._edges:
         raise ConfigError(f"{where}.frame: {camera.frame!r} occurs twice")
     transform = Transform(0, camera.parent, camera.frame, (x, y, z), (qx, qy, qz, qw))

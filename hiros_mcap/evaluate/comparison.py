@@ -224,7 +224,7 @@ def camera_subsets(task: Task) -> list[Task]:
     """
     log = _decoded(task)
     if log.truth is None:
-        raise ConfigError(f"{task.log}: comparing numbers of cameras needs a truth")
+        raise ConfigError(f"{task.log}: --study cameras needs a truth")
     sizes = range(1, len(log.sources) + 1)
     subsets = [subset for size in sizes for subset in combinations(log.sources, size)]
     return [replace(task, sources=subset) for subset in subsets]

@@ -95,7 +95,7 @@ def leave_one_out(
     config, options = config or Config(), options or ProcessOptions()
     detections, model = _detections(source, config, options)
     if len(detections) < 2:
-        raise ConfigError(f"{source}: leaving one camera out needs two channels of detections")
+        raise ConfigError(f"{source}: leaving one camera out needs at least two cameras")
     everybody = _fused(source, config, options, list(detections))
     cameras = []
     for topic, frames in detections.items():

@@ -64,7 +64,7 @@ def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> 
         There is none.
     """
     if not globs and not has_outputs(path):
-        raise LogError("holds nothing that hiros wrote; run `hiros process` on it first", path=path)
+        raise LogError("holds no results of hiros; run `hiros process` first", path=path)
     with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
         topics = [camera.channel.topic for camera in log.cameras]
     order = {f"{OUTPUT_PREFIX}/{name}": k for k, name in enumerate(ORDER)}
@@ -110,7 +110,7 @@ def fused_topics(path: str | os.PathLike[str], truth: str | None) -> tuple[str, 
         topics = tuple(camera.channel.topic for camera in log.cameras)
     others = tuple(topic for topic in topics if not fnmatchcase(topic, truth))
     if not others:
-        raise ConfigError(f"{path}: no camera is left to fuse besides the truth {truth}")
+        raise ConfigError(f"{path}: no camera is left besides the truth {truth}")
     return () if others == topics else others
 
 

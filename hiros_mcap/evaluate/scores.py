@@ -101,7 +101,7 @@ def evaluate(
 def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Scores:
     """Score what :func:`match` found; see :func:`evaluate`."""
     if not matches.frames:
-        raise ValueError("no frame lies within the time of the truth")
+        raise ValueError("the truth covers no frame of the result; check --shift")
     truth = truth.seen_by(model)
     markers, links = (model.n_markers, 3), (model.n_links, 4)
     poses, true_poses = _stack(matches.poses, markers), _stack(matches.true_poses, markers)

@@ -127,7 +127,7 @@ def _truth(
     if len(set(names)) < len(names):
         raise ConfigError(f"{path}: a marker is named twice")
     if len(times) < 2 or not (np.diff(times) > 0).all():
-        raise ConfigError(f"{path}: needs at least two instants whose times increase")
+        raise ConfigError(f"{path}: needs at least two increasing times")
     if np.abs(times).max() > _LAST_TIME:
         raise ConfigError(f"{path}: a time is beyond {_LAST_TIME:g} s; times are seconds")
     stamps = np.rint(times * 1e9).astype(np.int64)

@@ -100,19 +100,19 @@ def select_skeletons(
         chosen = [i for i in skeletons if not any(_is_below(i.topic, prefix) for prefix in own)]
         if not chosen:
             raise LogError(
-                f"has skeletons below {' and '.join(own)} only, which are results and not "
-                f"detections; choose with --topic; {_listing(channels)}"
+                f"has only skeletons below {' and '.join(own)}, which are not detections; choose "
+                f"channels with --topic; {_listing(channels)}"
             )
     else:
         for glob in topics:
             if not any(fnmatchcase(info.topic, glob) for info in skeletons):
-                raise LogError(f"no skeleton channel is called {glob!r}; {_listing(channels)}")
+                raise LogError(f"no skeleton channel matches {glob!r}; {_listing(channels)}")
         chosen = [i for i in skeletons if any(fnmatchcase(i.topic, glob) for glob in topics)]
     for info in chosen:
         if info.encoding != "cdr":
             raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
     if not any(info.count for info in chosen):
-        raise LogError(f"has no message of a skeleton; {_listing(channels)}")
+        raise LogError(f"has no skeleton messages; {_listing(channels)}")
     return tuple(info for info in chosen if info.count)
 
 

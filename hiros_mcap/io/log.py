@@ -151,15 +151,15 @@ class Log:
         topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
         if not topics:
             return ""
-        unused = " and the log's transforms are not used" if len(self.transforms) else ""
+        unused = " and does not use the log's transforms" if len(self.transforms) else ""
         return (
-            f"{len(topics)} channels name no coordinate frame ({', '.join(topics)}): their "
-            f"skeletons are taken to be in one frame already{unused}"
+            f"channels without a coordinate frame: {', '.join(topics)}; hiros assumes that their "
+            f"skeletons share one frame{unused}"
         )
 
     def _left_out(self) -> str:
         topics = [f"{topic} ({kind}, {n})" for topic, (kind, n) in sorted(self.left_out.items())]
-        return f"only in the bag, not taken over: {', '.join(topics)}" if topics else ""
+        return f"not copied from the bag: {', '.join(topics)}" if topics else ""
 
     def frames(self) -> Iterator[Frame]:
         """Yield the detections of all cameras in the order of their log times.
@@ -222,7 +222,7 @@ class Log:
         with _named(self.path):
             for some in self.reader.ahead(decoded):
                 if some.keys[:, 0].max(initial=0) > _LATEST:
-                    raise LogError("holds a message of a log time beyond the year 2262")
+                    raise LogError("holds a message with a log time beyond the year 2262")
                 order.add(some, some.keys)
                 for part, messages in order.before(some.until):
                     yield from self._accounted(part, messages, inputs)
@@ -457,7 +457,7 @@ def _learn(
             break
     model = builder.build()
     if not model.n_markers:
-        raise LogError(f"no message holds a skeleton with a marker{failed}")
+        raise LogError(f"no message has a skeleton with markers{failed}")
     return model, first
 
 

@@ -129,7 +129,7 @@ class Result:
         cut = {p: m.between(start, end) for p, m in chosen.items()}
         cut = {p: m for p, m in cut.items() if len(m.times)}
         if not cut:
-            raise ConfigError(f"nobody is there from {start:g} to {end:g} s")
+            raise ConfigError(f"there is nobody from {start:g} to {end:g} s")
         if rate is not None:
             if not 0 < rate <= 1000:
                 raise ConfigError(f"a rate of {rate:g} Hz is not above 0 and at most 1000")
@@ -205,7 +205,7 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         ours = [f"{OUTPUT_PREFIX}/{stage}" for stage in STAGES]
         found = [topic for topic in ours if topic in topics]
         if not (channel or found):
-            raise LogError("holds nothing that hiros wrote; run `hiros process` first", path=path)
+            raise LogError("holds no results of hiros; run `hiros process` first", path=path)
         if channel and channel not in topics:
             raise ConfigError(f"{path}: no channel {channel!r} (there are: {_listed(topics)})")
         chosen = channel or found[0]

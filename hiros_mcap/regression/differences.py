@@ -161,7 +161,7 @@ def compare_logs(
         there = set()
     comparison = Comparison([], [topic for topic in topics if topic not in there])
     if not there:
-        fault = f"holds no channel {OUTPUT_PREFIX}/*, so there is nothing to compare"
+        fault = f"holds no channel {OUTPUT_PREFIX}/*; there is nothing to compare"
         raise LogError(fault, path=output)
     for topic in topics:
         if topic in there:

@@ -287,7 +287,7 @@ class Golden:
         if bless:
             changes = [*faults, *gains] if self.path.is_file() else ["a new golden file"]
             if not changes:
-                return replace(result, notes=("as before; the golden file stays",))
+                return replace(result, notes=("unchanged; the golden file is kept",))
             self._replace(result.metrics, output, topic)
             return replace(result, notes=tuple(f"accepted: {change}" for change in changes))
         return replace(

@@ -10,7 +10,7 @@ import numpy as np
 
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED
-from hiros_mcap.summary import duration
+from hiros_mcap.summary import duration, quantity
 
 DETECTIONS = "detections"
 """Name of what goes into the first stage."""
@@ -85,7 +85,7 @@ class DetectionSample:
             )
         if self.sizes and self.all_zero:
             yield (
-                "every marker has the confidence 0, so all were ignored; a detector without "
+                "every marker has confidence 0, so all were ignored; a detector without "
                 "confidences must write NaN or -1"
             )
 
@@ -155,8 +155,8 @@ def clock_notes(clocks: Mapping[str, CameraClock]) -> Iterator[str]:
     for source, clock in sorted(clocks.items()):
         if clock.jumps:
             yield (
-                f"the clock of {source} jumps ({clock.jumps} times, by up to "
-                f"{duration(clock.longest_jump * 1e-9)}): somebody set it, or a message has a "
+                f"the clock of {source} jumps ({quantity(clock.jumps, 'time')}, by up to "
+                f"{duration(clock.longest_jump * 1e-9)}); the clock was set, or messages have a "
                 "wrong time"
             )
     lags = {source: sorted(clock.lags)[len(clock.lags) // 2] for source, clock in clocks.items()}

@@ -140,8 +140,8 @@ def _set_up(log: Log, config: Config, options: ProcessOptions) -> Run:
     for first, last in config.optimize.calibration_windows:
         if 0 < first >= seconds:
             raise ConfigError(
-                f"{log.path}: ends after {seconds:.1f} s; the calibration window "
-                f"{first:g}:{last:g} lies behind that"
+                f"{log.path}: ends after {seconds:.1f} s, before the calibration window "
+                f"{first:g}:{last:g} starts"
             )
     limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
     cameras = camera_positions(log)

@@ -22,6 +22,7 @@ from hiros_mcap.summary import (
     StageTime,
     Summary,
     cleaned,
+    quantity,
 )
 from hiros_mcap.systems import Run
 
@@ -117,7 +118,7 @@ class Report:
         measured = self.run.limbs.people or totals["calibration rejected"]
         optimized = self.observer.people and "optimized" in self.observer.chain
         if windows and optimized and not measured:
-            yield "limb lengths: nobody was seen in the calibration windows"
+            yield "limb lengths not calibrated: nobody was seen in the calibration windows"
         yield from clock_notes(self.observer.clocks)
 
 
@@ -125,13 +126,13 @@ def _input_notes(account: Account) -> Iterator[str]:
     """Yield what was odd in the messages of a topic."""
     topic = account.topic
     if account.stale:
-        yield f"{topic}: {account.stale} stale repeats of a skeleton left out"
+        yield f"{topic}: {quantity(account.stale, 'repeated old skeleton')} ignored"
     for kind, n in sorted(account.cleaned.items()):
         yield f"{topic}: {cleaned(kind, n)}"
     if account.untimed:
         yield (
-            f"{topic}: {account.untimed} messages have no time, or one before 1970; hiros uses "
-            "their log time"
+            f"{topic}: {quantity(account.untimed, 'message')} without a time, or with one before "
+            "1970; hiros uses the log time instead"
         )
     if account.first_error:
-        yield f"{topic}: first fault of a message: {account.first_error}"
+        yield f"{topic}: first faulty message: {account.first_error}"

@@ -73,7 +73,7 @@ def read_asf(path: Path) -> AsfSkeleton:
     if not bones:
         raise ConfigError(f"{path}: not an ASF file: it has no bones")
     if unknown := [name for name in parents if name not in bones]:
-        raise ConfigError(f"{path}: the hierarchy names a bone that does not exist: {unknown[0]}")
+        raise ConfigError(f"{path}: the hierarchy names an unknown bone: {unknown[0]}")
     for name, parent in parents.items():
         bones[name].parent = parent
     return AsfSkeleton(_parents_first(path, bones), degrees, order)
@@ -131,7 +131,7 @@ def read_amc(path: Path, skeleton: AsfSkeleton, rate: float = RATE) -> Clip:
             frames.append({})
             continue
         if not frames or (words[0] != "root" and words[0] not in skeleton.bones):
-            raise ConfigError(f"{path}: line {number}: no bone of the skeleton: {words[0]!r}")
+            raise ConfigError(f"{path}: line {number}: the skeleton has no bone {words[0]!r}")
         try:
             frames[-1][words[0]] = [float(x) for x in words[1:]]
         except ValueError:

@@ -62,7 +62,7 @@ def load_clip(motion: Path, skeleton: Path | None = None) -> Clip:
     if kind != ".amc":
         raise ConfigError(f"{motion}: a motion file ends in .amc or .bvh")
     if skeleton is None:
-        raise ConfigError(f"{motion}: needs the skeleton that it is of, an .asf file")
+        raise ConfigError(f"{motion}: needs its skeleton, an .asf file (--skeleton)")
     return read_amc(motion, read_asf(skeleton))
 
 

@@ -49,50 +49,52 @@ class FilterParams(Params):
 
     method: Literal["state_space", "butterworth"] = Field(
         "state_space",
-        description="state_space: Kalman filter of integrated white noise, no lag on steady "
-        "motion. butterworth: maximally flat, any order; lags unless it looks ahead.",
+        description="state_space: Kalman filter of integrated white noise; no lag on steady motion."
+        " butterworth: maximally flat, any order; lags unless it looks ahead.",
     )
     cutoff: float = Field(
         4.5,
         gt=0,
-        description="Frequency in Hz at which the whole filter, look-ahead included, is at -3 dB. "
-        "Human motion with merged-camera noise has its least error at 4 to 5 Hz "
+        description="Frequency, Hz, at which the whole filter (with look-ahead) is at -3 dB. For "
+        "human motion with the noise of merged cameras, the error is least at 4 to 5 Hz "
         "(benchmarks/bench_filter.py). Winter 2009 gives 6 to 10 Hz for marker-based capture.",
     )
     lookahead: float = Field(
         0.3,
         ge=0,
-        description="s of data after an instant that its estimate uses. 0 = strictly causal. More "
-        "than 1 / cutoff changes nothing at order 2 or 3; a high order rings for longer.",
+        description="How far into the future each estimate looks, s. 0 = strictly causal. At order "
+        "2 or 3, more than 1 / cutoff changes nothing; a higher order rings for longer.",
     )
     order: int = advanced(
         2,
         ge=1,
         le=10,
-        description="Order. state_space: 2 = constant velocity, 3 = constant acceleration "
-        "(sharper, and a better acceleration). butterworth: any.",
+        description="Order of the filter. state_space: 2 = constant velocity, 3 = constant "
+        "acceleration (sharper, with a better acceleration). butterworth: any.",
     )
     bridge: float = advanced(
         0.2,
         ge=0,
-        description="s for which a missing marker or link is filled in, with half of its last "
-        "confidence. A longer gap is left empty; its length is known only within the look-ahead.",
+        description="Longest gap, s, of a marker or link that is filled, with half of its last "
+        "confidence. A gap stays empty if the look-ahead shows that it is longer.",
     )
     max_gap: float = advanced(
         1.0,
         gt=0,
-        description="s without data after which a person, a marker or a link starts anew.",
+        description="Time, s, without data after which the filter of a person, marker or link "
+        "restarts.",
     )
     keep_lengths: bool = advanced(
         True,
-        description="Give each link the mean length that it has in the input. To smooth each "
-        "joint on its own shortens limbs that swing.",
+        description="Give each link its mean length in the input. Smoothing each joint separately "
+        "shortens limbs that swing.",
     )
     length_time: float = advanced(
         2.0,
         gt=0,
-        description="Time constant in s of the mean length of a link. Longer is slightly better "
-        "where no earlier stage corrects the lengths, and slower to follow a new calibration.",
+        description="Time constant, s, of the mean length of a link. A longer time is slightly "
+        "better if no earlier stage corrects the lengths, but follows a new calibration more "
+        "slowly.",
     )
 
     @model_validator(mode="after")

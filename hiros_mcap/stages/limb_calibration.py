@@ -43,38 +43,39 @@ class CalibrationParams(Params):
 
     calibration: Literal["auto", "two-pass", "off"] = Field(
         "auto",
-        description="auto: from each person's own frames, while the log runs. two-pass: from the "
-        "whole log, read once before (most accurate, lengths strictly constant). off: only limbs "
-        "that were loaded.",
+        description="auto: from each person's own frames, during the run. two-pass: from the whole "
+        "log, which is read once before (most accurate; lengths are strictly constant). off: only "
+        "limb lengths from a file.",
     )
     calibration_frames: int = advanced(
         100,
         ge=2,
-        description="Frames of a person that fill the buffer of one calibration (section 3.3.1; "
-        "100 in the published implementation).",
+        description="Number of a person's frames in one calibration (section 3.3.1; 100 in the "
+        "published code).",
     )
     lookahead: float = Field(
         10.0,
         ge=0.0,
-        description="Seconds that a person's first frames are held. These frames get the lengths "
-        "that they contribute to. 10 s rather than 100 frames takes a quarter off the error of the "
-        "lengths. 0 for real time: frames pass unchanged until calibration_frames have been seen.",
+        description="Time, s, that a person's first frames are held. They then get the calibrated "
+        "lengths. 10 s instead of 100 frames reduces the error of the lengths by a quarter. 0 for "
+        "real time: frames pass unchanged until calibration_frames have been seen.",
     )
     calibration_windows: tuple[tuple[float, float], ...] = advanced(
         (),
-        description="Calibrate only from these windows, each (start, end) in seconds from the "
-        "log's start: when the people stand still and well visible. Empty: everywhere.",
+        description="Calibrate only in these time ranges, each (start, end) in s from the log's "
+        "start. Choose times when people stand still and are well visible. Empty: the whole log.",
     )
     max_variation: float = advanced(
         0.2,
         gt=0.0,
-        description="Quality gate: a calibration is rejected when a link's length varies by more "
-        "than this, relative (standard deviation / length; 0.2 in the published implementation).",
+        description="Quality gate: largest relative variation of a link's length (standard "
+        "deviation / length; 0.2 in the published code). A calibration with a larger one is "
+        "rejected.",
     )
     short_link: float = advanced(
         0.15,
         ge=0.0,
-        description="m: max_variation treats links shorter than this as if they were this long. "
+        description="max_variation treats links shorter than this, m, as if they had this length. "
         "The noise of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise "
         "would reject everybody.",
     )
@@ -82,29 +83,31 @@ class CalibrationParams(Params):
         0.3,
         ge=0.0,
         le=1.0,
-        description="Share of the links that may fail the quality gate. They keep their measured "
-        "lengths, and the others become constant. With more, the person is not calibrated. 0 = one "
-        "failing link is enough (the paper), even a thumb that a single camera guesses.",
+        description="Share of the links that may fail the quality gate. These links keep their "
+        "measured lengths; the others become constant. If more links fail, the person is not "
+        "calibrated. With 0 (paper), one failing link rejects the person, even a thumb that a "
+        "single camera guesses.",
     )
     debias: bool = advanced(
         True,
-        description="Correct for the lengthening by noise. false: plain (robust) mean, as in the "
-        "paper.",
+        description="Correct the lengths for noise, which makes links look longer. false: plain "
+        "(robust) mean, as in the paper.",
     )
     symmetric: bool = advanced(
         False,
-        description="Give links whose names differ by left and right their common mean. It helps "
-        "after a short calibration, but not everybody is symmetric.",
+        description="Give the left and right link of a pair the same length, their mean. This helps"
+        " after a short calibration, but not everybody is symmetric.",
     )
     refine: bool = advanced(
-        True, description="Go on measuring after the calibration and adjust the lengths slowly."
+        True,
+        description="Continue to measure after the calibration, and adjust the lengths slowly.",
     )
     max_refinement: float = advanced(
         0.01,
         ge=0.0,
         le=0.5,
-        description="Largest relative change by refinement. Small, because a person's lengths are "
-        "constant.",
+        description="Largest relative change of a length by refinement. It is small because a "
+        "person's lengths are constant.",
     )
 
     @model_validator(mode="after")
@@ -273,7 +276,7 @@ class Calibration:
             return
         self._settle(identity, person)
         if not person.calibrated and person.buffer:
-            self._reject(identity, f"{len(person.buffer)} frames are too few")
+            self._reject(identity, f"only {len(person.buffer)} frames")
 
     @property
     def _enough(self) -> int:
@@ -333,7 +336,7 @@ class Calibration:
         bad = person.tried & (person.accepted[COUNT] == 0)
         names = ", ".join(key for key, fault in zip(self._keys, bad, strict=True) if fault)
         if bad.sum() > self._params.max_free * person.tried.sum():
-            self._reject(identity, f"{names} varies too much")
+            self._reject(identity, f"measured lengths vary too much: {names}")
             person.accepted[:], person.tried[:] = 0.0, False
             return
         person.calibrated = True
@@ -341,7 +344,7 @@ class Calibration:
             lengths[self._bank.rows[identity]] = self._estimate(person)
         self._record(identity, person)
         frames = int(person.accepted[COUNT].max())
-        free = f", {names} left free" if names else ""
+        free = f"; not made constant: {names}" if names else ""
         self._note(identity, "limbs calibrated", f"{frames} frames{free}")
         self._events.count("limbs left free", n=int(bad.sum()))
 

@@ -38,62 +38,68 @@ class MergeParams(Params):
 
     flips: Literal["relabel", "drop"] = Field(
         "relabel",
-        description="What happens to a view that faces the wrong way: relabel = its left and right "
-        "are exchanged if that brings it near the others, else it is dropped; drop = it is dropped "
-        "(paper).",
+        description="What happens to a view that faces the wrong way. relabel: its left and right "
+        "are swapped if this brings it near the others, otherwise it is dropped. drop: it is "
+        "dropped (paper).",
     )
     max_delta_time: float = Field(
         0.07,
         gt=0,
-        description="s between the oldest and the newest message of a buffer (second trigger, "
-        "section 3.2). Two periods of a 30 Hz camera.",
+        description="Longest time, s, between the oldest and the newest message of a buffer (second"
+        " trigger, section 3.2). Two periods of a 30 Hz camera.",
     )
     cameras: int = advanced(
-        0, ge=0, description="Messages that fill the buffer (third trigger); 0 = as many as known."
+        0,
+        ge=0,
+        description="Number of messages that fill the buffer (third trigger); 0 = the number of "
+        "known cameras.",
     )
     max_position_delta: float = advanced(
         0.2,
-        description="m: views of a marker that differ by less agree (the published code's launch "
-        "file has 0.2); <= 0 turns the vote off.",
+        description="Views of a marker agree if they differ by less than this, m (0.2 in the "
+        "published code's launch file); <= 0 turns the vote off.",
     )
     max_orientation_delta: float = advanced(
         np.pi / 4,
-        description="rad: views of a link that differ by less agree (eq 10); <= 0 turns the vote "
-        "off.",
+        description="Views of a link agree if they differ by less than this, rad (eq 10); <= 0 "
+        "turns the vote off.",
     )
     max_facing_delta: float = advanced(
         np.pi / 2,
-        description="rad: views whose facing directions differ by less agree (section 3.2); <= 0 "
-        "turns the search for flips off.",
+        description="Views agree if their facing directions differ by less than this, rad (section "
+        "3.2); <= 0 turns the search for flips off.",
     )
     facing: Literal["auto", "pelvis", "sides"] = advanced(
         "auto",
-        description="What gives the facing direction: pelvis = the pelvis orientation (paper); "
-        "sides = the line from left to right shoulders and hips; auto = whichever differs more.",
+        description="How the facing direction is measured. pelvis: orientation of the pelvis "
+        "(paper). sides: line from the left to the right shoulders and hips. auto: whichever of "
+        "the two differs more.",
     )
     pelvis_link: str = advanced(
-        "", description="Link that orients the pelvis; empty = the first link of the root marker."
+        "",
+        description="Link that gives the orientation of the pelvis. Empty: the first link of the "
+        "root marker.",
     )
     max_flip_time: float = advanced(
         4.0,
         ge=0,
-        description="s for which the past outvotes views that all face the other way; detectors' "
-        "flips last up to 3 s. The past gives in earlier if it was confirmed for less than a third "
-        "of this time.",
+        description="If all views suddenly face the other way, the previous direction wins for this"
+        " long, s. Flips of detectors last up to 3 s. The previous direction loses earlier if it "
+        "was confirmed for less than a third of this time.",
     )
     past_votes: bool = advanced(
         True,
-        description="The previous merged pose votes like a camera and settles ties (published "
-        "code; not in the paper).",
+        description="The previous merged pose votes like a camera and breaks ties (published code; "
+        "not in the paper).",
     )
     ties: Literal["nearest", "drop"] = advanced(
         "nearest",
-        description="What happens if two groups of views are equally large: nearest = the one "
-        "nearest to the past wins, then the more confident one; drop = the marker or link is left "
-        "out, or the whole person if views face opposite ways (published code).",
+        description="What happens if two groups of views are equally large. nearest: the group "
+        "nearest to the previous pose wins, then the more confident one. drop: the marker or link "
+        "is left out, or the whole person if views face opposite ways (published code).",
     )
     compensate_motion: bool = advanced(
-        True, description="Carry views to the merged time by their velocities."
+        True, description="Move views to the merged time with their velocities."
     )
     confidence_power: float = advanced(
         2.0,
@@ -103,22 +109,23 @@ class MergeParams(Params):
     )
     robust_scale: float = advanced(
         0.05,
-        description="m: a view this far from the mean counts half, a farther one less (Cauchy "
-        "weights on top of eq 12); <= 0 = plain eq 12.",
+        description="A view this far from the mean, m, counts half, and a farther view counts less "
+        "(Cauchy weights on top of eq 12); <= 0 = plain eq 12.",
     )
     offset_time: float = advanced(
         5.0,
         ge=0,
-        description="s: time constant of each camera's slow offset from the others per marker. The "
-        "offset is taken off, so the mean does not jump when a camera drops out; 3 to 30 s reduce "
-        "the error after the filter by 1 to 3 %. 0 = off (paper).",
+        description="Time constant, s, of the learned offset between each camera and the others, "
+        "per marker. The offset is subtracted, so the mean does not jump when a camera drops out. "
+        "3 to 30 s reduce the error after the filter by 1 to 3 %. 0 = off (paper).",
     )
     bridge: float = advanced(
         0.12,
         ge=0,
         le=5,
-        description="s for which a person in no message of the buffer is carried on at constant "
-        "velocity. Otherwise people whom only one camera sees would flicker. 0 = off (paper).",
+        description="Time, s, for which a person who is in no message of the buffer continues at "
+        "constant velocity. Without it, people whom only one camera sees would flicker. 0 = off "
+        "(paper).",
     )
 
 

@@ -16,8 +16,12 @@ from hiros_mcap.stages.bank import Bank
 class MovingAverageParams(Params):
     """Parameters of the moving average."""
 
-    window: int = advanced(5, ge=1, description="Detections that are averaged (OpenPTrack's MAF).")
-    lifetime: float = advanced(0.6, gt=0, description="s after which a detection no longer counts.")
+    window: int = advanced(
+        5, ge=1, description="Number of detections in the average (as in OpenPTrack's MAF)."
+    )
+    lifetime: float = advanced(
+        0.6, gt=0, description="Time, s, after which a detection no longer counts."
+    )
 
 
 class RecentPoses(NamedTuple):

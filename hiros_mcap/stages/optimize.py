@@ -54,41 +54,42 @@ class OptimizeParams(CalibrationParams):
 
     lengths: Literal["exact", "paper"] = advanced(
         "exact",
-        description="exact: lengths are rigid, markers move as little as possible. paper: the "
-        "weights of eq. 18, which correct small errors partly. Exact has the smaller joint error "
-        "and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
+        description="exact: lengths are rigid, and markers move as little as possible. paper: the "
+        "weights of eq. 18, which correct small errors only in part. exact has the smaller joint "
+        "error, and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
     )
     max_length_error: float = advanced(
         0.1,
         gt=0.0,
-        description="m: a link whose length is off by more has an outlier at one of its ends. Also "
-        "the scale of eq. 18 (L, which the paper does not give). Six times the standard deviation "
-        "of a link between merged joints. On clean logs 0.1 to 0.3 give the same; of joints "
-        "displaced by 15 or 30 cm, 0.1 repairs most.",
+        description="If a link's length is off by more than this, m, one of its ends is an outlier."
+        " It is also the scale L of eq. 18, which the paper does not give. 0.1 is six times the "
+        "standard deviation of a link between merged joints. On clean logs, 0.1 to 0.3 give the "
+        "same result; of joints displaced by 15 or 30 cm, 0.1 repairs most.",
     )
     outliers: Literal["restore", "remove"] = advanced(
         "restore",
-        description="What becomes of an outlier. restore: it moves to where the other markers and "
-        "the lengths put it, so skeletons stay complete; a robust fit tells which end of a wrong "
-        "link is the outlier. remove: a wrong link's distal marker and all links that touch it "
-        "become absent (paper).",
+        description="What happens to an outlier. restore: it moves to where the other markers and "
+        "the lengths put it, so skeletons stay complete; a robust fit finds which end of a wrong "
+        "link is the outlier. remove: the distal marker of a wrong link and all links that touch "
+        "it become absent (paper).",
     )
     align_links: bool = advanced(
         False,
-        description="Turn link orientations with the links' directions. Detectors measure "
-        "orientations independently of positions and better than the ends of a short link tell "
-        "them: on logs made from real motion, this raises their mean error from 2.6 to 4.2 "
-        "degrees.",
+        description="Rotate link orientations with the directions of the links. Detectors measure "
+        "orientations independently of positions, and better than the ends of a short link can. On"
+        " logs made from real motion, this option raises the mean orientation error from 2.6 to "
+        "4.2 degrees.",
     )
     solver: Literal["lm", "ceres"] = Field(
         "lm",
-        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy by Ceres "
+        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy with Ceres "
         "Solver, as in the paper; about 100 times slower, for comparison.",
     )
     tolerance: float = advanced(
         1e-6,
         gt=0.0,
-        description="m: the solver has converged when no coordinate moves further in a step.",
+        description="The solver has converged when no coordinate moves farther than this, m, in a "
+        "step.",
     )
 
     @classmethod

@@ -18,17 +18,19 @@ class StraightenParams(Params):
     """Parameters of the limb lengths."""
 
     frames: int = advanced(
-        30, ge=1, description="Whole skeletons that the first lengths are the mean of (III-E)."
+        30,
+        ge=1,
+        description="Number of whole skeletons that give the first lengths, by their mean (III-E).",
     )
     rate: float = advanced(
         0.002,
         ge=0,
         le=1,
-        description="Share of a new measurement in a length. The paper updates with the optimized "
-        "joints, whose links have this length already; here the filter's joints are measured.",
+        description="Weight of a new measurement in a length. The paper measures the optimized "
+        "joints, whose links already have this length; hiros measures the filter's joints.",
     )
     chest_midpoint: bool = advanced(
-        False, description="Put the chest in the middle of shoulders and hips (III-E)."
+        False, description="Put the chest midway between the shoulders and hips (III-E)."
     )
 
 

@@ -58,48 +58,49 @@ class TrackParams(Params):
     max_distance: float = Field(
         0.6,
         gt=0,
-        description="Gate, m: a detection whose markers are on average farther than this from a "
-        "track is not of that person (section 3.1.2). Views of one person differ by 0.05 to "
-        "0.35 m; 0.8 m, a workable launch value of the published code, also takes in a neighbour.",
+        description="Gate, m: largest mean distance of a detection's markers from a track (section "
+        "3.1.2). Views of one person differ by 0.05 to 0.35 m. The published code works with 0.8 "
+        "m, which also matches a neighbour.",
     )
     max_gap: float = Field(
         1.5,
         gt=0,
-        description="t_m, s: a person whom nobody sees for longer is forgotten (section 3.1.2).",
+        description="t_m, s: a track is deleted when no camera has seen the person for longer "
+        "(section 3.1.2).",
     )
     min_marker_confidence: float = Field(
-        0.0, ge=0, le=1, description="Markers and links of less confidence count as absent."
+        0.0, ge=0, le=1, description="Markers and links with lower confidence count as absent."
     )
     reorder: float = Field(
         1.0,
         ge=0,
-        description="s: messages wait at most this long for older ones of slower cameras; later "
-        "ones are still tracked, at their own time. Recorders stall for up to a second; 0.1 suits "
-        "a live system.",
+        description="Longest time, s, that a message waits for older messages of slower cameras. "
+        "Messages that arrive later are still tracked, at their own time. Recorders stall for up "
+        "to a second; 0.1 suits a live system.",
     )
     lookahead: float = Field(
         1.0,
         ge=0,
-        description="s: a message that shows somebody tentative is held this long, so that a "
-        "person has the id from the first detection on. 0 = a live system without delay.",
+        description="Time, s, that a message with a tentative track is held. The person then has "
+        "the id from the first detection on. 0 = a live system without delay.",
     )
     min_distance: float = advanced(
         0.25,
         ge=0,
-        description="m: a detection this near to a person whom the same message already shows is "
-        "a duplicate and starts no track (0.1: published code).",
+        description="A detection is a duplicate and starts no track if it is this near, m, to a "
+        "person who is already in the same message (0.1: published code).",
     )
     orientation_weight: float = advanced(
         0.05,
         ge=0,
-        description="m per rad: weight of eq 9 against eq 8 in eq 6. The paper adds metres and "
+        description="Weight of eq 9 against eq 8 in eq 6, m per rad. The paper adds metres and "
         "radians one to one; a detection that faces the wrong way then costs as much as 3 m.",
     )
     velocity_weight: float = advanced(
-        0.05, ge=0, description="w_v of eq 8, s, used where detections carry velocities."
+        0.05, ge=0, description="w_v of eq 8, s. Only detections with velocities use it."
     )
     angular_velocity_weight: float = advanced(
-        0.0, ge=0, description="w_omega of eq 9, s, used where detections carry velocities."
+        0.0, ge=0, description="w_omega of eq 9, s. Only detections with velocities use it."
     )
     velocity_decay: float = advanced(
         0.25,
@@ -108,65 +109,76 @@ class TrackParams(Params):
         description="gamma of eq 11; 0 = fast markers count like slow ones (0.25: published code).",
     )
     exponent: float = advanced(1.0, ge=1, description="alpha of eq 8 and 9 (1: published code).")
-    weight_by_confidence: bool = advanced(True, description="Use kappa of eq 11.")
-    weight_by_velocity: bool = advanced(True, description="Use w_v of eq 11.")
+    weight_by_confidence: bool = advanced(
+        True, description="Use the confidence weight kappa of eq 11."
+    )
+    weight_by_velocity: bool = advanced(True, description="Use the velocity weight w_v of eq 11.")
     flip_aware: bool = advanced(
         True,
-        description="Compare detections also with left and right swapped; needs marker names.",
+        description="Also compare detections with left and right swapped; needs marker names.",
     )
     min_skeleton_confidence: float = advanced(
-        0.0, ge=0, le=1, description="Detections of less confidence are not tracked."
+        0.0, ge=0, le=1, description="Detections with lower confidence are not tracked."
     )
     min_markers: int = advanced(
         4, ge=1, description="A detection with fewer markers starts no track."
     )
     tentative_gap: float = advanced(
-        0.5, gt=0, description="s: a tentative track that nobody sees for longer is deleted."
+        0.5,
+        gt=0,
+        description="A tentative track is deleted when no camera has seen it for longer, s.",
     )
     confirm_detections: int = advanced(
-        5, ge=1, description="Detections that confirm a track, if two cameras or more report it."
+        5,
+        ge=1,
+        description="Number of detections that confirm a track, if two cameras or more report it.",
     )
     confirm_seconds: float = advanced(
         0.5,
         ge=0,
-        description="s that a track of a single camera must last to be confirmed, provided that no "
-        "other camera contradicts it.",
+        description="Time, s, after which a track of a single camera is confirmed, unless other "
+        "cameras contradict it.",
     )
     contradiction: float = advanced(
         0.5,
         ge=0,
-        description="A track of a single camera is contradicted when other cameras that look "
-        "there have missed it more than this many times per report.",
+        description="Largest number of misses per report. Other cameras that look at a track of a "
+        "single camera contradict it when they miss it more often.",
     )
     min_motion: float = advanced(
         0.3,
         ge=0,
-        description="m: a contradicted track counts all the same once it has moved this far from "
-        "its start; a coat on a stand never does.",
+        description="A contradicted track still counts once it has moved this far, m, from its "
+        "start. A coat on a stand never does.",
     )
     horizon: float = advanced(
         0.2,
         gt=0,
-        description="s: eq 7 predicts constant velocity for this long, then standstill.",
+        description="Time, s, for which eq 7 predicts constant velocity. After that it predicts "
+        "standstill.",
     )
     position_noise: float = advanced(
-        0.04, gt=0, description="m: SD of a marker that one camera reports (57 mm raw error)."
+        0.04, gt=0, description="SD, m, of a marker that one camera reports (raw error 57 mm)."
     )
     jerk: float = advanced(
-        150.0, gt=0, description="m/s3/sqrt(Hz): how fast accelerations of markers may change."
+        150.0, gt=0, description="How fast accelerations of markers may change, m/s3/sqrt(Hz)."
     )
     orientation_noise: float = advanced(
-        0.15, gt=0, description="rad: SD of a link that one camera reports."
+        0.15, gt=0, description="SD, rad, of a link that one camera reports."
     )
-    angular_jerk: float = advanced(500.0, gt=0, description="rad/s3/sqrt(Hz), as jerk.")
+    angular_jerk: float = advanced(
+        500.0,
+        gt=0,
+        description="How fast angular accelerations of links may change, rad/s3/sqrt(Hz).",
+    )
     innovation_gate: float = advanced(
         3.0,
         gt=0,
-        description="SDs: a marker or link farther than this from its prediction corrects the "
-        "track less.",
+        description="Gate in SDs: a marker or link farther than this from its prediction corrects "
+        "the track less.",
     )
     max_speed: float = advanced(
-        12.0, gt=0, description="m/s: no marker of a person is faster (a throwing hand reaches 10)."
+        12.0, gt=0, description="Largest speed of a marker, m/s (a throwing hand reaches 10)."
     )
 
 

@@ -22,25 +22,25 @@ _HIROS_SECTIONS = ("track", "merge", "optimize", "filter")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(
-        "Hi-ROS 2023: track, merge, optimize, filter, with what real logs need beyond the paper",
+        "Hi-ROS 2023, extended for real logs",
         hiros,
         _HIROS,
         _HIROS_SECTIONS,
     ),
     "hiros-realtime": System(
-        "hiros with the preset realtime: no stage waits for later frames",
+        "hiros with the preset realtime: no stage waits for future frames",
         hiros,
         _HIROS,
         _HIROS_SECTIONS,
     ),
     "malaguti": System(
-        "Malaguti 2019: centroids, a Kalman filter per person fed by every message, limb lengths",
+        "Malaguti 2019: one Kalman filter per person, limb lengths",
         malaguti,
         ("T", "TM", "TMO"),
         ("associate", "kalman", "straighten"),
     ),
     "openptrack": System(
-        "OpenPTrack's filter per joint, as Malaguti 2019 compares it",
+        "OpenPTrack's Kalman filters, a baseline of Malaguti 2019",
         openptrack,
         ("T", "TM"),
         ("associate", "kalman"),
@@ -52,13 +52,13 @@ SYSTEMS: dict[str, System] = {
         ("associate", "moving_average"),
     ),
     "average": System(
-        "plain mean of what the cameras see at one time",
+        "plain mean of the cameras' views at one time",
         average,
         ("T", "TM"),
         ("associate", "merge"),
     ),
     "raw": System(
-        "detections as they are, with ids of the association by centroids",
+        "unchanged detections, with ids of the association by centroids",
         raw,
         ("T",),
         ("associate",),
@@ -113,8 +113,7 @@ def chain_of(name: str, stages: str = "") -> tuple[str, ...]:
     chosen = stages.upper() or chains[-1]
     if chosen not in chains:
         raise ConfigError(
-            f"system {name} has no chain of stages {stages!r}: merging, optimizing and filtering "
-            f"need the tracker's ids, in this order (there are: {', '.join(chains)})"
+            f"system {name} cannot run the stages {stages!r} (there are: {', '.join(chains)})"
         )
     return tuple(LETTERS[letter] for letter in chosen)
 

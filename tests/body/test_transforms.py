@@ -165,6 +165,11 @@ def test_cameras_without_a_common_root_are_named():
         tree.common_root(["c0", "c1"])
 
 
+def test_a_log_without_transforms_names_the_remedy():
+    with pytest.raises(LogError, match=r"no /tf or /tf_static.*--extrinsics"):
+        TransformTree().common_root(["c0", "c1"])
+
+
 def test_a_missing_transform_names_the_camera_and_the_known_frames():
     tree = tree_of(("c0", "world", (0, 0, 0), NONE))
     with pytest.raises(LogError, match=r"'c1' to 'world'; known frames: c0, world"):
@@ -175,7 +180,7 @@ def test_a_missing_transform_names_the_camera_and_the_known_frames():
     ("row", "reason"),
     [
         (("c", "other", (0, 0, 0), NONE), "two parents"),
-        (("world", "c", (0, 0, 0), NONE), "circle: c -> world -> c"),
+        (("world", "c", (0, 0, 0), NONE), "loop: c -> world -> c"),
         (("c", "world", (0, 0, 0), (0, 0, 0, 0)), "length 0"),
         (("c", "world", (NAN, 0, 0), NONE), "not finite"),
         (("c", "world", (0, 0, 0), (0, 0, 0, math.inf)), "not finite"),
@@ -226,7 +231,7 @@ def test_extrinsics_are_read_from_toml_and_json(tmp_path):
     [
         ({"translation": [1, 2]}, r"camera\.0\.translation"),
         ({"translation": [1, 2, "x"]}, r"camera\.0\.translation\.2"),
-        ({"quaternion_xyzw": [0, 0, 0, 2]}, r"camera\.0\.quaternion_xyzw: has not the length 1"),
+        ({"quaternion_xyzw": [0, 0, 0, 2]}, r"camera\.0\.quaternion_xyzw: its length is not 1"),
         ({"frame": ""}, r"camera\.0\.frame"),
         ({"rotation": []}, r"camera\.0\.rotation: there is no such key"),
     ],
@@ -252,7 +257,7 @@ def test_an_unreadable_extrinsics_file_is_an_error(tmp_path):
 def test_extrinsics_that_go_round_are_an_error_of_the_file(tmp_path):
     circle = [CAMERA, CAMERA | {"frame": "lab", "parent": "c"}]
     path = extrinsics(tmp_path, json.dumps({"camera": circle}), "c.json")
-    with pytest.raises(ConfigError, match=r"c\.json: the transforms go round in a circle: c -> "):
+    with pytest.raises(ConfigError, match=r"c\.json: the transforms form a loop: c -> "):
         read_extrinsics(path)
 
 

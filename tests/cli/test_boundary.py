@@ -46,8 +46,8 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         (["process"], "Missing argument 'IN'. (see hiros process --help)"),
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
         (["process", ""], "an argument is empty; is a variable not set?"),
-        (["plot", "/"], "/: gives the output no name; say one by --output"),
-        (["process", "/"], "/: gives the output no name; say one by --output"),
+        (["plot", "/"], "/: gives no name for the output; choose one with --output"),
+        (["process", "/"], "/: gives no name for the output; choose one with --output"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str) -> None:
@@ -69,7 +69,7 @@ def test_no_command_shows_the_help() -> None:
     [
         (MemoryError(), 2, "hiros: error: not enough memory\n"),
         (OSError(28, "No space left on device", "x.mcap"), 2, "x.mcap: No space left on device\n"),
-        (KeyError("tibia"), 70, "(a fault of hiros, not of your input; "),
+        (KeyError("tibia"), 70, "(this is a fault of hiros, not of your input; "),
     ],
 )
 def test_every_fault_ends_as_one_line(

@@ -99,7 +99,7 @@ def test_quiet_leaves_the_exit_code_and_errors(
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        (["{output}"], "--golden says what to compare with"),
+        (["{output}"], "name the golden log with --golden"),
         (["{output}", "--golden", "/nowhere.mcap"], "no such golden file"),
         (["{output}", "--golden", "/etc/passwd"], "ends in .mcap"),
         (["{output}", "--junit", "a.xml"], "--junit has no effect on an output"),

@@ -99,7 +99,7 @@ def test_the_help_of_simulate_states_the_defaults_that_hold(
 ) -> None:
     assert run(["simulate", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    stated = dict(re.findall(r"--([a-z-]+) (?:(?!--).)*?\[default: \(([^)]*)\)\]", text))
+    stated = dict(re.findall(r"--([a-z-]+) (?:(?!--).)*?Default: (\w+)\.", text))
     defaults = SimulateParams()
     assert float(stated.pop("rate")) == defaults.rig.rate
     for name, value in stated.items():

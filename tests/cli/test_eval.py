@@ -66,7 +66,7 @@ def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
     assert outcome.cameras == ("camera_0", "camera_1")
     assert outcome.rank == pytest.approx(expected["/hiros/filtered"].scores.mean)
     process(walking, tmp_path / "one.mcap", options=ProcessOptions(stages="T", keep=capture[:1]))
-    with pytest.raises(ConfigError, match="no camera is left to fuse"):
+    with pytest.raises(ConfigError, match="no camera is left besides"):
         fused_topics(tmp_path / "one.mcap", "/camera_0/skeletons")
 
 
@@ -150,7 +150,7 @@ def test_the_page_is_one_file(processed: Path, tmp_path: Path, options: list[str
         (["{log}", "--up", "x"], "neither z nor y"),
         (["{log}", "--channel", "/hiros/none"], "/hiros/none"),
         (["{log}", "--html", "/nowhere/at/all.html"], "no such folder"),
-        (["{log}", "--shift", "1000"], "no frame lies within the time"),
+        (["{log}", "--shift", "1000"], "the truth covers no frame"),
         (["{log}", "--shift", "inf"], "'--shift'"),
         (["{log}", "--shift", "nan"], "'--shift'"),
     ],

@@ -119,7 +119,10 @@ def contents(folder: Path) -> dict[str, str]:
 REFUSED = [
     ("process walk.mcap -o out.mcap --save-limbs out.mcap", "out.mcap: would be written twice"),
     ("process walk.mcap -o out.mcap --save-limbs walk.mcap", "walk.mcap: is an input"),
-    ("process walk.mcap -o out.mcap --save-limbs notes.html", "notes.html: exists and is no limb"),
+    (
+        "process walk.mcap -o out.mcap --save-limbs notes.html",
+        "notes.html: exists and is not a limb",
+    ),
     ("process walk.mcap -o out.mcap --save-limbs no/x.toml", "no: no such folder"),
     ("process walk.mcap -o out.mcap --limbs l.toml --save-limbs l.toml", "l.toml: is an input"),
     ("process walk.mcap -o c.toml --config c.toml", "c.toml: is an input"),
@@ -129,20 +132,20 @@ REFUSED = [
     ("compare walk.mcap --system raw --html a --rrd a", "a: would be written twice"),
     ("compare walk.mcap --system raw --html notes.html", "--force"),
     ("eval result.mcap --html result.mcap", "result.mcap: is an input"),
-    ("eval result.mcap --html notes.html", "notes.html: exists and is no HTML page that hiros"),
+    ("eval result.mcap --html notes.html", "notes.html: exists and is not an HTML page of hiros"),
     ("eval result.mcap --html no/such.html", "no: no such folder"),
     ("eval result.mcap --truth walk.mcap --html walk.mcap", "walk.mcap: is an input"),
-    ("plot result.mcap -o notes.html", "notes.html: exists and is no HTML page that hiros wrote"),
-    ("plot result.mcap -o notes.png", "notes.png: exists and is no PNG picture that hiros wrote"),
+    ("plot result.mcap -o notes.html", "notes.html: exists and is not an HTML page of hiros"),
+    ("plot result.mcap -o notes.png", "notes.png: exists and is not a PNG picture of hiros"),
     ("view walk.mcap --save walk.mcap", "walk.mcap: is an input"),
-    ("view walk.mcap --save result.mcap", "result.mcap: exists and is no Rerun recording"),
+    ("view walk.mcap --save result.mcap", "result.mcap: exists and is not a Rerun recording"),
     ("check suite.toml --junit suite.toml", "suite.toml: is an input"),
     ("check suite.toml --junit walk.mcap --force", "walk.mcap: is an input"),
-    ("check suite.toml --markdown notes.html", "notes.html: exists and is no Markdown summary"),
+    ("check suite.toml --markdown notes.html", "notes.html: exists and is not a Markdown summary"),
     ("check suite.toml --junit a --markdown a", "a: would be written twice"),
     ("check suite.toml --keep .", "walk.mcap: is an input"),
     ("simulate motion.bvh --motion motion.bvh --force", "motion.bvh: is an input"),
-    ("simulate notes.html", "notes.html: exists and is no log that hiros wrote"),
+    ("simulate notes.html", "notes.html: exists and is not a log of hiros"),
 ]
 
 
@@ -202,7 +205,7 @@ def test_the_library_does_not_replace_a_foreign_file_either(tmp_path: Path) -> N
     target, limbs = tmp_path / "notes.txt", tmp_path / "limbs.toml"
     target.write_text("the only copy")
     limbs.write_text("the only copy")
-    with pytest.raises(LogError, match="force=True replaces it"):
+    with pytest.raises(LogError, match="force=True overwrites it"):
         hiros_mcap.process(SAMPLE, target)
     with pytest.raises(LogError, match=r"limbs\.toml: exists"):
         options = ProcessOptions(limbs_out=limbs)

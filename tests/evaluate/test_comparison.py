@@ -141,9 +141,9 @@ def test_without_a_truth_the_camera_left_out_ranks(
     [
         ([], "needs a LOG"),
         (["{log}", "--study", "weather"], "none of cameras, people"),
-        (["{log}", "--study", "people"], "leave LOG out"),
+        (["{log}", "--study", "people"], "do not name a LOG"),
         (["{log}", "--system", "hydra"], "no system 'hydra'"),
-        (["{log}", "{log}", "--truth", "a.trc"], "of one LOG"),
+        (["{log}", "{log}", "--truth", "a.trc"], "needs exactly one LOG"),
         (["{log}", "--rrd", "/nowhere/at/all.rrd"], "no such folder"),
     ],
 )

@@ -44,7 +44,7 @@ def test_the_result_is_the_last_stage_of_everybody(result: Result) -> None:
 
 
 def test_what_is_no_result_is_refused(crossing: Path, log: Path) -> None:
-    with pytest.raises(LogError, match="holds nothing that hiros wrote"):
+    with pytest.raises(LogError, match="holds no results of hiros"):
         open_result(crossing)
     with pytest.raises(ConfigError, match="no channel '/hiros/x'"):
         open_result(log, "/hiros/x")
@@ -173,7 +173,7 @@ def test_every_format_from_the_command_line(
     assert all(path.stat().st_size > 100 for path in paths)
     assert capsys.readouterr().out == "".join(f"wrote {path}\n" for path in paths)
     assert run(["export", str(log), "-o", str(target)]) == 2
-    assert "--force replaces it" in capsys.readouterr().err
+    assert "exists; --force overwrites it" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == sorted(paths)
 
 
@@ -184,7 +184,7 @@ def test_every_format_from_the_command_line(
         (["-o", "out.trc", "--what", "angles"], "holds no angles"),
         (["-o", "out.csv", "--what", "bones"], "none of joints, angles, both"),
         (["-o", "out.csv", "--person", "9"], "no person 9"),
-        (["-o", "out.csv", "--start", "99"], "nobody is there"),
+        (["-o", "out.csv", "--start", "99"], "there is nobody from"),
     ],
 )
 def test_faults_in_one_line(

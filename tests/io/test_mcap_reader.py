@@ -185,7 +185,7 @@ def test_chunk_checksums_alone_protect_the_messages(path, kind):
 
 
 FAULTS = {
-    "nested chunk": ([channel(), chunk(chunk(message()))], "no place in a chunk"),
+    "nested chunk": ([channel(), chunk(chunk(message()))], "not allowed in a chunk"),
     "short message": ([chunk(channel(), r.record(5, bytes(21)))], "shorter than its fixed"),
     "short loose message": ([channel(), r.record(5, bytes(21))], "shorter than its fixed"),
     "chunk ends in a message": ([chunk(channel(), message()[:-3])], "past the end of the chunk"),
@@ -208,14 +208,14 @@ FAULTS = {
     "lz4 bomb": ([chunk(bytes(2**25), compression="lz4", size=100)], "lz4"),
     "index without chunk": ([channel(), index(1, [])], "does not follow a chunk"),
     "index twice": ([chunk(), index(1, []), index(1, [])], "two message indexes"),
-    "index lies": ([chunk(channel(), message()), index(1, [(5, 0)] * 2)], "not those of"),
+    "index lies": ([chunk(channel(), message()), index(1, [(5, 0)] * 2)], "do not match"),
     "index of another": (
         [channel(2), chunk(channel(), message()), index(2, [(5, 0)])],
-        "not those",
+        "do not match",
     ),
-    "reserved opcode": ([r.record(0x20, b"")], "no place here"),
-    "opcode 0": ([r.record(0, b"")], "no place here"),
-    "footer too early": ([r.record(r.Opcode.FOOTER, bytes(20))], "no place here"),
+    "reserved opcode": ([r.record(0x20, b"")], "not allowed here"),
+    "opcode 0": ([r.record(0, b"")], "not allowed here"),
+    "footer too early": ([r.record(r.Opcode.FOOTER, bytes(20))], "not allowed here"),
     "not UTF-8": ([channel(topic="/a").replace(b"/a", b"\xff\xff")], "not UTF-8"),
     "schema missing": ([channel().replace(b"\1\0\0\0", b"\1\0\7\0")], "no schema 7"),
 }

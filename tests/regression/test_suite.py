@@ -152,7 +152,7 @@ def test_bless_accepts_and_says_what(suite: Path) -> None:
     before = golden.read_bytes()
     text = suite.read_text() + 'set = ["filter.cutoff=8"]\n'
     assert run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))[0].notes == (
-        "as before; the golden file stays",
+        "unchanged; the golden file is kept",
     )
     assert golden.read_bytes() == before
     suite.write_text(text)

@@ -54,7 +54,7 @@ def test_a_clock_jumps_if_the_delay_changes_by_more_than_ten_seconds() -> None:
     assert clock((0, 0), (0.1, 10.0), (0.2, 10.1)).jumps == 0
     assert clock((0, 0), (20.0, 0.1), (0.2, 0.2)).jumps == 2
     (note,) = clock_notes({"k1": clock((0, 0), (20.0, 0.1), (20.1, 0.2))})
-    assert note.startswith("the clock of k1 jumps (1 times, by up to 19.9 s)")
+    assert note.startswith("the clock of k1 jumps (1 time, by up to 19.9 s)")
 
 
 def test_clocks_that_differ_are_named_the_earlier_lag_first() -> None:
@@ -184,5 +184,5 @@ def test_limb_lengths_are_told_in_words() -> None:
     assert _limbs(limbs) == "150 frames; raw lengths varied by 12 % (worst: HAND_LEFT, 45 %)"
     assert _limbs(LimbSummary(9, np.nan, np.nan, "", accepted=True)) == "9 frames"
     rejected = LimbSummary(0, np.nan, np.nan, "", accepted=False, reason="seen for 0.3 s")
-    assert _limbs(rejected) == "not calibrated, passed through: seen for 0.3 s"
+    assert _limbs(rejected) == "not calibrated, skeletons unchanged: seen for 0.3 s"
     assert _limbs(None) == "-"

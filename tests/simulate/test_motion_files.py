@@ -203,7 +203,7 @@ def test_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ("a.bvh", bvh().rsplit(" ", 1)[0], "frame 40: 56 numbers instead of 57"),
         ("a.bvh", bvh().replace("LeftLeg", "LeftThing"), "has no left knee"),
         ("a.fbx", "x", "ends in .amc or .bvh"),
-        ("a.amc", AMC, "needs the skeleton"),
+        ("a.amc", AMC, "needs its skeleton"),
     ],
 )
 def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
@@ -217,10 +217,10 @@ def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
     ("asf", "amc", "fault"),
     [
         (ASF.replace("length 2", "length long"), AMC, r"a\.asf: line 15"),
-        (ASF.replace("root upper", "root other"), AMC, "does not exist: other"),
+        (ASF.replace("root upper", "root other"), AMC, "unknown bone: other"),
         (ASF.replace("root upper", "lower upper"), AMC, "loop"),
         ("nothing", AMC, "no bones"),
-        (ASF, AMC.replace("lower 90", "lowest 90"), r"a\.amc: line 10: no bone"),
+        (ASF, AMC.replace("lower 90", "lowest 90"), r"a\.amc: line 10: the skeleton has no bone"),
         (ASF, AMC.replace("lower 90", "lower x"), r"a\.amc: line 10: not numbers"),
         (ASF, AMC.replace("lower 90\n", ""), "frame 2: lower needs 1 numbers"),
         (ASF, "1\nroot 0 0 0 0 0 0\n", "it has 1 frames"),

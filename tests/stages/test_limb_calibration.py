@@ -132,7 +132,7 @@ def test_noisy_forearm_is_rejected_by_name():
     events = Events()
     assert not calibrate_limbs(arm_frames(100, forearm_sd=0.4), ARM, events=events).people
     (note,) = notes(events, "calibration rejected")
-    assert (note.person, note.detail) == (0, "forearm varies too much")
+    assert (note.person, note.detail) == (0, "measured lengths vary too much: forearm")
 
 
 def test_rejected_person_is_tried_again():
@@ -294,7 +294,7 @@ def test_too_short_a_visit_passes_unchanged():
     assert all(
         a.markers.tobytes() == b.markers.tobytes() for a, b in zip(frames, result, strict=True)
     )
-    assert notes(events, "calibration rejected")[0].detail == "20 frames are too few"
+    assert notes(events, "calibration rejected")[0].detail == "only 20 frames"
 
 
 def test_without_lookahead_frames_change_once_calibrated():

@@ -257,8 +257,8 @@ def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
         (["{log}", "--time-range", "7:6"], "ends before it starts"),
         (["{log}", "--time-range", "100:200"], "no skeletons in this time range"),
         (["{log}", "--stage", "cooked"], "no stage 'cooked'"),
-        (["{log}", "{log}", "{log}"], "two logs at most"),
-        (["{log}", "--web"], "exclude each other"),
+        (["{log}", "{log}", "{log}"], "at most two logs"),
+        (["{log}", "--web"], "use only one of"),
     ],
 )
 def test_faults_are_one_line_and_leave_no_file(

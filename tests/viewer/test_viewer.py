@@ -254,5 +254,5 @@ def test_the_window_ends_with_one_line_where_there_is_no_screen(
     if sys.platform != "linux":
         pytest.skip("elsewhere there is always a screen")
     assert run(["view", str(processed), "-q"]) == 2
-    assert "is there a screen?" in capsys.readouterr().err
+    assert "without a screen" in capsys.readouterr().err
     assert threading.active_count() < 20

@@ -57,7 +57,7 @@ class Curves:
             There is nobody, or not this one.
         """
         if not self.people:
-            raise ConfigError(f"{self.title}: holds nobody to plot")
+            raise ConfigError(f"{self.title}: holds no people")
         if person is None:
             person = max(self.people, key=lambda who: len(self.people[who].seconds))
         if person not in self.people:
@@ -143,7 +143,7 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
 def _limbs(model: SkeletonModel, body: Body) -> Figure:
     limbs = limb_links(model)
     if not limbs:
-        raise ConfigError("the skeleton has no arms and legs that are known by their names")
+        raise ConfigError("the marker names reveal no arms or legs")
     lengths = 1000 * lengths_of(body.poses, model)[:, list(limbs.values())]
     figure = new_figure(11, 3.2)
     axes = figure.subplots()

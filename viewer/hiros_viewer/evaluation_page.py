@@ -41,7 +41,7 @@ def truth_page(title: str, truth: Truth, results: Mapping[str, ChannelResult]) -
         caption = f"Person {truth.people[person] if truth.people else person}"
         page.figure(_angle_curves(result, person), f"{caption}: blue truth, orange result")
     if len(people) > _MOST_PEOPLE:
-        page.text(f"{len(people) - _MOST_PEOPLE} more people are in the tables only.")
+        page.text(f"{len(people) - _MOST_PEOPLE} more people are only in the tables.")
     return page
 
 
@@ -87,12 +87,12 @@ def _angle_curves(result: ChannelResult, person: int) -> Figure:
 def self_page(title: str, scores: SelfScores) -> Page:
     """Page of a log without truth."""
     page = Page(f"{title} without truth")
-    page.heading("Each camera against what all others give")
-    title = "Joint distance, mm. The camera's own noise is in it."
+    page.heading("Each camera against the result of the others")
+    title = "Joint distance, mm, including the camera's own noise"
     page.table(*score_tables.left_out_table(scores.cameras), title)
     page.figure(
         _camera_joints({c.topic: c.joints for c in scores.cameras}),
-        "Mean distance of each joint of the camera left out, mm",
+        "Mean distance of each joint of the left-out camera, mm",
     )
     page.heading("Disagreement between cameras")
     page.table(

@@ -56,7 +56,7 @@ def angle_figure(
     true = None if true_poses is None else np.degrees(flexions(model, true_poses))
     shown = [k for k in range(len(ANGLES)) if not np.isnan(bends[:, k]).all()]
     if not shown:
-        raise ConfigError("the skeleton has no joint whose angle is known by its markers' names")
+        raise ConfigError("the marker names reveal no joint with an angle")
     rows = (len(shown) + 1) // 2
     figure = new_figure(11, 1.6 * rows + 0.5)
     grid = figure.subplots(rows, 2, sharex=True, squeeze=False)

@@ -33,9 +33,9 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
     common = [stage for stage in scenes[0].stages if stage in scenes[1].stages]
     stage = stage or next((s for s in reversed(common) if s != "truth"), "")
     if stage not in common:
-        raise ConfigError(f"{first} and {second} have no stage in common to compare")
+        raise ConfigError(f"{first} and {second} have no stage in common")
     if scenes[0].model.marker_names != scenes[1].model.marker_names:
-        raise ConfigError(f"{first} and {second} have other markers")
+        raise ConfigError(f"{first} and {second} have different markers")
     for a, b in paired(_frames(first, stage), _frames(second, stage)):
         distance = joint_distances(a, b)
         if distance.size:

@@ -212,8 +212,8 @@ def _wait_for(port: int, process: subprocess.Popen[bytes], seconds: float = 20.0
     while time.monotonic() < end:
         if process.poll() is not None:
             raise HirosError(
-                f"the Rerun viewer ended with code {process.returncode}: is there a screen? "
-                "--web serves it to a browser, `hiros view --save` writes a file"
+                f"the Rerun viewer ended with code {process.returncode}; without a screen, use "
+                "`hiros view --web` (browser) or `hiros view --save FILE`"
             )
         try:
             with socket.create_connection((LOOPBACK, port), timeout=1):

@@ -53,7 +53,7 @@ def hiros(
     ] = False,
     debug: Annotated[
         bool,
-        typer.Option("--debug", help="With any command: show the traceback of an error."),
+        typer.Option("--debug", help="With any command: show tracebacks of errors."),
     ] = False,
 ) -> None:
     """Options that stand before a command."""

@@ -25,7 +25,7 @@ def calibrate() -> None:
 @app.command()
 def noise(
     log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="A recording of people who stand still.")
+        Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")
     ],
     window: Annotated[
         str | None,
@@ -33,7 +33,10 @@ def noise(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Measure the detectors' noise for --system malaguti, as lines for --config."""
+    """Measure the detectors' noise; print it as TOML for --config.
+
+    Only --system malaguti uses this parameter.
+    """
     from hiros_cli.compiling import prepare
 
     log.stat()
@@ -54,11 +57,11 @@ def noise(
         )
         found = measure_noise(frames, opened.model)
     if not found.cameras:
-        raise ConfigError(f"{log}: no camera sees anybody twice, so there is no noise to measure")
+        raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     if found.deviation > STILL_M:
         print(
             f"hiros: warning: joints scatter by {number(100 * found.deviation, 0)} cm about their "
-            "mean, so somebody moved; choose a part without motion by --window START:END",
+            "mean, so somebody moved; choose a part without motion with --window START:END",
             file=sys.stderr,
         )
     if json:
@@ -73,5 +76,5 @@ def noise(
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
     if found.deviation > STILL_M:  # stdout may go into a file without the warning
-        print("# more than 10 cm: somebody moved; choose a part without motion by --window")
+        print("# more than 10 cm: somebody moved; choose a part without motion with --window")
     print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")

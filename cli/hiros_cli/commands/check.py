@@ -24,7 +24,7 @@ def check(
         Path,
         typer.Argument(
             metavar="OUT|SUITE",
-            help="What `hiros process` wrote, or a suite (.toml) of recordings.",
+            help="Output of `hiros process`, or a suite (.toml) of recordings.",
         ),
     ],
     golden: Annotated[
@@ -34,28 +34,38 @@ def check(
     tolerances: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="With OUT: TOML. Default: GOLDEN.tolerances.toml beside it."
+            metavar="FILE",
+            help="With OUT: TOML file with tolerances. Default: GOLDEN.tolerances.toml beside "
+            "the golden log.",
         ),
     ] = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="GLOB", help="With OUT and --bless: channels to keep. Default: the last stage."
+            metavar="GLOB",
+            help="With OUT and --bless: channels to keep; may be repeated. Default: the last "
+            "stage.",
         ),
     ] = None,
     bless: Annotated[
-        bool, typer.Option("--bless", help="Make the result the golden file, and say what changed.")
+        bool,
+        typer.Option(
+            "--bless", help="Accept the result as the new golden file; print what changed."
+        ),
     ] = False,
     only: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="With SUITE: this log only; may be repeated."),
     ] = None,
     jobs: Annotated[
-        int, typer.Option(min=0, help="With SUITE: logs at once; 0 = one per core.")
+        int,
+        typer.Option(
+            min=0, metavar="NUMBER", help="With SUITE: logs to process at once; 0 = one per core."
+        ),
     ] = 0,
     keep: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="With SUITE: leave the outputs here."),
+        typer.Option(metavar="FOLDER", help="With SUITE: keep the outputs in this folder."),
     ] = None,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="With SUITE: also write JUnit XML.")
@@ -70,7 +80,7 @@ def check(
 ) -> int:
     """Compare a result with its golden log, or run a suite of logs.
 
-    Exit code 0: equal within the tolerances; 1: different; 2: cannot be compared.
+    Exit code: 0 equal within the tolerances, 1 different, 2 cannot be compared.
     """
     from hiros_cli.compiling import RUN, prepare
 
@@ -88,7 +98,7 @@ def check(
         options = SuiteOptions(bless, tuple(only or ()), jobs, keep, force)
         results = _run_suite(target, options, _Reports(junit, markdown), quiet=quiet)
     elif golden is None:
-        raise ConfigError(f"{target}: --golden says what to compare with")
+        raise ConfigError(f"{target}: name the golden log with --golden")
     else:
         from hiros_mcap.regression.suite import Golden, check_output
         from hiros_mcap.regression.tolerances import load_tolerances

@@ -23,44 +23,51 @@ CAMERA_STUDY = ("hiros", "malaguti", "lee")
 def compare(
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="LOG...", help="Recordings; a truth on /truth is used."),
+        typer.Argument(metavar="LOG", help="Recordings; hiros uses a truth on /truth."),
     ] = None,
     systems: Annotated[
         list[str] | None,
         typer.Option(
             "--system",
             metavar="NAME[:CHAIN][,PARAM=VALUE]",
-            help="Takes part; may be repeated. hiros:TMF, lee,cluster.radius=0.2. Default: hiros "
-            "with and without look-ahead, malaguti, lee and the baselines.",
+            help="System to compare, such as hiros:TMF or lee,cluster.radius=0.2; may be "
+            "repeated. Default: hiros, hiros-realtime, malaguti, lee and the baselines.",
         ),
     ] = None,
     study: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="cameras: every subset of the cameras. people: simulated logs of 1 to 4 people "
-            "instead of LOG.",
+            help="cameras: run on every subset of the cameras. people: run on simulated logs of "
+            "1 to 4 people instead of LOG.",
         ),
     ] = None,
     truth: Annotated[
         str | None,
-        typer.Option(metavar="FILE|TOPIC", help="The truth, of one LOG. Default: its own."),
+        typer.Option(
+            metavar="FILE|TOPIC", help="Truth for a single LOG. Default: its /truth channel."
+        ),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=0, help="Runs at once; 0 = one per core.")] = 0,
+    jobs: Annotated[
+        int, typer.Option(min=0, metavar="NUMBER", help="Runs at once; 0 = one per core.")
+    ] = 0,
     html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write a page with plots.")
+        Path | None, typer.Option(metavar="FILE", help="Also write an HTML page with plots.")
     ] = None,
     rrd: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Also write a recording with all systems overlaid."),
+        typer.Option(
+            metavar="FILE", help="Also write a Rerun recording that overlays all systems."
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,
     quiet: QuietResult = False,
 ) -> None:
-    """Run systems on the same logs and rank them by their error.
+    """Run several systems on the same logs and rank them.
 
-    Without a truth, by how far the camera that is left out is from what the others give.
+    They are ranked by joint error. Without a truth, they are ranked by the distance between each
+    camera and the result of the others.
     """
     from hiros_cli.compiling import ALL, prepare
     from hiros_cli.output import check_outputs
@@ -110,11 +117,11 @@ def _check(paths: list[Path], study: str | None, truth: str | None, rrd: Path | 
     if not paths and study != "people":
         raise ConfigError("compare needs a LOG, or --study people (see hiros compare --help)")
     if paths and study == "people":
-        raise ConfigError("--study people simulates its logs; leave LOG out")
+        raise ConfigError("--study people simulates its own logs; do not name a LOG")
     if truth is not None and len(paths) != 1:
-        raise ConfigError("--truth is of one LOG")
+        raise ConfigError("--truth needs exactly one LOG")
     if rrd is not None and len(paths) != 1:
-        raise ConfigError("--rrd shows one LOG")
+        raise ConfigError("--rrd needs exactly one LOG")
 
 
 def _simulated(folder: Path) -> list[Path]:

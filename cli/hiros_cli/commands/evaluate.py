@@ -23,7 +23,7 @@ def evaluate(
     log: Annotated[
         Path,
         typer.Argument(
-            metavar="LOG", help="What `hiros process` wrote, or a recording: processed first."
+            metavar="LOG", help="Output of `hiros process`, or a recording to process first."
         ),
     ],
     truth: Annotated[
@@ -43,8 +43,7 @@ def evaluate(
         bool,
         typer.Option(
             "--leave-one-out",
-            help="Without truth: score each camera against what the others give. The default "
-            "when there is no truth.",
+            help="Score each camera against the result of the others. Default if LOG has no truth.",
         ),
     ] = False,
     match_distance: Annotated[
@@ -52,29 +51,34 @@ def evaluate(
         typer.Option(
             min=0.01,
             metavar="M",
-            help="A skeleton with a larger mean joint distance, m, is of somebody else.",
+            help="Largest mean joint distance, m, at which a skeleton matches a true person.",
         ),
     ] = 1.0,
     shift: Annotated[
         float,
-        typer.Option(min=-4e9, max=4e9, metavar="S", help="Add this to the times of the truth, s."),
+        typer.Option(
+            min=-4e9, max=4e9, metavar="S", help="Seconds to add to the times of the truth."
+        ),
     ] = 0.0,
-    up: Annotated[str, typer.Option(help="Vertical axis of the truth: z, or y (OpenSim).")] = "z",
-    joints: Annotated[bool, typer.Option("--joints", help="Show every joint, too.")] = False,
+    up: Annotated[
+        str, typer.Option(metavar="AXIS", help="Axis of the truth that points up: z or y.")
+    ] = "z",
+    joints: Annotated[bool, typer.Option("--joints", help="Also show every joint.")] = False,
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
     html: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Also write a report with plots, one file."),
+        typer.Option(metavar="FILE", help="Also write an HTML report with plots."),
     ] = None,
     force: Force = False,
     json: Json = False,
     quiet: QuietResult = False,
 ) -> None:
-    """Score a result: joints, angles, limbs, jitter, lag, people; with truth or without.
+    """Score a result: joints, angles, limbs, jitter, lag, people.
 
-    A recording is processed first, with the given parameters.
+    A recording is first processed with the given parameters. Without a truth, hiros scores each
+    camera against the result of the others.
     """
     from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs

@@ -11,34 +11,50 @@ from hiros_cli.options import Force, Quiet
 
 
 def export(
-    log: Annotated[Path, typer.Argument(help="What `hiros process` wrote.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Output of `hiros process`.")],
     output: Annotated[
         Path,
         typer.Option(
             "-o",
             "--output",
             metavar="FILE",
-            help=".csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh.",
+            help="Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh.",
         ),
     ],
     what: Annotated[
         str,
-        typer.Option(metavar="PART", help="joints, angles or both. Default: all the format holds."),
+        typer.Option(
+            metavar="PART", help="joints, angles or both. Default: all that fits the format."
+        ),
     ] = "",
     person: Annotated[
         int | None, typer.Option(metavar="ID", help="One person. Default: everybody.")
     ] = None,
-    channel: Annotated[str, typer.Option(metavar="TOPIC", help="Default: the last stage's.")] = "",
+    channel: Annotated[
+        str, typer.Option(metavar="TOPIC", help="Channel to export. Default: the last stage.")
+    ] = "",
     rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Resample to this rate. Default: as it is, if possible."),
+        typer.Option(
+            metavar="HZ", help="Resample to this rate. Default: only if the format needs it."
+        ),
     ] = None,
-    start: Annotated[float, typer.Option(metavar="S", help="From this second on.")] = float("-inf"),
-    end: Annotated[float, typer.Option(metavar="S", help="Up to this second.")] = float("inf"),
+    start: Annotated[
+        float,
+        typer.Option(
+            metavar="S", show_default=False, help="Start, s from the log's start. Default: all."
+        ),
+    ] = float("-inf"),
+    end: Annotated[
+        float,
+        typer.Option(
+            metavar="S", show_default=False, help="End, s from the log's start. Default: all."
+        ),
+    ] = float("inf"),
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write joints and angles as tables, or for OpenSim, C3D programs and Blender."""
+    """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
     from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
     from hiros_mcap.io.export.files import export as write

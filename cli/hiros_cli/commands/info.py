@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def info(
-    source: Annotated[Path, typer.Argument(metavar="LOG", help="An MCAP file.")],
+    source: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP file or ROS bag.")],
     topic: Annotated[
         list[str] | None,
         typer.Option(metavar="GLOB", help="Cameras to look at; may be repeated. Default: all."),
@@ -25,7 +25,7 @@ def info(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show channels, cameras, frames, the skeleton, people per frame, rates and gaps."""
+    """Show channels, cameras, frames, people, rates and gaps."""
     from hiros_cli.compiling import prepare
 
     source.stat()

@@ -15,40 +15,44 @@ if TYPE_CHECKING:
 
 
 def plot(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="What `hiros process` wrote.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Output of `hiros process`.")],
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help=".png: one plot; .html: all. Default: LOG.html."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="One plot (.png) or all (.html). Default: LOG's name with .html.",
         ),
     ] = None,
     what: Annotated[
-        str, typer.Option(metavar="KIND", help="For PNG: angles, limbs or error (needs a truth).")
+        str,
+        typer.Option(metavar="KIND", help="Plot in a PNG: angles, limbs or error (needs a truth)."),
     ] = "angles",
     person: Annotated[
         int | None,
-        typer.Option(metavar="ID", help="For PNG. Default: whoever is there for longest."),
+        typer.Option(metavar="ID", help="Person in a PNG. Default: the one seen longest."),
     ] = None,
     channel: Annotated[
-        str | None, typer.Option(metavar="TOPIC", help="Default: the last stage's.")
+        str | None, typer.Option(metavar="TOPIC", help="Channel to plot. Default: the last stage.")
     ] = None,
     truth: Annotated[
         str | None,
         typer.Option(
-            metavar="FILE|TOPIC", help="Draw this truth beside it. Default: LOG's /truth channel."
+            metavar="FILE|TOPIC", help="Truth to draw as well. Default: LOG's /truth channel."
         ),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plot joint angles, limb lengths and errors over time, as PNG or one HTML file."""
+    """Plot joint angles, limb lengths and errors as PNG or HTML."""
     from hiros_cli.compiling import prepare
     from hiros_cli.output import beside, check_outputs
 
     log.stat()
     target = beside(log, ".html") if output is None else output
     if target.suffix not in (".png", ".html"):
-        raise ConfigError(f"{target}: a plot ends in .png or .html")
+        raise ConfigError(f"{target}: the name of a plot must end in .png or .html")
     kind: Kind = "HTML page" if target.suffix == ".html" else "PNG picture"
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)

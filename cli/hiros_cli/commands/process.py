@@ -31,18 +31,22 @@ SUFFIX = ".hiros.mcap"
 
 
 def process(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="The recording, an MCAP file.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="The recording: MCAP file or ROS bag.")
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="OUT", help=f"Default: IN's name with {SUFFIX}."),
+        typer.Option(
+            "--output", "-o", metavar="OUT", help=f"Output file. Default: IN's name with {SUFFIX}."
+        ),
     ] = None,
     system: SystemName = "hiros",
     stages: Annotated[
         str,
         typer.Option(
             metavar="CHAIN",
-            help="Which of track, merge, optimize, filter: T, TM, TO, TF, TMF, TMO or TMOF. "
-            "Default: all that the system has.",
+            help="Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or "
+            "TMOF. Default: all stages of the system.",
         ),
     ] = "",
     topic: Annotated[
@@ -53,7 +57,8 @@ def process(
         list[str] | None,
         typer.Option(
             metavar="GLOB",
-            help="Input channels to copy, '' for none. Default: those read, transforms and /truth.",
+            help="Input channels to copy; may be repeated; '' copies none. Default: the cameras "
+            "read, the transforms and /truth.",
         ),
     ] = None,
     preset: Preset = "default",
@@ -65,20 +70,21 @@ def process(
     ] = None,
     fixed_frame: Annotated[
         str | None,
-        typer.Option(metavar="FRAME", help="Frame of the output. Default: the root of the tree."),
+        typer.Option(metavar="FRAME", help="Frame of the output. Default: root of the transforms."),
     ] = None,
     limbs: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Limb lengths of an earlier session."),
+        typer.Option(metavar="FILE", help="Use these limb lengths of an earlier session."),
     ] = None,
     save_limbs: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the limb lengths here.")
+        Path | None, typer.Option(metavar="FILE", help="Write the limb lengths to this file.")
     ] = None,
     calibrate: Annotated[
         list[str] | None,
         typer.Option(
             metavar="START:END",
-            help="Calibrate limbs in this window only, s from the log's start; may be repeated.",
+            help="Calibrate limbs in this time range only, s from the log's start; may be "
+            "repeated.",
         ),
     ] = None,
     two_pass: Annotated[
@@ -86,7 +92,9 @@ def process(
     ] = False,
     solver: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Optimizer: lm (default) or ceres (slow, to compare)."),
+        typer.Option(
+            metavar="NAME", help="Optimizer: lm (default) or ceres (slow, for comparison)."
+        ),
     ] = None,
     markers: Annotated[
         bool,
@@ -95,25 +103,25 @@ def process(
         ),
     ] = False,
     view: Annotated[
-        bool, typer.Option("--view", help="Show it in the Rerun viewer while it is processed.")
+        bool, typer.Option("--view", help="Show the run live in the Rerun viewer.")
     ] = False,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Fail when a message has to be skipped.")
+        bool, typer.Option("--strict", help="Fail if any message would be skipped.")
     ] = False,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Track, merge, optimize and filter the skeletons of a multi-camera recording.
+    """Track, merge, optimize and filter the skeletons of a log.
 
-    Writes /hiros/tracked, /hiros/merged, /hiros/optimized and /hiros/filtered beside the channels
-    that were read, and prints a summary.
+    The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
+    /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
     from hiros_cli.compiling import RUN, prepare
     from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
 
-    source.stat()  # a missing file is told before anything slow happens
+    source.stat()  # reports a missing file before anything slow happens
     target = beside(source, SUFFIX) if output is None else output
     check_outputs(
         (target, "log"),
@@ -195,7 +203,7 @@ def _shortcuts(
 def _window(text: str) -> tuple[float, float]:
     start, end = seconds_range("--calibrate", text)
     if start < 0:
-        raise ConfigError(f"--calibrate: {text!r} starts before the log; 0 is its start")
+        raise ConfigError(f"--calibrate: {text!r} starts before the log, which starts at 0")
     return start, end
 
 
@@ -205,7 +213,7 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
 
     if "optimized" not in chain_of(system, stages):
         what = f"--stages {stages}" if stages else f"--system {system}"
-        unused, why = set(given), f"{what} optimizes nothing"
+        unused, why = set(given), f"{what} has no optimizer"
     elif "optimize" not in sections_of(system):
         # It calibrates in its own way; the lengths can be saved.
         unused, why = {*given} - {"--save-limbs"}, f"--system {system} has an optimizer of its own"

@@ -15,10 +15,10 @@ def config(
     config: ConfigFile = None,
     assignments: Assignments = None,
     everything: Annotated[
-        bool, typer.Option("--all", help="Also print advanced parameters that nobody changed.")
+        bool, typer.Option("--all", help="Also print the advanced parameters.")
     ] = False,
 ) -> None:
-    """Print the parameters of a system with meaning and value, as TOML that --config reads back."""
+    """Print the parameters of a system as TOML for --config."""
     from hiros_cli.compiling import prepare
 
     prepare(quiet=False)

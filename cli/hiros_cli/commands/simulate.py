@@ -15,53 +15,53 @@ if TYPE_CHECKING:
 
 
 def _scale(what: str) -> Any:
-    return typer.Option(metavar="SCALE", help=what, show_default="1")
+    return typer.Option(metavar="SCALE", help=f"{what} Default: 1.")
 
 
 def _number(what: str, default: str) -> Any:
-    return typer.Option(help=what, show_default=default)
+    return typer.Option(metavar="NUMBER", help=f"{what} Default: {default}.")
 
 
 def simulate(
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="The log to write.")],
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="Log to write.")],
     people: Annotated[int | None, _number("Number of people, at most 10.", "1")] = None,
     cameras: Annotated[int | None, _number("Number of cameras, at most 32.", "5")] = None,
     action: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="walk, squat, wave, cross and others; an unknown name lists them all.",
-            show_default="walk",
+            help="walk, squat, wave, cross, ...; any unknown name lists all. Default: walk.",
         ),
     ] = None,
     motion: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="AMC or BVH file to perform instead; once per person."),
+        typer.Option(metavar="FILE", help="AMC or BVH file to play instead; repeat it per person."),
     ] = None,
     skeleton: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="ASF skeleton of the AMC files; one, or one each."),
+        typer.Option(
+            metavar="FILE", help="ASF skeleton of the AMC files: one for all, or one each."
+        ),
     ] = None,
     seconds: Annotated[float | None, _number("Length of the log, s, at most 86400.", "10")] = None,
     rate: Annotated[float | None, _number("Frames per second, at most 1000.", "30")] = None,
-    seed: Annotated[int | None, _number("Same seed, same log, byte for byte.", "0")] = None,
+    seed: Annotated[int | None, _number("The same seed gives the same bytes.", "0")] = None,
     noise: Annotated[float | None, _scale("Noise and bias of the joints.")] = None,
-    occlusion: Annotated[
-        float | None, _scale("Joints that are guessed where something hides them.")
-    ] = None,
-    flips: Annotated[float | None, _scale("Times that left and right are confused.")] = None,
+    occlusion: Annotated[float | None, _scale("Hidden joints, which the detector guesses.")] = None,
+    flips: Annotated[float | None, _scale("Left-right flips.")] = None,
     dropouts: Annotated[float | None, _scale("Lost frames and lost people.")] = None,
     clock_jitter: Annotated[float | None, _scale("Jitter of the frame times.")] = None,
     calibration_error: Annotated[
         float | None, _scale("Errors of the published camera poses.")
     ] = None,
-    phantoms: Annotated[float | None, _scale("People who are not there.")] = None,
+    phantoms: Annotated[float | None, _scale("Detections of people who are not there.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a synthetic multi-camera log, with the true motion on /truth/skeletons.
+    """Write a synthetic log with a known truth.
 
-    SCALE is 0 for none of it, 1 for as much as a real depth camera has, at most 100.
+    The true motion is on /truth/skeletons. SCALE sets how strong an effect is: 0 turns it off,
+    1 is as much as a real depth camera has, at most 100.
     """
     given = {
         "people": people,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def systems() -> None:
-    """List the systems that --system chooses from, with their chains of stages."""
+    """List the systems for --system, with their stages."""
     from hiros_cli.compiling import prepare
 
     prepare(quiet=False)

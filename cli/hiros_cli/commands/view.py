@@ -14,9 +14,7 @@ from hiros_mcap.errors import ConfigError
 def view(
     logs: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="LOG [LOG]", help="A recording or what `hiros process` wrote; two are overlaid."
-        ),
+        typer.Argument(metavar="LOG", help="A recording or a result; a second log is overlaid."),
     ],
     layout: Annotated[
         str, typer.Option(metavar="NAME", help="overview, stages, person or cameras.")
@@ -27,7 +25,7 @@ def view(
     ] = None,
     stage: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Stage that is drawn in curves. Default: the last."),
+        typer.Option(metavar="NAME", help="Stage to plot. Default: the last."),
     ] = None,
     extrinsics: Annotated[
         Path | None,
@@ -35,19 +33,19 @@ def view(
     ] = None,
     save: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write a recording (.rrd) instead of opening a window."),
+        typer.Option(metavar="FILE", help="Write a Rerun recording (.rrd) instead."),
     ] = None,
     web: Annotated[
         bool, typer.Option("--web", help="Serve the viewer to a browser on this machine.")
     ] = False,
     connect: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Send to a viewer: rerun+http://127.0.0.1:9876/proxy."),
+        typer.Option(metavar="URL", help="Send to a running viewer: rerun+http://HOST:PORT/proxy."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> int:
-    """Look at logs: the room, every camera's detections, every stage, angles, limbs, events."""
+    """Show logs in the Rerun viewer: people, angles, limbs, events."""
     from hiros_cli.compiling import prepare
     from hiros_cli.options import seconds_range
     from hiros_cli.output import check_outputs
@@ -55,9 +53,9 @@ def view(
     for log in logs:
         log.stat()
     if len(logs) > 2:
-        raise ConfigError("view overlays two logs at most")
+        raise ConfigError("view shows at most two logs")
     if sum((save is not None, web, connect is not None)) > 1:
-        raise ConfigError("--save, --web and --connect exclude each other")
+        raise ConfigError("use only one of --save, --web and --connect")
     window = None if time_range is None else seconds_range("--time-range", time_range)
     from hiros_viewer import show
 
@@ -80,11 +78,11 @@ def view(
         show.connect(connect, name, draw)
         return 0
     if web:
-        return show.web(name, draw, lambda url: print(f"open {url}\nCtrl-C ends it", flush=True))
+        return show.web(name, draw, lambda url: print(f"open {url}\nstop with Ctrl-C", flush=True))
     code = show.window(name, draw)
     if code:
         raise ConfigError(
-            f"the Rerun viewer ended with code {code}: is there a screen? --web serves it to a "
-            "browser, --save writes a file"
+            f"the Rerun viewer ended with code {code}; without a screen, use --web (browser) or "
+            "--save FILE"
         )
     return 0

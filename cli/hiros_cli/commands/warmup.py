@@ -8,7 +8,7 @@ from hiros_cli.options import Quiet
 
 
 def warmup(quiet: Quiet = False) -> None:
-    """Compile the kernels for this machine, once, so that the first run is fast."""
+    """Compile the kernels now, to make the first run fast."""
     from hiros_cli.compiling import ALL, prepare
     from hiros_mcap import kernels
 

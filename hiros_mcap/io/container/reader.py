@@ -56,7 +56,7 @@ Recorders' chunks are of 0.75 to 4 MiB."""
 _FAULTS = {
     PAST_END: "a record reaches past the end of the chunk",
     SHORT_MESSAGE: "a message is shorter than its fixed fields",
-    FORBIDDEN: "a record that has no place in a chunk",
+    FORBIDDEN: "a record that is not allowed in a chunk",
 }
 _COLUMNS = [LOG_TIME, START]
 _ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
@@ -300,7 +300,7 @@ class McapReader:
             found = {i: n for i, n in enumerate(numbers.tolist()) if n}
         claimed = {i: n for i, n in (chunk.counts or {}).items() if n}
         if chunk.counts is not None and found != claimed:
-            raise FormatError("the messages are not those of the message indexes")
+            raise FormatError("the messages do not match the message indexes")
         if unknown := [i for i in found if i not in self._contents.channels]:
             raise FormatError(f"a message belongs to channel {unknown[0]}, which is not defined")
 

@@ -161,7 +161,7 @@ class _Scan:
             if opcode in known:
                 known[opcode](begin, stop)
             elif opcode < r.PRIVATE_OP:
-                raise FormatError(f"a {r.name_of(opcode)} record has no place here")
+                raise FormatError(f"a {r.name_of(opcode)} record is not allowed here")
             self.at = stop
 
     def _data_records(self) -> dict[int, Callable[[int, int], None]]:
@@ -354,16 +354,16 @@ class _Scan:
             raise FormatError("the footer has a wrong length")
         summary_start, _, crc = r.FOOTER.unpack(self._peek(begin, r.FOOTER.size))
         if summary_start not in (0, start):
-            raise FormatError("the footer points to a wrong summary")
+            raise FormatError("the footer gives a wrong position of the summary")
         if summary_start == 0 and (self.found.statistics or self._chunk_indexes):
-            raise FormatError("the footer denies the summary that is there")
+            raise FormatError("the footer names no summary, but the file has one")
         if crc and crc != self.file.crc(start, begin + 16):
             raise FormatError("the checksum of the summary is wrong")
         self.at = stop
         if self.file.size - stop < len(r.MAGIC):
             raise self._truncated("inside its last bytes")
         if self.file.read(stop, len(r.MAGIC)) != r.MAGIC:
-            raise FormatError("the last bytes of the log are not those of an MCAP file")
+            raise FormatError("the log does not end like an MCAP file")
         if beyond := self.file.size - stop - len(r.MAGIC):
             raise FormatError(f"{beyond} bytes follow the end of the log")
 

@@ -108,7 +108,7 @@ def export(result: Result, target: Path, what: str = "") -> list[Path]:
     if lacking:
         raise ConfigError(f"{target}: {target.suffix} holds no {lacking[0]}")
     if not result.motions:
-        raise ConfigError(f"{result.path}: {result.channel} shows nobody")
+        raise ConfigError(f"{result.path}: {result.channel} holds no people")
     if kind.steady:
         result = steady(result)
     targets = files_of(target, result.people)
@@ -130,7 +130,7 @@ def steady(result: Result) -> Result:
     """Return a result at a fixed rate: its own, rounded to whole Hz, if it is not fixed yet."""
     steps = np.concatenate([np.diff(m.times) for m in result.motions.values()])
     if not len(steps):
-        raise ConfigError(f"{result.path}: one instant has no rate; choose another format")
+        raise ConfigError(f"{result.path}: a single frame has no rate; choose another format")
     if np.ptp(steps) < 1e-6:
         return result
     return result.select(rate=max(1.0, float(np.round(1.0 / np.median(steps)))))
