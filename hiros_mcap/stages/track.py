@@ -265,8 +265,7 @@ class _DetectionGroup:
     @property
     def unmatched(self) -> list[int]:
         """Detections that still need a track."""
-        pairs = zip(self.tracks, self.reasons, strict=True)
-        return [j for j, (track, reason) in enumerate(pairs) if track is None and not reason]
+        return [j for j, track in enumerate(self.tracks) if track is None and not self.reasons[j]]
 
     @property
     def decided(self) -> bool:
@@ -574,8 +573,8 @@ class _Tracker:
         )  # fmt: skip
         for track, seen in zip(tracks, confirmed.last_seen.tolist(), strict=True):
             track.seen = seen
-        for i in range(place, place + done):
-            source, stamp = block.sources[i], int(block.stamps[i])
+        for i, stamp in enumerate(stamps[:done].tolist(), place):
+            source = block.sources[i]
             if self.coverage.is_due(source, stamp):
                 rows = range(*block.rows[i].tolist())
                 for row in sorted(rows, key=followed.match.__getitem__):
