@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, I2, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, I2, inlined, kernel, named_tuple
 from hiros_mcap.kernels.quaternions import exponential, multiply
 from hiros_mcap.skeletons import STATE, Floats, People, Stamps
 
@@ -150,7 +150,7 @@ def load_views(
     )  # fmt: skip
 
 
-@kernel
+@inlined
 def _mean_vector(states: Floats, m: int, first: int, weights: Floats, out: Floats) -> None:
     """Weighted mean of three columns over the views that have them; NaN where none has."""
     norm = x = y = z = 0.0
@@ -198,7 +198,7 @@ def _mean_confidence(confidences: Floats, m: int, weights: Floats) -> float:
     return total / norm if norm > 0.0 else np.nan
 
 
-@kernel
+@inlined
 def mean_state(
     states: Floats, confidences: Floats, m: int, weights: Floats, reference: int, out: Floats,
     out_confidences: Floats,

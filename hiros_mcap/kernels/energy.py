@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, J2, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, F3, J2, inlined, kernel, named_tuple
 from hiros_mcap.kernels.normal_equations import (
     NORMAL_EQUATIONS,
     TOPOLOGY,
@@ -177,7 +177,7 @@ def _copy(source: Floats, target: Floats) -> None:
             target[m, j] = source[m, j]
 
 
-@kernel
+@inlined
 def _write_start_directions(energy: Energy, links: Ints, directions: Floats) -> None:
     """Write each link's direction at the start; zeros where it has none or no weight."""
     for k in range(links.shape[0]):
@@ -189,7 +189,7 @@ def _write_start_directions(energy: Energy, links: Ints, directions: Floats) -> 
             directions[k, j] = way / length if length > 1e-9 else 0.0
 
 
-@kernel
+@inlined
 def _write_geometry(
     x: Floats, p: int, d: int, k: int, start_direction: Floats, geometry: LinkGeometry
 ) -> None:
@@ -214,7 +214,7 @@ def _write_geometry(
         geometry.curvature[k] = phi * cosine * share if phi < 0.5 * pi else 0.0
 
 
-@kernel
+@inlined
 def _assemble(x: Floats, energy: Energy, topology: Topology, scratch: SolverScratch) -> float:
     """Write half the gradient and half the Hessian at ``x``; return the energy.
 
@@ -262,7 +262,7 @@ def _assemble(x: Floats, energy: Energy, topology: Topology, scratch: SolverScra
     return total
 
 
-@kernel
+@inlined
 def _predict_multipliers(energy: Energy, links: Ints, scratch: SolverScratch) -> None:
     """Write the force of each length term after the step, as the linear model predicts it.
 

@@ -35,6 +35,7 @@ from hiros_mcap.kernels.compile import (
     J1,
     J2,
     PEOPLE,
+    inlined,
     kernel,
     named_tuple,
 )
@@ -594,7 +595,7 @@ def _raise(confidences: Floats, power: float, out: Floats) -> None:
                 out[k, m] = c**power
 
 
-@kernel
+@inlined
 def _load_values(slots: _Slots, m: int, orientations: bool, values: Floats, present: Flags) -> bool:
     """Load what views and past show of a slot; whether any view shows it at all."""
     n, first = len(present), ORIENTATION if orientations else POSITION
@@ -622,7 +623,7 @@ def _first(present: Flags) -> int:
     return k
 
 
-@kernel
+@inlined
 def _all_agree(
     values: Floats, present: Flags, orientations: bool, has_past: bool, half: float
 ) -> bool:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F2, F3, J1, J2, kernel, named_tuple
+from hiros_mcap.kernels.compile import F2, F3, J1, J2, inlined, kernel, named_tuple
 from hiros_mcap.skeletons import Floats, Ints
 
 
@@ -67,7 +67,7 @@ TOPOLOGY = named_tuple(Topology, J2, *[J1] * 8)
 NORMAL_EQUATIONS = named_tuple(NormalEquations, F3, F3, F3, F3, F2, F2)
 
 
-@kernel
+@inlined
 def solve_equations(topology: Topology, damping: float, equations: NormalEquations) -> None:
     """Solve Hessian * step = -gradient; overwrites the equations.
 

@@ -29,6 +29,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.kernels.assignment import solve
+from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
@@ -50,6 +51,11 @@ _REASONS = {
     kernels.NO_MARKERS: "no markers",
     kernels.LOW_CONFIDENCE: "low confidence",
 }
+
+# The steps of one message take arrays that the tracker itself has made.
+_screen, _predict = direct(kernels.screen), direct(kernels.predict)
+_association_cost, _solve = direct(kernels.association_cost), direct(solve)
+_correct, _centre = direct(kernels.correct), direct(kernels.centre)
 
 
 class TrackParams(Params):
@@ -271,8 +277,7 @@ class _DetectionGroup:
     @property
     def unmatched(self) -> list[int]:
         """Detections that still need a track."""
-        pairs = zip(self.tracks, self.reasons, strict=True)
-        return [j for j, (track, reason) in enumerate(pairs) if track is None and not reason]
+        return [j for j, track in enumerate(self.tracks) if track is None and not self.reasons[j]]
 
     @property
     def decided(self) -> bool:
@@ -436,17 +441,13 @@ class _Tracker:
         """Leave out markers and detections of too little confidence."""
         self._make_room(len(group.tracks))
         params, faults = self.params, self.work.faults
-        kernels.screen(
-            group.people, params.min_marker_confidence, params.min_skeleton_confidence, faults
-        )
+        _screen(group.people, params.min_marker_confidence, params.min_skeleton_confidence, faults)
         group.reasons[:] = [_REASONS[fault] for fault in faults[: len(group.tracks)].tolist()]
 
     def _predict(self, tracks: list[_Track], group: _DetectionGroup) -> Stamps:
         """Predict the tracks' poses at the time of the message; return their rows (eq 7)."""
         rows = np.array([track.row for track in tracks], np.int64)
-        kernels.predict(
-            group.stamp, rows, self.bank.past, self.settings.horizon, self.work.predicted
-        )
+        _predict(group.stamp, rows, self.bank.past, self.settings.horizon, self.work.predicted)
         return rows
 
     def _compare(self, rows: Stamps, group: _DetectionGroup) -> None:
@@ -454,21 +455,19 @@ class _Tracker:
         wanted = self.work.pairs.wanted
         wanted.fill(False)
         wanted[group.unmatched] = True
-        kernels.association_cost(
-            rows, group.people, self.bank.past, self.slots, self.settings, self.work
-        )
+        _association_cost(rows, group.people, self.bank.past, self.slots, self.settings, self.work)
 
     def _assign(self, tracks: list[_Track], group: _DetectionGroup) -> None:
         """Give detections to tracks at the least total cost."""
         pairs, n_people = self.work.pairs, len(group.tracks)
-        solve(pairs.cost, len(tracks), n_people, self.work.assignment, pairs.match)
+        _solve(pairs.cost, len(tracks), n_people, self.work.assignment, pairs.match)
         for j, i in enumerate(pairs.match[:n_people].tolist()):
             if i >= 0:
                 group.give(j, tracks[i])
 
     def _correct(self, rows: Stamps, group: _DetectionGroup) -> None:
         """Correct the tracks by their detections; write their velocities into the message."""
-        kernels.correct(
+        _correct(
             group.stamp, rows, self.work.pairs, group.people, self.bank.past, self.slots,
             self.settings,
         )  # fmt: skip
@@ -555,7 +554,7 @@ class _Tracker:
 
     def _centre(self, track: _Track) -> Floats:
         centre = np.empty(3)
-        kernels.centre(self.bank.past.positions, track.row, centre)
+        _centre(self.bank.past.positions, track.row, centre)
         return centre
 
     def _make_room(self, n_people: int) -> None:
@@ -586,8 +585,8 @@ class _Tracker:
         )  # fmt: skip
         for track, seen in zip(tracks, confirmed.last_seen.tolist(), strict=True):
             track.seen = seen
-        for i in range(place, place + done):
-            source, stamp = block.sources[i], int(block.stamps[i])
+        for i, stamp in enumerate(stamps[:done].tolist(), place):
+            source = block.sources[i]
             if self.coverage.is_due(source, stamp):
                 rows = range(*block.rows[i].tolist())
                 for row in sorted(rows, key=followed.match.__getitem__):
