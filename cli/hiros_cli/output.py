@@ -17,10 +17,7 @@ def check_outputs(
 
     ``inputs`` may hold texts that name a file or a channel.
 
-    Raises
-    ------
-    LogError
-        As :func:`hiros_mcap.outputs.check_outputs` does.
+    Raises LogError as :func:`hiros_mcap.outputs.check_outputs` does.
     """
     check(outputs, inputs, force=force, remedy="--force")
 
@@ -28,10 +25,7 @@ def check_outputs(
 def beside(source: Path, suffix: str) -> Path:
     """Return the default output: the input's name with another suffix, in its folder.
 
-    Raises
-    ------
-    ConfigError
-        The input is the root of the file system.
+    Raises ConfigError if the input is the root of the file system.
     """
     path = source if source.name else source.resolve()
     if not path.name:

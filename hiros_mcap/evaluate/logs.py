@@ -17,11 +17,9 @@ from hiros_mcap.evaluate.smoothness import jitter, limb_variations
 from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.log import open_log, open_reader
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
-
-ORDER = ("tracked", "merged", "optimized", "filtered")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +56,13 @@ def has_outputs(path: str | os.PathLike[str]) -> bool:
 def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:
     """Topics of a log's output channels in the order of the stages, or those that globs name.
 
-    Raises
-    ------
-    LogError
-        There is none.
+    Raises LogError if there is none.
     """
     if not globs and not has_outputs(path):
         raise LogError("holds nothing that hiros wrote; run `hiros process` on it first", path=path)
     with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
         topics = [camera.channel.topic for camera in log.cameras]
-    order = {f"{OUTPUT_PREFIX}/{name}": k for k, name in enumerate(ORDER)}
+    order = {topic: k for k, topic in enumerate(OUTPUT_TOPICS)}
     return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
 
 
@@ -76,10 +71,7 @@ def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth 
 
     None if nothing was named and the log has no /truth channel.
 
-    Raises
-    ------
-    LogError, ConfigError
-        What was named does not exist or cannot be read.
+    Raises LogError or ConfigError if what was named does not exist or cannot be read.
     """
     if named is not None and Path(named).is_file():
         return load_truth(named)
@@ -146,10 +138,8 @@ def evaluate_log(
 ) -> dict[str, ChannelResult]:
     """Topic -> result of every output channel against the truth, in the order of the stages.
 
-    Raises
-    ------
-    LogError, ConfigError
-        The log cannot be read, has no output channel, or shares no time or marker with the truth.
+    Raises LogError or ConfigError if the log cannot be read, has no output channel, or shares no
+    time or marker with the truth.
     """
     results = {}
     for topic in output_channels(path, globs):

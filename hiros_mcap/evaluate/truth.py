@@ -38,10 +38,7 @@ class Truth:
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:
         """Collect frames whose ids are the true people; sorted by time.
 
-        Raises
-        ------
-        ValueError
-            There are no frames.
+        Raises ValueError if there are no frames.
         """
         ordered = sorted(frames, key=lambda frame: frame.stamp)
         if not ordered:
@@ -108,10 +105,7 @@ class Truth:
     def seen_by(self, model: SkeletonModel) -> Truth:
         """Return the truth on the markers and links of another model; NaN where it has none.
 
-        Raises
-        ------
-        ConfigError
-            No marker has the same name in both.
+        Raises ConfigError if no marker has the same name in both.
         """
         if self.model is None or self.model == model:
             return self

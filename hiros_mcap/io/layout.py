@@ -84,10 +84,8 @@ def check_schema(name: str, encoding: str, data: bytes, *, topic: str | None = N
 
     Comments, constants, default values, upper bounds and the names of nested types do not matter.
 
-    Raises
-    ------
-    SchemaError
-        The schema cannot be parsed, or a needed field is missing or of an incompatible type.
+    Raises SchemaError if the schema cannot be parsed, or a needed field is missing or of an
+    incompatible type.
     """
     try:
         return _layout(name, encoding, data)

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
-from hiros_mcap.simulate.body import MODEL, PARENT_SEGMENT, SEGMENTS, UPRIGHT, Body
+from hiros_mcap.simulate.body_model import MODEL, PARENT_SEGMENT, SEGMENTS, UPRIGHT, BodyModel
 from hiros_mcap.skeletons import Floats
 
-BODY = Body.of(1.75)
+BODY = BodyModel.of(1.75)
 SIGN = {"right": 1.0, "left": -1.0}
 ARM_OFFSET = 1.2  # degrees by which the neck lies behind the pelvis, so that the trunk leans
 SEQUENCE = np.linspace(0.0, 340.0, 35)

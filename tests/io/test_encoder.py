@@ -28,7 +28,8 @@ def frame_of(value: float) -> Frame:
 
 
 def written(frame: Frame, **options: Any) -> Frame:
-    return Decoder(MODEL).decode(Encoder(MODEL, **options).encode(frame), 0)
+    (read,) = Decoder(MODEL, exact=True).decode_message(Encoder(MODEL, **options).encode(frame))
+    return read
 
 
 def rounded(value: float) -> float:

@@ -51,10 +51,7 @@ class Curves:
     def body(self, person: int | None) -> tuple[int, Body]:
         """Return a person, or the one who is there for longest.
 
-        Raises
-        ------
-        ConfigError
-            There is nobody, or not this one.
+        Raises ConfigError if there is nobody, or not this one.
         """
         if not self.people:
             raise ConfigError(f"{self.title}: holds nobody to plot")
@@ -98,10 +95,7 @@ def _true_poses(matches: Matches) -> dict[tuple[int, int], Floats]:
 def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
     """Return one of :data:`KINDS` for one person.
 
-    Raises
-    ------
-    ConfigError
-        There is nobody, or nothing of this kind to plot.
+    Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
     _, body = curves.body(person)
     if kind == "angles":
@@ -179,10 +173,7 @@ def _error(body: Body, true_poses: Floats) -> Figure:
 def save_png(figure: Figure, path: Path, dpi: int = 150) -> None:
     """Write a figure as PNG, whole or not at all; the same figure gives the same bytes.
 
-    Raises
-    ------
-    LogError
-        The file cannot be written.
+    Raises LogError if the file cannot be written.
     """
     with replacing(path) as temporary:
         # Without matplotlib's version; the name is how a later run knows the file.

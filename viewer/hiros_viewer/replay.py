@@ -14,10 +14,9 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
-from hiros_mcap.running.pipeline import EVENTS_ATTACHMENT
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.columns import Poses
@@ -65,10 +64,8 @@ def replay(
 ) -> Content:
     """Draw logs into a recording, layout included; several are overlaid.
 
-    Raises
-    ------
-    LogError, ConfigError
-        A log cannot be read, lacks a transform or holds no skeletons in the time range.
+    Raises LogError or ConfigError if a log cannot be read, lacks a transform or holds no skeletons
+    in the time range.
     """
     options = options or ViewOptions()
     if options.layout not in LAYOUTS:
@@ -150,14 +147,11 @@ def kind_of(topic: str) -> str:
 
 
 def _events(log: Log) -> tuple[Event, ...]:
-    for attachment in log.reader.contents.attachments:
-        if attachment.name == EVENTS_ATTACHMENT:
-            try:
-                return tuple(events_from_json(log.reader.attachment(attachment).decode()))
-            except (ValueError, TypeError):
-                fault = f"attachment {EVENTS_ATTACHMENT} is damaged"
-                raise LogError(fault, path=log.path) from None
-    return ()
+    try:
+        return tuple(events_from_json((log.reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()))
+    except (ValueError, TypeError):
+        fault = f"attachment {EVENTS_ATTACHMENT} is damaged"
+        raise LogError(fault, path=log.path) from None
 
 
 def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
