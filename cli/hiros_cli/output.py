@@ -1,7 +1,8 @@
-"""Where a command may write."""
+"""Where a command may write, and what it prints for machines."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -20,6 +21,11 @@ def check_outputs(
     Raises LogError as :func:`hiros_mcap.outputs.check_outputs` does.
     """
     check(outputs, inputs, force=force, remedy="--force")
+
+
+def print_json(data: object) -> None:
+    """Print data for machines."""
+    print(json.dumps(data, indent=2, allow_nan=False))
 
 
 def beside(source: Path, suffix: str) -> Path:

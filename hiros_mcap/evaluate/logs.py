@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -19,7 +20,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.log import open_log, open_reader
-from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +113,10 @@ def read_channel(
     """Frames of an output channel, their model, and how many messages were skipped, by reason."""
     with open_log(path, topics=[topic], output_prefix="/none") as log:
         frames = list(log.frames())
-        skipped: dict[str, int] = {}
+        skipped: Counter[str] = Counter()
         for account in log.accounts.values():
-            for reason, count in account.skipped.items():
-                skipped[reason] = skipped.get(reason, 0) + count
-        return frames, log.model, skipped
+            skipped.update(account.skipped)
+        return frames, log.model, dict(skipped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,10 +158,11 @@ def evaluate_log(
 def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
     """Measure what needs no truth: limb constancy, jitter, how long ids live."""
     tracks: dict[int, Track] = {}
-    for frame, row, person in _people(frames):
-        track = tracks.setdefault(person, Track())
-        track.stamps.append(frame.stamp)
-        track.poses.append(frame.positions[row])
+    for frame in frames:
+        for row, person in frame.tracked():
+            track = tracks.setdefault(person, Track())
+            track.stamps.append(frame.stamp)
+            track.poses.append(frame.positions[row])
     limbs, jitters = limb_variations(tracks.values(), model), jitter(tracks.values())
     return Consistency(
         frames=len(frames),
@@ -178,10 +179,3 @@ def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
         jitter=mean_of(jitters),
         jitters=dict(zip(model.marker_names, jitters.tolist(), strict=False)),
     )
-
-
-def _people(frames: Sequence[Frame]) -> Iterator[tuple[Frame, int, int]]:
-    for frame in frames:
-        for row, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                yield frame, row, person

@@ -23,7 +23,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_TOPICS, channels_of
 from hiros_mcap.io.log import open_log, open_reader, span_of
-from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -211,10 +211,9 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         model = log.model
     rows: dict[int, list[tuple[int, Floats, Floats]]] = {}
     for frame in frames:
-        for k, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                row = frame.stamp, frame.positions[k], frame.marker_confidences[k]
-                rows.setdefault(person, []).append(row)
+        for k, person in frame.tracked():
+            row = frame.stamp, frame.positions[k], frame.marker_confidences[k]
+            rows.setdefault(person, []).append(row)
     motions = {person: _motion(person, rows[person], start) for person in sorted(rows)}
     fixed = frames[0].frame_id if frames else ""
     return Result(Path(path), chosen, model, fixed, start, motions, tuple(events_from_json(events)))

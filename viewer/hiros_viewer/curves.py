@@ -16,7 +16,7 @@ from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number
 from hiros_viewer.figures import RESULT, angle_figure, new_figure, tidy, with_gaps
 from hiros_viewer.page import Page
@@ -71,9 +71,8 @@ def collect(
     true = {} if truth is None else _true_poses(match(frames, truth.seen_by(model)))
     rows: dict[int, list[tuple[int, Floats]]] = {}
     for frame in frames:
-        for row, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                rows.setdefault(person, []).append((frame.stamp, frame.positions[row]))
+        for row, person in frame.tracked():
+            rows.setdefault(person, []).append((frame.stamp, frame.positions[row]))
     absent = np.full((model.n_markers, 3), np.nan)
     people = {}
     for person, track in sorted(rows.items()):
