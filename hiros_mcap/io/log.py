@@ -21,6 +21,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Mover, TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block, frames_of
@@ -130,6 +131,12 @@ class Log:
             for name in frames:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
+
+    def pose_of(self, camera: CameraChannel) -> Rigid | None:
+        """Pose in the fixed frame at the start; None for no or several frames, or the fixed one."""
+        if len(camera.frames) != 1 or camera.frames[0] == self.fixed_frame:
+            return None
+        return self.transforms.lookup(camera.frames[0], self.fixed_frame, 0)
 
     @cached_property
     def span(self) -> tuple[int, int]:

@@ -107,12 +107,13 @@ def camera_positions(log: Log) -> dict[str, Floats]:
 
     A camera whose detections already are in the fixed frame has no known position.
     """
-    positions: dict[str, Floats] = {}
-    for camera in log.cameras:
-        if len(camera.frames) == 1 and camera.frames[0] != log.fixed_frame:
-            pose = log.transforms.lookup(camera.frames[0], log.fixed_frame, 0)
-            positions.update(dict.fromkeys(camera.sources.values(), pose.translation))
-    return positions
+    poses = [(camera, log.pose_of(camera)) for camera in log.cameras]
+    return {
+        name: pose.translation
+        for camera, pose in poses
+        for name in camera.sources.values()
+        if pose is not None
+    }
 
 
 def open_input(source: str | os.PathLike[str], config: Config, options: ProcessOptions) -> Log:

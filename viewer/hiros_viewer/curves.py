@@ -18,7 +18,7 @@ from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number
-from hiros_viewer.figures import RESULT, angle_figure, new_figure, tidy, with_gaps
+from hiros_viewer.figures import RESULT, angle_figure, new_axes, with_gaps
 from hiros_viewer.page import Page
 from hiros_viewer.scene import limb_links
 
@@ -138,15 +138,13 @@ def _limbs(model: SkeletonModel, body: Body) -> Figure:
     if not limbs:
         raise ConfigError("the skeleton has no arms and legs that are known by their names")
     lengths = 1000 * lengths_of(body.poses, model)[:, list(limbs.values())]
-    figure = new_figure(11, 3.2)
-    axes = figure.subplots()
+    figure, axes = new_axes(11, 3.2)
     for k, name in enumerate(limbs):
         colour = tuple(0.8 * part / 255 for part in PEOPLE[k % len(PEOPLE)])
         axes.plot(*with_gaps(body.seconds, lengths[:, k]), label=name, lw=1.2, color=colour)
     axes.set(xlabel="s", ylabel="mm")
     axes.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9)
     axes.margins(x=0.01)
-    tidy(axes)
     return figure
 
 
@@ -158,14 +156,12 @@ def _error(body: Body, true_poses: Floats) -> Figure:
         np.nanmean(errors[known], axis=1),
         np.nanmax(errors[known], axis=1),
     )
-    figure = new_figure(11, 2.6)
-    axes = figure.subplots()
+    figure, axes = new_axes(11, 2.6)
     axes.plot(*with_gaps(body.seconds, largest), color="#b8c4d0", lw=1.0, label="largest")
     axes.plot(*with_gaps(body.seconds, mean), color=RESULT, lw=1.2, label="mean")
     axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
     axes.legend(frameon=False, fontsize=9)
     axes.margins(x=0.01)
-    tidy(axes)
     return figure
 
 

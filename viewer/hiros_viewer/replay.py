@@ -20,6 +20,7 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.columns import Poses
+from hiros_viewer.entities import path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.scene import STAGES, Scene
 
@@ -125,8 +126,7 @@ def describe(log: Log) -> Source:
     for camera in detectors:
         for source in camera.sources.values():
             names[source] = _camera_name(camera, source, detectors)
-        if len(camera.frames) == 1 and camera.frames[0] != log.fixed_frame:
-            pose = log.transforms.lookup(camera.frames[0], log.fixed_frame, 0)
+        if (pose := log.pose_of(camera)) is not None:
             poses.update({names[source]: pose for source in camera.sources.values()})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     return Source(log.model, poses, names, stages, _events(log), log.span[0])
@@ -184,7 +184,7 @@ def content_of(scenes: list[Scene], prefixes: list[str]) -> Content:
     return Content(
         stages=stages,
         people=sorted({person for scene in scenes for person in scene.people}),
-        cameras=[name.strip("/").replace("/", "_") for name in scenes[0].cameras],
+        cameras=[path_part(name) for name in scenes[0].cameras],
         centre=centre,
         reach=reach,
         camera_centre=scenes[0].camera_centre,
