@@ -227,7 +227,7 @@ def load_config(
     layers = [(f"system {system}", SYSTEM_DEFAULTS.get(system, {}))]
     layers += [(f"preset {preset}", PRESETS[preset])]
     if path is not None:
-        layers.append((str(path), _read(path)))
+        layers.append((str(path), read_toml(path)))
     layers += list((named or {}).items())
     layers += [("--set", _assignment(text)) for text in overrides]
     merged: Table = {}
@@ -244,7 +244,8 @@ def load_config(
         raise _explained(error, origins) from None
 
 
-def _read(path: Path) -> Table:
+def read_toml(path: Path) -> Table:
+    """Read a TOML file of at most :data:`MAX_BYTES`; raises ConfigError naming it."""
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)

@@ -51,6 +51,18 @@ class Event:
     """The camera, "" if of none."""
     detail: str
 
+    @property
+    def text(self) -> str:
+        """What happened, to whom, seen by which camera."""
+        who = f" person {self.person}" if self.person >= 0 else ""
+        where = f" {self.source}" if self.source else ""
+        return f"{self.kind}{who}{where}{f': {self.detail}' if self.detail else ''}"
+
+    @property
+    def is_warning(self) -> bool:
+        """Whether something was lost or refused."""
+        return any(word in self.kind for word in ("lost", "doubted", "rejected"))
+
 
 @dataclass(slots=True)
 class Events:

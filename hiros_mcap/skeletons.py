@@ -208,6 +208,10 @@ class Frame:
         """(P, M, 3) view of the marker accelerations, m/s2."""
         return self.markers[:, :, ACCELERATION]
 
+    def tracked(self) -> Iterator[tuple[int, int]]:
+        """Yield row and id of everybody who has an id."""
+        return ((k, i) for k, i in enumerate(self.ids.tolist()) if i != UNTRACKED)
+
     def replace(self, **changes: Any) -> Frame:
         """Return a copy with other fields, also those of its people; the other arrays are shared.
 

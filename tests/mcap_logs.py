@@ -89,7 +89,11 @@ def chunk(*inner, compression="", packed=None, size=None, times=(0, 100), crc=No
 
 
 def index(ident, entries, extra=b""):
-    body = struct.pack("<H", ident) + r.pairs(entries, "QQ")
+    body = (
+        struct.pack("<H", ident)
+        + struct.pack("<I", 16 * len(entries))
+        + b"".join(struct.pack("<QQ", *e) for e in entries)
+    )
     return r.record(r.Opcode.MESSAGE_INDEX, body, extra)
 
 

@@ -48,10 +48,8 @@ Force = Annotated[
 def seconds_range(option: str, text: str) -> tuple[float, float]:
     """Read ``START:END`` in seconds.
 
-    Raises
-    ------
-    ConfigError
-        It is not of this form, starts at no finite time, or ends before it starts.
+    Raises ConfigError if it is not of this form, starts at no finite time, or ends before it
+    starts.
     """
     start, _, end = text.partition(":")
     try:

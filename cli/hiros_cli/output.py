@@ -1,7 +1,8 @@
-"""Where a command may write."""
+"""Where a command may write, and what it prints for machines."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,21 +18,20 @@ def check_outputs(
 
     ``inputs`` may hold texts that name a file or a channel.
 
-    Raises
-    ------
-    LogError
-        As :func:`hiros_mcap.outputs.check_outputs` does.
+    Raises LogError as :func:`hiros_mcap.outputs.check_outputs` does.
     """
     check(outputs, inputs, force=force, remedy="--force")
+
+
+def print_json(data: object) -> None:
+    """Print data for machines."""
+    print(json.dumps(data, indent=2, allow_nan=False))
 
 
 def beside(source: Path, suffix: str) -> Path:
     """Return the default output: the input's name with another suffix, in its folder.
 
-    Raises
-    ------
-    ConfigError
-        The input is the root of the file system.
+    Raises ConfigError if the input is the root of the file system.
     """
     path = source if source.name else source.resolve()
     if not path.name:

@@ -4,82 +4,52 @@ from __future__ import annotations
 
 import os
 import sys
-from types import TracebackType
-from typing import Protocol, Self
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 PERIOD_S = 0.1
 
 
-class Bar(Protocol):
-    """A context in which progress is shown."""
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """Shows how far a run is; a bar without ``progress`` shows nothing."""
 
-    def __enter__(self) -> Self: ...
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    progress: Progress | None = None
+    task: TaskID | None = None
+
     def update(self, done: int, total: int) -> None:
         """Say that ``done`` of ``total`` is done, in whatever unit."""
+        if self.progress is not None and self.task is not None:
+            self.progress.update(self.task, completed=done, total=total)
 
 
-class NoBar:
-    """Shows nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        pass
-
-    def update(self, done: int, total: int) -> None:
-        """Nothing to show."""
-
-
-class TerminalBar:
-    """A bar with the time that remains, on stderr, removed at the end."""
-
-    def __init__(self, label: str) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-        from rich.progress import TimeRemainingColumn as Remaining
-
-        self._progress = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TaskProgressColumn(),
-            Remaining(),
-            console=Console(stderr=True),
-            transient=True,
-            refresh_per_second=1 / PERIOD_S,
-        )
-        self._task = self._progress.add_task(label, total=None)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
-
-    def update(self, done: int, total: int) -> None:
-        """Move the bar."""
-        self._progress.update(self._task, completed=done, total=total)
-
-
-def bar(label: str, *, quiet: bool) -> Bar:
-    """Return a bar on a terminal, and the one that shows nothing otherwise."""
+@contextmanager
+def bar(label: str, *, quiet: bool) -> Iterator[Bar]:
+    """Show a bar with the time that remains on stderr until the end; nothing in a pipe."""
     if quiet or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
-        return NoBar()
-    return TerminalBar(label)
+        yield Bar()
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    with Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        refresh_per_second=1 / PERIOD_S,
+    ) as progress:
+        yield Bar(progress, progress.add_task(label, total=None))

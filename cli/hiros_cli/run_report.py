@@ -30,9 +30,28 @@ def show(summary: Summary) -> None:
         out.print(part)
     out.print()
     for channel, messages in summary.written.items():
-        out.print(Text(f"wrote {messages} messages to {printable(channel)}"), soft_wrap=True)
-    for note in summary.notes:
-        out.print(Text(f"note: {printable(note, 500)}", style="yellow"), soft_wrap=True)
+        say(out, f"wrote {messages} messages to {channel}")
+    for text in summary.notes:
+        note(out, text)
+
+
+def say(out: Console, text: object, style: str = "", before: str = "") -> None:
+    """Print a line that may hold anything from outside, behind ``before``."""
+    out.print(Text(before + printable(text, 500), style=style), soft_wrap=True)
+
+
+def note(out: Console, text: str) -> None:
+    """Print a note."""
+    say(out, text, "yellow", "note: ")
+
+
+def show_table(
+    out: Console, title: str, content: tuple[Sequence[str], Sequence[Sequence[str]]]
+) -> None:
+    """Print a title and a table, header and rows: the first column is text, the others numbers."""
+    header, rows = content
+    say(out, title, "bold", "\n")
+    out.print(table(header[0], *(f">{name}" for name in header[1:]), rows=rows))
 
 
 def table(*columns: str, rows: Iterable[Sequence[str]]) -> Table:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,8 @@ def measure_noise(frames: Iterable[Frame], model: SkeletonModel) -> Noise:
     """
     poses: dict[tuple[str, int], list[Floats]] = {}
     for frame in frames:
-        for row, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                poses.setdefault((frame.source, person), []).append(frame.positions[row])
+        for row, person in frame.tracked():
+            poses.setdefault((frame.source, person), []).append(frame.positions[row])
     table = {key: _scatter(np.stack(each)) for key, each in poses.items() if len(each) > 1}
     every = np.stack(list(table.values())) if table else np.full((1, model.n_markers), np.nan)
     cameras: dict[str, list[Floats]] = {}

@@ -47,10 +47,7 @@ class Entry:
     def parse(cls, text: str) -> Entry:
         """Read ``SYSTEM[:CHAIN][,stage.param=value...]``, such as ``lee:TM,cluster.radius=0.2``.
 
-        Raises
-        ------
-        ConfigError
-            There is no such system, chain or parameter.
+        Raises ConfigError if there is no such system, chain or parameter.
         """
         head, *assignments = text.split(",")
         name, _, stages = head.partition(":")
@@ -129,10 +126,7 @@ def comparison(
 ) -> list[Outcome]:
     """Run tasks, several at once; outcomes in the order of the tasks.
 
-    Raises
-    ------
-    HirosError
-        A log cannot be read, or its truth.
+    Raises HirosError if a log cannot be read, or its truth.
     """
     progress = progress or Silent()
     done: dict[int, Outcome] = {}
@@ -217,10 +211,7 @@ def _without_truth(task: Task, outcome: Outcome) -> Outcome:
 def camera_subsets(task: Task) -> list[Task]:
     """Return the task once per subset of its log's cameras, the smallest first.
 
-    Raises
-    ------
-    ConfigError
-        The log has no truth to compare with.
+    Raises ConfigError if the log has no truth to compare with.
     """
     log = _decoded(task)
     if log.truth is None:

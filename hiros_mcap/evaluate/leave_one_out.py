@@ -24,8 +24,7 @@ from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pipeline import ProcessOptions, open_input, process
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
 
 SIMULTANEOUS_NS = 50_000_000
@@ -118,12 +117,7 @@ def _detections(
     source: str | os.PathLike[str], config: Config, options: ProcessOptions
 ) -> tuple[dict[str, list[Frame]], SkeletonModel]:
     """Topic -> detections in the fixed frame."""
-    with open_log(
-        source,
-        topics=options.topics or None,
-        extrinsics=options.extrinsics,
-        fixed_frame=config.input.fixed_frame or None,
-    ) as log:
+    with open_input(source, config, options) as log:
         topic_of = {
             name: camera.channel.topic for camera in log.cameras for name in camera.sources.values()
         }

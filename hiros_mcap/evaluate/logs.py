@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -17,11 +18,9 @@ from hiros_mcap.evaluate.smoothness import jitter, limb_variations
 from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.log import open_log, open_reader
-from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
-
-ORDER = ("tracked", "merged", "optimized", "filtered")
+from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +57,13 @@ def has_outputs(path: str | os.PathLike[str]) -> bool:
 def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:
     """Topics of a log's output channels in the order of the stages, or those that globs name.
 
-    Raises
-    ------
-    LogError
-        There is none.
+    Raises LogError if there is none.
     """
     if not globs and not has_outputs(path):
         raise LogError("holds no results of hiros; run `hiros process` first", path=path)
     with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
         topics = [camera.channel.topic for camera in log.cameras]
-    order = {f"{OUTPUT_PREFIX}/{name}": k for k, name in enumerate(ORDER)}
+    order = {topic: k for k, topic in enumerate(OUTPUT_TOPICS)}
     return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
 
 
@@ -76,10 +72,7 @@ def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth 
 
     None if nothing was named and the log has no /truth channel.
 
-    Raises
-    ------
-    LogError, ConfigError
-        What was named does not exist or cannot be read.
+    Raises LogError or ConfigError if what was named does not exist or cannot be read.
     """
     if named is not None and Path(named).is_file():
         return load_truth(named)
@@ -120,11 +113,10 @@ def read_channel(
     """Frames of an output channel, their model, and how many messages were skipped, by reason."""
     with open_log(path, topics=[topic], output_prefix="/none") as log:
         frames = list(log.frames())
-        skipped: dict[str, int] = {}
+        skipped: Counter[str] = Counter()
         for account in log.accounts.values():
-            for reason, count in account.skipped.items():
-                skipped[reason] = skipped.get(reason, 0) + count
-        return frames, log.model, skipped
+            skipped.update(account.skipped)
+        return frames, log.model, dict(skipped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +138,8 @@ def evaluate_log(
 ) -> dict[str, ChannelResult]:
     """Topic -> result of every output channel against the truth, in the order of the stages.
 
-    Raises
-    ------
-    LogError, ConfigError
-        The log cannot be read, has no output channel, or shares no time or marker with the truth.
+    Raises LogError or ConfigError if the log cannot be read, has no output channel, or shares no
+    time or marker with the truth.
     """
     results = {}
     for topic in output_channels(path, globs):
@@ -168,10 +158,11 @@ def evaluate_log(
 def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
     """Measure what needs no truth: limb constancy, jitter, how long ids live."""
     tracks: dict[int, Track] = {}
-    for frame, row, person in _people(frames):
-        track = tracks.setdefault(person, Track())
-        track.stamps.append(frame.stamp)
-        track.poses.append(frame.positions[row])
+    for frame in frames:
+        for row, person in frame.tracked():
+            track = tracks.setdefault(person, Track())
+            track.stamps.append(frame.stamp)
+            track.poses.append(frame.positions[row])
     limbs, jitters = limb_variations(tracks.values(), model), jitter(tracks.values())
     return Consistency(
         frames=len(frames),
@@ -188,10 +179,3 @@ def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:
         jitter=mean_of(jitters),
         jitters=dict(zip(model.marker_names, jitters.tolist(), strict=False)),
     )
-
-
-def _people(frames: Sequence[Frame]) -> Iterator[tuple[Frame, int, int]]:
-    for frame in frames:
-        for row, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                yield frame, row, person

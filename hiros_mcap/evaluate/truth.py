@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -38,10 +38,7 @@ class Truth:
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:
         """Collect frames whose ids are the true people; sorted by time.
 
-        Raises
-        ------
-        ValueError
-            There are no frames.
+        Raises ValueError if there are no frames.
         """
         ordered = sorted(frames, key=lambda frame: frame.stamp)
         if not ordered:
@@ -72,9 +69,8 @@ class Truth:
             return self.positions[after], self.orientations[after]
         inside = 0 < after < len(self.stamps)
         if not inside or self.stamps[after] - self.stamps[after - 1] > MAX_GAP_NS:
-            return np.full_like(self.positions[0], np.nan), np.full_like(
-                self.orientations[0], np.nan
-            )
+            shown = self.positions[0], self.orientations[0]
+            return np.full_like(shown[0], np.nan), np.full_like(shown[1], np.nan)
         early, late = self.stamps[after - 1], self.stamps[after]
         part = float(stamp - early) / float(late - early)
         positions = (1 - part) * self.positions[after - 1] + part * self.positions[after]
@@ -103,15 +99,12 @@ class Truth:
                 [positions[..., 0], -positions[..., 2], positions[..., 1]], axis=-1
             )
             orientations = multiply(_Y_TO_Z, orientations)
-        return Truth(stamps, positions, orientations, self.people, self.model)
+        return replace(self, stamps=stamps, positions=positions, orientations=orientations)
 
     def seen_by(self, model: SkeletonModel) -> Truth:
         """Return the truth on the markers and links of another model; NaN where it has none.
 
-        Raises
-        ------
-        ConfigError
-            No marker has the same name in both.
+        Raises ConfigError if no marker has the same name in both.
         """
         if self.model is None or self.model == model:
             return self
@@ -128,7 +121,7 @@ class Truth:
             positions[:, :, ours] = self.positions[:, :, theirs]
         for theirs, ours in links.items():
             orientations[:, :, ours] = self.orientations[:, :, theirs]
-        return Truth(self.stamps, positions, orientations, self.people, model)
+        return replace(self, positions=positions, orientations=orientations, model=model)
 
 
 def _same_names(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:

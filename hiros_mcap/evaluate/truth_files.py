@@ -52,10 +52,7 @@ def read_trc(path: Path) -> Truth:
     The file's ``Units`` scale to metres. Coordinates are taken as they are: the file's axes must
     be those of the log's fixed frame.
 
-    Raises
-    ------
-    ConfigError
-        The file is not a TRC file.
+    Raises ConfigError if the file is not a TRC file.
     """
     lines = _lines(path)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
@@ -89,10 +86,7 @@ def read_csv(path: Path) -> Truth:
     One row per marker; seconds (from the log's start, or since the epoch) and metres in the
     fixed frame. ``person`` is a whole number and may be left out when there is one person.
 
-    Raises
-    ------
-    ConfigError
-        A column is missing or a cell is not a number.
+    Raises ConfigError if a column is missing or a cell is not a number.
     """
     try:
         rows = list(csv.DictReader(_lines(path)))

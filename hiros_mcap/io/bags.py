@@ -99,15 +99,11 @@ class BagReader(McapReader):
                     channels[key] = writer.add_channel(
                         connection.topic, schemas[name], metadata=_metadata(connection)
                     )
-            as_cdr = _as_is if bag.is2 else store.ros1_to_cdr
             for connection, time, data in bag.messages(taken):
                 channel = channels[connection.topic, connection.msgtype]
-                writer.write(channel, time, bytes(as_cdr(data, connection.msgtype)))
+                cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
+                writer.write(channel, time, bytes(cdr))
             writer.commit()
-
-
-def _as_is(data: bytes, _: str) -> bytes:
-    return data
 
 
 @contextmanager

@@ -11,6 +11,12 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter
 
 OUTPUT_PREFIX = "/hiros"
+OUTPUT_TOPICS = tuple(
+    f"{OUTPUT_PREFIX}/{stage}" for stage in ("tracked", "merged", "optimized", "filtered")
+)
+"""Of the stages' channels, in the order of the chain."""
+LIMBS_ATTACHMENT = "hiros/limbs.toml"
+EVENTS_ATTACHMENT = "hiros/events.json"
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
 _LISTED = 20

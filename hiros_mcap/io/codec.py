@@ -82,13 +82,11 @@ class ModelBuilder:
                 raise LogError(_NOT_TEXT, topic=topic) from None
             if is_link:
                 self._add_link(key, (name, parent, child), topic)
-            else:
-                self._add_marker(key, name, topic)
-
-    def _add_marker(self, key: int, name: str, topic: str) -> None:
-        known, where = self._markers.setdefault(key, (name, topic))
-        if known != name:
-            raise LogError(f"marker {key} is {name!r} here and {known!r} on {where}", topic=topic)
+                continue
+            known, where = self._markers.setdefault(key, (name, topic))
+            if known != name:
+                fault = f"marker {key} is {name!r} here and {known!r} on {where}"
+                raise LogError(fault, topic=topic)
 
     def _add_link(self, key: int, link: tuple[str, int, int], topic: str) -> None:
         known, where = self._links.setdefault(key, (link, topic))

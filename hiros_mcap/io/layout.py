@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError, SchemaError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from hiros_mcap.io.cdr_writer import CdrWriter
 
 Bytes = bytes | bytearray | memoryview
 
@@ -32,7 +31,12 @@ _COMPATIBLE = {
     "uint32": _INTEGERS,
     "string": frozenset(("string",)),
 }
-_FORMATS = {"int32": "<i", "uint32": "<I", "float64": "<d"}
+_WRITERS: dict[str, Callable[[CdrWriter, Any], None]] = {
+    "int32": CdrWriter.int32,
+    "uint32": CdrWriter.uint32,
+    "float64": CdrWriter.float64,
+    "string": CdrWriter.string,
+}
 # What the generic library raises on bytes that it cannot read.
 _UNREADABLE = (
     struct.error,
@@ -70,13 +74,13 @@ class Layout:
         if len(data) < 4 or data[0] != 0 or data[1] > 1:
             kind = bytes(data[:2]).hex()
             raise LogError(f"message encapsulation 0x{kind} is not plain CDR", topic=topic)
-        out = bytearray(b"\0\1\0\0")
+        out = CdrWriter()
         try:
             _write(out, _PUBLISHED, hiros_schemas.short_name(_NAME), self._read(bytes(data)))
         except _UNREADABLE as error:
             fault = f"message does not fit its own schema: {error}"
             raise LogError(fault, topic=topic) from error
-        return bytes(out)
+        return out.finish()
 
 
 def check_schema(name: str, encoding: str, data: bytes, *, topic: str | None = None) -> Layout:
@@ -84,10 +88,8 @@ def check_schema(name: str, encoding: str, data: bytes, *, topic: str | None = N
 
     Comments, constants, default values, upper bounds and the names of nested types do not matter.
 
-    Raises
-    ------
-    SchemaError
-        The schema cannot be parsed, or a needed field is missing or of an incompatible type.
+    Raises SchemaError if the schema cannot be parsed, or a needed field is missing or of an
+    incompatible type.
     """
     try:
         return _layout(name, encoding, data)
@@ -188,28 +190,17 @@ def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[bytes],
     return reader
 
 
-def _write(out: bytearray, definitions: hiros_schemas.Definitions, name: str, message: Any) -> None:
-    """Append a decoded message in little-endian CDR; ``out`` begins with the encapsulation."""
+def _write(out: CdrWriter, definitions: hiros_schemas.Definitions, name: str, message: Any) -> None:
+    """Append a decoded message."""
     for field in definitions[name]:
         value = getattr(message, field.name)
         if field.array:
-            _align(out, 4)
-            out += struct.pack("<I", len(value))
+            out.uint32(len(value))
         for item in value if field.array else (value,):
             if field.is_message:
                 _write(out, definitions, field.type, item)
-            elif field.type == "string":
-                text = item.encode() + b"\0"
-                _align(out, 4)
-                out += struct.pack("<I", len(text)) + text
             else:
-                layout = _FORMATS[field.type]
-                _align(out, struct.calcsize(layout))
-                out += struct.pack(layout, item)
-
-
-def _align(out: bytearray, size: int) -> None:
-    out += bytes(-(len(out) - 4) % size)
+                _WRITERS[field.type](out, item)
 
 
 _PUBLISHED = hiros_schemas.parse(_NAME, hiros_schemas.text(_NAME))

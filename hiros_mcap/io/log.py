@@ -16,12 +16,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
 
 import hiros_schemas
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Mover, TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block, frames_of
@@ -112,12 +112,7 @@ class Log:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -136,6 +131,12 @@ class Log:
             for name in frames:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
+
+    def pose_of(self, camera: CameraChannel) -> Rigid | None:
+        """Pose in the fixed frame at the start; None for no or several frames, or the fixed one."""
+        if len(camera.frames) != 1 or camera.frames[0] == self.fixed_frame:
+            return None
+        return self.transforms.lookup(camera.frames[0], self.fixed_frame, 0)
 
     @cached_property
     def span(self) -> tuple[int, int]:

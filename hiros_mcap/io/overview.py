@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -158,7 +158,7 @@ def _unresolved(log: Log, frame: str, fixed: str) -> str:
 def _counts(log: Log) -> dict[str, _CameraCounts]:
     topics = {name: camera for camera in log.cameras for name in camera.sources.values()}
     counts = {
-        name: _CameraCounts(camera.channel.topic, _first(camera.frames))
+        name: _CameraCounts(camera.channel.topic, next(iter(camera.frames), ""))
         for name, camera in topics.items()
     }
     for frame in log.frames():
@@ -166,7 +166,3 @@ def _counts(log: Log) -> dict[str, _CameraCounts]:
         count.stamps.append(frame.stamp)
         count.people.append(frame.n_people)
     return counts
-
-
-def _first(names: Iterable[str]) -> str:
-    return next(iter(names), "")

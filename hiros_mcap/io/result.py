@@ -21,15 +21,13 @@ import numpy as np
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.channels import OUTPUT_PREFIX, channels_of
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_TOPICS, channels_of
 from hiros_mcap.io.log import open_log, open_reader, span_of
-from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 
 if TYPE_CHECKING:
     import pandas as pd
 
-EVENTS_ATTACHMENT = "hiros/events.json"
-STAGES = ("filtered", "optimized", "merged", "tracked")
 GAP_S = 0.25
 """Pauses longer than this stay pauses when a motion is resampled."""
 
@@ -118,10 +116,8 @@ class Result:
     ) -> Result:
         """Return a part: one person, some seconds, or instants at a fixed rate, Hz.
 
-        Raises
-        ------
-        ConfigError
-            There is no such person, nobody in these seconds, or the rate is not positive.
+        Raises ConfigError if there is no such person, nobody in these seconds, or the rate is not
+        positive.
         """
         if person is not None and person not in self.motions:
             raise ConfigError(f"no person {person} (there are: {_listed(self.people)})")
@@ -202,30 +198,25 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
     """
     with open_reader(path) as reader:
         topics = [info.topic for info in channels_of(reader) if info.count]
-        ours = [f"{OUTPUT_PREFIX}/{stage}" for stage in STAGES]
-        found = [topic for topic in ours if topic in topics]
+        found = [topic for topic in OUTPUT_TOPICS if topic in topics]
         if not (channel or found):
             raise LogError("holds no results of hiros; run `hiros process` first", path=path)
         if channel and channel not in topics:
             raise ConfigError(f"{path}: no channel {channel!r} (there are: {_listed(topics)})")
-        chosen = channel or found[0]
+        chosen = channel or found[-1]
         start = span_of(reader)[0]
-        happened: tuple[Event, ...] = ()
-        for attachment in reader.contents.attachments:
-            if attachment.name == EVENTS_ATTACHMENT:
-                happened = tuple(events_from_json(reader.attachment(attachment).decode()))
+        events = (reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()
     with open_log(path, topics=[chosen], output_prefix="/none") as log:
         frames = list(log.frames())
         model = log.model
     rows: dict[int, list[tuple[int, Floats, Floats]]] = {}
     for frame in frames:
-        for k, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                row = frame.stamp, frame.positions[k], frame.marker_confidences[k]
-                rows.setdefault(person, []).append(row)
+        for k, person in frame.tracked():
+            row = frame.stamp, frame.positions[k], frame.marker_confidences[k]
+            rows.setdefault(person, []).append(row)
     motions = {person: _motion(person, rows[person], start) for person in sorted(rows)}
     fixed = frames[0].frame_id if frames else ""
-    return Result(Path(path), chosen, model, fixed, start, motions, happened)
+    return Result(Path(path), chosen, model, fixed, start, motions, tuple(events_from_json(events)))
 
 
 def _motion(person: int, rows: Sequence[tuple[int, Floats, Floats]], start: int) -> Motion:

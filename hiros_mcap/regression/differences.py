@@ -15,10 +15,9 @@ from hiros_mcap.body.rotations import angle
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import output_channels, read_channel
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
-from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.io.channels import LIMBS_ATTACHMENT, OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.regression.tolerances import Tolerances, beside
-from hiros_mcap.running.pipeline import LIMBS_ATTACHMENT
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 
 SAME_PERSON = 0.3
@@ -364,10 +363,8 @@ def _largest(names: Sequence[str], table: Floats) -> dict[str, float]:
 def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
     """Limb lengths that a log carries as an attachment; empty if it has none."""
     with McapReader(path) as reader:
-        for attachment in reader.contents.attachments:
-            if attachment.name == LIMBS_ATTACHMENT:
-                return LimbTable.from_toml(reader.attachment(attachment).decode(), str(path))
-    return LimbTable()
+        text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode()
+        return LimbTable.from_toml(text, str(path)) if text else LimbTable()
 
 
 def compare_limbs(

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.evaluate.logs import output_channels, read_channel
-from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.channels import LIMBS_ATTACHMENT, add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter
-from hiros_mcap.running.pipeline import LIMBS_ATTACHMENT
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame
 
 GRID = 2.0**-23
@@ -41,10 +40,8 @@ def write_golden(
             for frame in frames:
                 writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
         with McapReader(output) as reader:
-            for attachment in reader.contents.attachments:
-                if attachment.name == LIMBS_ATTACHMENT:
-                    data = reader.attachment(attachment)
-                    writer.add_attachment(attachment.name, data, attachment.media_type)
+            if (limbs := reader.attachment(LIMBS_ATTACHMENT)) is not None:
+                writer.add_attachment(LIMBS_ATTACHMENT, limbs, "application/toml")
         writer.commit()
 
 

@@ -81,10 +81,8 @@ class Threshold:
     def parse(cls, text: str) -> Threshold:
         """Read ``metric sign number [unit]``.
 
-        Raises
-        ------
-        ConfigError
-            It is not of this form, or there is no such metric, or its unit is another.
+        Raises ConfigError if it is not of this form, or there is no such metric, or its unit is
+        another.
         """
         form = _FORM.fullmatch(text)
         if form is None:
@@ -172,10 +170,8 @@ def save_metrics(path: Path, topic: str, values: Mapping[str, float]) -> None:
 def load_metrics(path: Path) -> tuple[str, dict[str, float]]:
     """Read golden metrics: the channel and its numbers.
 
-    Raises
-    ------
-    ConfigError
-        The file is not what :func:`save_metrics` writes, or names a metric that does not exist.
+    Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
+    does not exist.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import tempfile
 import time
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hiros_mcap.config import load_config
+from hiros_mcap.config import load_config, read_toml
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
@@ -127,18 +126,11 @@ class CaseResult:
 def load_suite(path: Path) -> Suite:
     """Read a suite.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file and the case that is at fault.
+    Raises ConfigError naming the file and the case that is at fault.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
-    defaults, rows = table.pop("defaults", {}), table.pop("log", [])
+    table = read_toml(path)
+    rows: Any = table.pop("log", [])
+    defaults: Any = table.pop("defaults", {})
     if table or not isinstance(defaults, dict) or not isinstance(rows, list) or not rows:
         raise ConfigError(f"{path}: expects [[log]] tables, and [defaults] if you like")
     cases = tuple(_case(path, k, defaults, row) for k, row in enumerate(rows, start=1))
@@ -257,10 +249,7 @@ def _check_case(folder: Path, case: Case, out: Path, *, bless: bool) -> CaseResu
 def check_output(output: Path, golden: Golden, *, bless: bool = False) -> CaseResult:
     """Compare one output with its golden file, or make it the golden file.
 
-    Raises
-    ------
-    HirosError
-        The two cannot be compared.
+    Raises HirosError if the two cannot be compared.
     """
     if golden.path.suffix not in GOLDEN_SUFFIXES:
         raise ConfigError(f"{golden.path}: a golden file ends in .mcap (a log) or .json (metrics)")

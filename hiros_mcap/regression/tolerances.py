@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, NonNegativeFloat, ValidationError
 
+from hiros_mcap.config import read_toml
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params, explain
 
@@ -42,18 +42,9 @@ class Tolerances(Params):
 def load_tolerances(path: Path) -> Tolerances:
     """Read tolerances from a TOML file.
 
-    Raises
-    ------
-    ConfigError
-        The file cannot be read, or holds something else.
+    Raises ConfigError if the file cannot be read, or holds something else.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
-    return validated(table, str(path))
+    return validated(read_toml(path), str(path))
 
 
 def validated(table: dict[str, Any], origin: str) -> Tolerances:

@@ -24,25 +24,19 @@ from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent, Watcher
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
-from hiros_mcap.running.write import (
-    EVENTS_ATTACHMENT,
-    LIMBS_ATTACHMENT,
-    open_output,
-    unmatched_globs,
-)
+from hiros_mcap.running.write import open_output, unmatched_globs
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
 
 __all__ = [
-    "EVENTS_ATTACHMENT",
-    "LIMBS_ATTACHMENT",
     "ProcessOptions",
     "Progress",
     "Silent",
     "Watcher",
     "camera_positions",
+    "open_input",
     "process",
 ]
 
@@ -88,7 +82,7 @@ def process(
         force=force,
     )
     watch = Stopwatch()
-    with _open(source, config, options) as log:
+    with open_input(source, config, options) as log:
         run = _set_up(log, config, options)
         _calibrate_first(log, run, chain)
         observer = Observer(chain)
@@ -113,15 +107,17 @@ def camera_positions(log: Log) -> dict[str, Floats]:
 
     A camera whose detections already are in the fixed frame has no known position.
     """
-    positions: dict[str, Floats] = {}
-    for camera in log.cameras:
-        if len(camera.frames) == 1 and camera.frames[0] != log.fixed_frame:
-            pose = log.transforms.lookup(camera.frames[0], log.fixed_frame, 0)
-            positions.update(dict.fromkeys(camera.sources.values(), pose.translation))
-    return positions
+    poses = [(camera, log.pose_of(camera)) for camera in log.cameras]
+    return {
+        name: pose.translation
+        for camera, pose in poses
+        for name in camera.sources.values()
+        if pose is not None
+    }
 
 
-def _open(source: str | os.PathLike[str], config: Config, options: ProcessOptions) -> Log:
+def open_input(source: str | os.PathLike[str], config: Config, options: ProcessOptions) -> Log:
+    """Open a log as a run with these options reads it; see :func:`hiros_mcap.io.log.open_log`."""
     return open_log(
         source,
         topics=options.topics or None,

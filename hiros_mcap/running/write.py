@@ -9,12 +9,19 @@ from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from hiros_mcap._version import __version__
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TF_TOPICS, TRUTH_PREFIX, add_skeleton_channel
+from hiros_mcap.io.channels import (
+    EVENTS_ATTACHMENT,
+    LIMBS_ATTACHMENT,
+    OUTPUT_PREFIX,
+    OUTPUT_TOPICS,
+    TF_TOPICS,
+    TRUTH_PREFIX,
+    add_skeleton_channel,
+)
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.log import Log
@@ -22,23 +29,6 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, merging_order, sections_of
-
-LIMBS_ATTACHMENT = "hiros/limbs.toml"
-EVENTS_ATTACHMENT = "hiros/events.json"
-
-
-class Output(Protocol):
-    """Where the frames of a run go."""
-
-    @property
-    def cpu_s(self) -> float:
-        """CPU time of the background thread, s."""
-
-    def write(self, channel: str, block: Block) -> None:
-        """Write what came out of a stage, or went into the first one ("detections")."""
-
-    def commit(self, summary: Summary) -> None:
-        """Finish the log and let it appear under its name."""
 
 
 class NoOutput:
@@ -56,13 +46,10 @@ class NoOutput:
 @contextmanager
 def open_output(
     target: Path | None, log: Log, run: Run, chain: Sequence[str], options: ProcessOptions
-) -> Iterator[Output]:
+) -> Iterator[NoOutput | LogOutput]:
     """Yield the output of a run; nothing appears at ``target`` without a commit.
 
-    Raises
-    ------
-    LogError
-        ``target`` is the input or cannot be written.
+    Raises LogError if ``target`` is the input or cannot be written.
     """
     if target is None:
         yield NoOutput()
@@ -161,11 +148,10 @@ def kept_channels(log: Log, options: ProcessOptions) -> list[int]:
             for i in log.channels
             if i.id in read or i.topic in transforms or i.topic.startswith(f"{TRUTH_PREFIX}/")
         ]
-    outputs = {f"{OUTPUT_PREFIX}/{name}" for name in LETTERS.values()}
     return [
         info.id
         for info in log.channels
-        if info.topic not in outputs and any(fnmatchcase(info.topic, g) for g in options.keep)
+        if info.topic not in OUTPUT_TOPICS and any(fnmatchcase(info.topic, g) for g in options.keep)
     ]
 
 

@@ -40,10 +40,7 @@ class AsfSkeleton:
 def read_asf(path: Path) -> AsfSkeleton:
     """Read a skeleton.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file, the line and the fault.
+    Raises ConfigError naming the file, the line and the fault.
     """
     bones: dict[str, _AsfBone] = {}
     degrees = True
@@ -117,10 +114,7 @@ def _parents_first(path: Path, bones: dict[str, _AsfBone]) -> dict[str, _AsfBone
 def read_amc(path: Path, skeleton: AsfSkeleton, rate: float = RATE) -> Clip:
     """Read a motion: where every bone ends, in the units of the skeleton, z up.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file, the line and the fault.
+    Raises ConfigError naming the file, the line and the fault.
     """
     frames: list[dict[str, list[float]]] = []
     for number, line in text_lines(path):

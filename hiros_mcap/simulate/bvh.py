@@ -23,10 +23,7 @@ class _BvhJoint:
 def read_bvh(path: Path) -> Clip:
     """Read a motion: where every joint is, in the file's own unit, z up.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file, the line and the fault.
+    Raises ConfigError naming the file, the line and the fault.
     """
     joints: list[_BvhJoint] = []
     stack: list[int] = []

@@ -38,10 +38,7 @@ class Clip:
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the stripped lines of a text file with their numbers.
 
-    Raises
-    ------
-    ConfigError
-        The file is too large or no text.
+    Raises ConfigError if the file is too large or no text.
     """
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes")

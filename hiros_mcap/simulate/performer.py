@@ -51,10 +51,7 @@ _HINGE = 0.1
 def load_clip(motion: Path, skeleton: Path | None = None) -> Clip:
     """Read an AMC file with its ASF skeleton, or a BVH file.
 
-    Raises
-    ------
-    ConfigError
-        The file is of another kind, or faulty, or its skeleton is missing.
+    Raises ConfigError if the file is of another kind, or faulty, or its skeleton is missing.
     """
     kind = motion.suffix.lower()
     if kind == ".bvh":
@@ -89,10 +86,7 @@ class Performer:
     def of(cls, body: BodyModel, clip: Clip, name: str) -> Performer:
         """Fit a recording to a body.
 
-        Raises
-        ------
-        ConfigError
-            The recording lacks an arm, a leg or the head; ``name`` names it.
+        Raises ConfigError if the recording lacks an arm, a leg or the head; ``name`` names it.
         """
         roles = _roles(clip, name)
         recorded = np.median(
@@ -138,10 +132,7 @@ def perform_files(
 ) -> list[Performer]:
     """Let bodies perform the files of ``params``, placed and rotated so that nobody collides.
 
-    Raises
-    ------
-    ConfigError
-        A file is faulty.
+    Raises ConfigError if a file is faulty.
     """
     names, skeletons = params.motion, params.skeleton
     clips: dict[int, Clip] = {}

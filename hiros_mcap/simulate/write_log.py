@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import heapq
 import os
-import struct
 from collections.abc import Iterator, Mapping
 
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -19,11 +19,6 @@ from hiros_mcap.skeletons import Frame
 TRUTH_TOPIC = "/truth/skeletons"
 # A latched channel: players send it to whoever subscribes late.
 _LATCHED = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
-
-
-def camera_topic(camera: str) -> str:
-    """Channel of a camera's detections."""
-    return f"/{camera}/skeletons"
 
 
 def write_log(
@@ -60,19 +55,18 @@ def write_log(
 def _by_log_time(
     detections: Iterator[Frame], truth: Iterator[Frame]
 ) -> Iterator[tuple[str, Frame]]:
-    named = ((camera_topic(frame.source), frame) for frame in detections)
+    named = ((f"/{frame.source}/skeletons", frame) for frame in detections)
     true = ((TRUTH_TOPIC, frame) for frame in truth)
     return heapq.merge(named, true, key=lambda pair: pair[1].log_time)
 
 
 def encode_tf(poses: Mapping[str, Rigid], parent: str, stamp: int) -> bytes:
     """Return a tf2_msgs/msg/TFMessage in little-endian CDR: each child's pose in ``parent``."""
-    body = bytearray(struct.pack("<I", len(poses)))
+    out = CdrWriter()
+    out.uint32(len(poses))
     for child, pose in poses.items():
-        body += bytes(-len(body) % 4) + struct.pack("<iI", *divmod(stamp, 1_000_000_000))
-        for name in (parent, child):
-            text = name.encode() + b"\0"
-            body += bytes(-len(body) % 4) + struct.pack("<I", len(text)) + text
-        numbers = (*pose.translation.tolist(), *pose.xyzw.tolist())
-        body += bytes(-len(body) % 8) + struct.pack("<7d", *numbers)
-    return b"\0\1\0\0" + bytes(body)
+        out.header(stamp, parent)
+        out.string(child)
+        out.array(pose.translation)
+        out.array(pose.xyzw)
+    return out.finish()

@@ -263,3 +263,10 @@ def test_limbs_are_compared_with_the_median_length_of_their_own_person() -> None
     truth = Truth.of(seen([person(), child], at(k), ids=[0, 1]) for k in range(60))
     truth.positions[30, 1] = 1.1 * child
     assert evaluate(result, truth, MODEL).limb_error == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("sway_m", "is_known"), [(0.02, True), (0.003, False)])
+def test_the_lag_of_somebody_who_sways(sway_m: float, is_known: bool) -> None:
+    """Less than 2 mm in 60 ms is noise, from which no lag is read."""
+    sway = [seen([person(sway_m * math.sin(0.2 * k))], at(k), ids=[0]) for k in range(60)]
+    assert np.isfinite(evaluate(sway, Truth.of(sway), MODEL).lag) == is_known

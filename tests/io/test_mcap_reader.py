@@ -79,7 +79,7 @@ def test_it_is_known_whether_the_data_section_has_a_checksum(path, given):
 def test_attachments_and_metadata_are_found(path):
     with McapReader(write_log(path)) as reader:
         (attachment,) = reader.contents.attachments
-        assert (attachment.name, reader.attachment(attachment)) == ("note.txt", b"some note")
+        assert (attachment.name, reader.attachment("note.txt")) == ("note.txt", b"some note")
         assert reader.contents.metadata == [("about", {"key": "value"})]
 
 

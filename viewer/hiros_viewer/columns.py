@@ -57,9 +57,10 @@ class PoseBatch:
     def add(self, frame: Frame | Poses) -> None:
         """Append a frame's poses."""
         start, self.size = self.size, self.size + len(frame.ids)
-        if self.size > len(self._positions):
-            self._positions = _grown(self._positions, 2 * self.size)
-            self._confidences = _grown(self._confidences, 2 * self.size)
+        if missing := max(0, self.size - len(self._positions)):
+            more = ((0, missing + self.size), (0, 0))
+            self._positions = np.pad(self._positions, (*more, (0, 0)))
+            self._confidences = np.pad(self._confidences, more)
         self._positions[start : self.size] = frame.positions
         self._confidences[start : self.size] = frame.marker_confidences
 
@@ -68,24 +69,24 @@ class PoseBatch:
         self.size = 0
 
 
-def _grown(array: Floats, rows: int) -> Floats:
-    """Return an array of so many rows that begins with the given ones."""
-    larger = np.empty((rows, *array.shape[1:]))
-    larger[: len(array)] = array
-    return larger
+@dataclass(slots=True, kw_only=True)
+class Rows:
+    """What all rows have."""
+
+    stamps: list[int] = field(default_factory=list)
+    started: bool = False
+    """Whether it was said how the entity looks."""
 
 
 @dataclass(slots=True)
-class DetectionRows:
+class DetectionRows(Rows):
     """A camera's detections over time; a row of nobody hides them."""
 
     poses: PoseBatch
-    stamps: list[int] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
     """People in each row."""
     shown: bool = False
     last: int = 0
-    started: bool = False
 
     def add(self, frame: Frame | Poses) -> None:
         """Append a row."""
@@ -108,17 +109,15 @@ class DetectionRows:
 
 
 @dataclass(slots=True)
-class BodyRows:
+class BodyRows(Rows):
     """One body over time; all that is drawn of it is derived from its joints when it is sent."""
 
-    stamps: list[int] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     """Which of its stage's collected poses each row is, or HIDDEN."""
     shown: bool = False
     last: int = 0
     last_root: tuple[int, Floats] | None = None
     """Stamp and place of the root in the last row that was sent."""
-    started: bool = False
 
     def add(self, stamp: int, place: int) -> None:
         """Append a row."""
@@ -158,14 +157,12 @@ class StageRows:
 
 
 @dataclass(slots=True)
-class ScalarRows:
+class ScalarRows(Rows):
     """Curves of one entity over time."""
 
     names: tuple[str, ...]
-    stamps: list[int] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     """len(names) of each row, row by row."""
-    started: bool = False
 
     def add(self, stamp: int, value: float) -> None:
         """Append a row of the only curve."""
@@ -183,13 +180,11 @@ class ScalarRows:
 
 
 @dataclass(slots=True)
-class TextRows:
+class TextRows(Rows):
     """Lines of a log, or states, over time."""
 
-    stamps: list[int] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
     levels: list[str] = field(default_factory=list)
-    started: bool = False
 
     def add(self, stamp: int, text: str, level: str = "INFO") -> None:
         """Append a row."""

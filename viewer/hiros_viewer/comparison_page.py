@@ -14,7 +14,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_viewer.blueprint import blueprint
-from hiros_viewer.figures import SPREAD, TRUTH, new_figure, tidy
+from hiros_viewer.figures import SPREAD, TRUTH, new_axes
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
 from hiros_viewer.scene import Scene
@@ -44,8 +44,7 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
 
 def _bars(outcomes: Sequence[Outcome]) -> Figure:
     ordered = sorted(outcomes, key=lambda o: -o.rank)
-    figure = new_figure(8, 0.32 * len(ordered) + 0.9)
-    axes = figure.subplots()
+    figure, axes = new_axes(8, 0.32 * len(ordered) + 0.9)
     deviations = [0.0 if o.scores is None else o.scores.deviation for o in ordered]
     axes.barh(
         [o.name for o in ordered],
@@ -55,20 +54,17 @@ def _bars(outcomes: Sequence[Outcome]) -> Figure:
         ecolor=SPREAD,
     )
     axes.set(xlabel="mm", xlim=(0, None))
-    tidy(axes)
     return figure
 
 
 def _camera_figure(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
-    figure = new_figure(7, 3.4)
-    axes = figure.subplots()
+    figure, axes = new_axes(7, 3.4)
     for name, row in table.items():
         sizes = sorted(row)
         axes.plot(sizes, [row[size][0] for size in sizes], marker="o", label=name)
     axes.set(xlabel="cameras", ylabel="mm", ylim=(0, None))
     axes.set_xticks(sorted({size for row in table.values() for size in row}))
     axes.legend(frameon=False)
-    tidy(axes)
     return figure
 
 

@@ -16,9 +16,9 @@ from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number
-from hiros_viewer.figures import RESULT, angle_figure, new_figure, tidy, with_gaps
+from hiros_viewer.figures import RESULT, angle_figure, new_axes, with_gaps
 from hiros_viewer.page import Page
 from hiros_viewer.scene import limb_links
 
@@ -51,10 +51,7 @@ class Curves:
     def body(self, person: int | None) -> tuple[int, Body]:
         """Return a person, or the one who is there for longest.
 
-        Raises
-        ------
-        ConfigError
-            There is nobody, or not this one.
+        Raises ConfigError if there is nobody, or not this one.
         """
         if not self.people:
             raise ConfigError(f"{self.title}: holds no people")
@@ -74,9 +71,8 @@ def collect(
     true = {} if truth is None else _true_poses(match(frames, truth.seen_by(model)))
     rows: dict[int, list[tuple[int, Floats]]] = {}
     for frame in frames:
-        for row, person in enumerate(frame.ids.tolist()):
-            if person != UNTRACKED:
-                rows.setdefault(person, []).append((frame.stamp, frame.positions[row]))
+        for row, person in frame.tracked():
+            rows.setdefault(person, []).append((frame.stamp, frame.positions[row]))
     absent = np.full((model.n_markers, 3), np.nan)
     people = {}
     for person, track in sorted(rows.items()):
@@ -98,10 +94,7 @@ def _true_poses(matches: Matches) -> dict[tuple[int, int], Floats]:
 def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
     """Return one of :data:`KINDS` for one person.
 
-    Raises
-    ------
-    ConfigError
-        There is nobody, or nothing of this kind to plot.
+    Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
     _, body = curves.body(person)
     if kind == "angles":
@@ -145,15 +138,13 @@ def _limbs(model: SkeletonModel, body: Body) -> Figure:
     if not limbs:
         raise ConfigError("the marker names reveal no arms or legs")
     lengths = 1000 * lengths_of(body.poses, model)[:, list(limbs.values())]
-    figure = new_figure(11, 3.2)
-    axes = figure.subplots()
+    figure, axes = new_axes(11, 3.2)
     for k, name in enumerate(limbs):
         colour = tuple(0.8 * part / 255 for part in PEOPLE[k % len(PEOPLE)])
         axes.plot(*with_gaps(body.seconds, lengths[:, k]), label=name, lw=1.2, color=colour)
     axes.set(xlabel="s", ylabel="mm")
     axes.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9)
     axes.margins(x=0.01)
-    tidy(axes)
     return figure
 
 
@@ -165,24 +156,19 @@ def _error(body: Body, true_poses: Floats) -> Figure:
         np.nanmean(errors[known], axis=1),
         np.nanmax(errors[known], axis=1),
     )
-    figure = new_figure(11, 2.6)
-    axes = figure.subplots()
+    figure, axes = new_axes(11, 2.6)
     axes.plot(*with_gaps(body.seconds, largest), color="#b8c4d0", lw=1.0, label="largest")
     axes.plot(*with_gaps(body.seconds, mean), color=RESULT, lw=1.2, label="mean")
     axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
     axes.legend(frameon=False, fontsize=9)
     axes.margins(x=0.01)
-    tidy(axes)
     return figure
 
 
 def save_png(figure: Figure, path: Path, dpi: int = 150) -> None:
     """Write a figure as PNG, whole or not at all; the same figure gives the same bytes.
 
-    Raises
-    ------
-    LogError
-        The file cannot be written.
+    Raises LogError if the file cannot be written.
     """
     with replacing(path) as temporary:
         # Without matplotlib's version; the name is how a later run knows the file.

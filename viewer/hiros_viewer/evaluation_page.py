@@ -12,7 +12,7 @@ from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
-from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, new_figure, tidy
+from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, new_axes, new_figure
 from hiros_viewer.page import Page
 
 if TYPE_CHECKING:
@@ -46,19 +46,16 @@ def truth_page(title: str, truth: Truth, results: Mapping[str, ChannelResult]) -
 
 
 def _pck(scores: Mapping[str, Scores]) -> Figure:
-    figure = new_figure(7, 3.4)
-    axes = figure.subplots()
+    figure, axes = new_axes(7, 3.4)
     for topic, s in scores.items():
         axes.plot(PCK_MM, 100 * np.array(s.pck["all"]), label=topic)
     axes.set(xlabel="distance, mm", ylabel="joints, %", xlim=(0, PCK_MM[-1]), ylim=(0, 101))
     axes.legend(frameon=False)
-    tidy(axes)
     return figure
 
 
 def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
-    figure = new_figure(8, 0.22 * len(joints) + 0.8)
-    axes = figure.subplots()
+    figure, axes = new_axes(8, 0.22 * len(joints) + 0.8)
     names = list(joints)[::-1]
     axes.barh(
         names,
@@ -69,7 +66,6 @@ def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
     )
     axes.set(xlabel="mm", xlim=(0, None))
     axes.margins(y=0.01)
-    tidy(axes)
     return figure
 
 

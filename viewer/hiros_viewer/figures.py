@@ -25,6 +25,14 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return a figure of one plot, tidy, size in inches."""
+    figure = new_figure(width, height)
+    axes = figure.subplots()
+    tidy(axes)
+    return figure, axes
+
+
 def tidy(axes: Axes) -> None:
     """Take away what carries no data."""
     axes.spines[["top", "right"]].set_visible(False)

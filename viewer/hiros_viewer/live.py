@@ -97,10 +97,7 @@ def live_view(
     ``closed`` is called if the user closes it while the run goes on. ``arguments`` are passed on
     to the viewer.
 
-    Raises
-    ------
-    HirosError
-        The viewer does not start.
+    Raises HirosError if the viewer does not start.
     """
     # When the window is closed, rerun would print a line per message that it cannot send.
     os.environ.setdefault("RUST_LOG", "off")

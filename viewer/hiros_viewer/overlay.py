@@ -25,10 +25,7 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
 
     ``stage`` is the one to compare; "" = the last one that both logs have.
 
-    Raises
-    ------
-    ConfigError
-        The logs have no stage in common, or other skeletons.
+    Raises ConfigError if the logs have no stage in common, or other skeletons.
     """
     common = [stage for stage in scenes[0].stages if stage in scenes[1].stages]
     stage = stage or next((s for s in reversed(common) if s != "truth"), "")

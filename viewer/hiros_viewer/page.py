@@ -85,10 +85,7 @@ class Page:
     def write(self, path: Path) -> None:
         """Write the file; whole or not at all.
 
-        Raises
-        ------
-        LogError
-            The file cannot be written.
+        Raises LogError if the file cannot be written.
         """
         write_text(path, self.html())
 

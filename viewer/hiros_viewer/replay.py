@@ -14,13 +14,13 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
-from hiros_mcap.running.pipeline import EVENTS_ATTACHMENT
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.columns import Poses
+from hiros_viewer.entities import path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.scene import STAGES, Scene
 
@@ -65,10 +65,8 @@ def replay(
 ) -> Content:
     """Draw logs into a recording, layout included; several are overlaid.
 
-    Raises
-    ------
-    LogError, ConfigError
-        A log cannot be read, lacks a transform or holds no skeletons in the time range.
+    Raises LogError or ConfigError if a log cannot be read, lacks a transform or holds no skeletons
+    in the time range.
     """
     options = options or ViewOptions()
     if options.layout not in LAYOUTS:
@@ -128,8 +126,7 @@ def describe(log: Log) -> Source:
     for camera in detectors:
         for source in camera.sources.values():
             names[source] = _camera_name(camera, source, detectors)
-        if len(camera.frames) == 1 and camera.frames[0] != log.fixed_frame:
-            pose = log.transforms.lookup(camera.frames[0], log.fixed_frame, 0)
+        if (pose := log.pose_of(camera)) is not None:
             poses.update({names[source]: pose for source in camera.sources.values()})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     return Source(log.model, poses, names, stages, _events(log), log.span[0])
@@ -150,14 +147,11 @@ def kind_of(topic: str) -> str:
 
 
 def _events(log: Log) -> tuple[Event, ...]:
-    for attachment in log.reader.contents.attachments:
-        if attachment.name == EVENTS_ATTACHMENT:
-            try:
-                return tuple(events_from_json(log.reader.attachment(attachment).decode()))
-            except (ValueError, TypeError):
-                fault = f"attachment {EVENTS_ATTACHMENT} is damaged"
-                raise LogError(fault, path=log.path) from None
-    return ()
+    try:
+        return tuple(events_from_json((log.reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()))
+    except (ValueError, TypeError):
+        fault = f"attachment {EVENTS_ATTACHMENT} is damaged"
+        raise LogError(fault, path=log.path) from None
 
 
 def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
@@ -190,7 +184,7 @@ def content_of(scenes: list[Scene], prefixes: list[str]) -> Content:
     return Content(
         stages=stages,
         people=sorted({person for scene in scenes for person in scene.people}),
-        cameras=[name.strip("/").replace("/", "_") for name in scenes[0].cameras],
+        cameras=[path_part(name) for name in scenes[0].cameras],
         centre=centre,
         reach=reach,
         camera_centre=scenes[0].camera_centre,

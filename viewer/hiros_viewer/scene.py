@@ -247,13 +247,9 @@ class Scene:
 
     def event(self, event: Event) -> None:
         """Write an event into the log."""
-        who = f" person {event.person}" if event.person >= 0 else ""
-        where = f" {event.source}" if event.source else ""
-        detail = f": {event.detail}" if event.detail else ""
-        level = "WARN" if any(w in event.kind for w in ("lost", "rejected", "doubted")) else "INFO"
-        self._texts.setdefault(f"{self._prefix}/log", TextRows()).add(
-            event.stamp, f"{event.kind}{who}{where}{detail}", level
-        )
+        level = "WARN" if event.is_warning else "INFO"
+        rows = self._texts.setdefault(f"{self._prefix}/log", TextRows())
+        rows.add(event.stamp, event.text, level)
 
     def distance(self, stamp: int, name: str, millimetres: float) -> None:
         """Add to the curve of joint distances between two logs, mm."""

@@ -43,10 +43,7 @@ def new_recording(name: str, identity: str = "") -> rr.RecordingStream:
 def save(target: Path, name: str, draw: Draw) -> None:
     """Write a recording with its layout to a file; whole or not at all.
 
-    Raises
-    ------
-    OSError
-        The file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     recording = new_recording(name)
     handle, temporary = tempfile.mkstemp(".rrd", f".{target.name}.", target.parent)
@@ -69,10 +66,7 @@ def save(target: Path, name: str, draw: Draw) -> None:
 def connect(url: str, name: str, draw: Draw) -> None:
     """Send a recording to a viewer that already runs.
 
-    Raises
-    ------
-    ConfigError
-        Nothing listens there.
+    Raises ConfigError if nothing listens there.
     """
     _need_listener(url)
     recording = new_recording(name)
@@ -186,10 +180,7 @@ def free_port() -> int:
 def running_viewer(*arguments: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Start a viewer to stream to; yield its address and its process, which is left running.
 
-    Raises
-    ------
-    HirosError
-        It does not start (there may be no screen).
+    Raises HirosError if it does not start (there may be no screen).
     """
     command = viewer_command("--expect-data-soon", *arguments)
     port = int(command[command.index("--port") + 1])

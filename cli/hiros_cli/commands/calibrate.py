@@ -65,11 +65,10 @@ def noise(
             file=sys.stderr,
         )
     if json:
-        from json import dumps
-
+        from hiros_cli.output import print_json
         from hiros_mcap.summary import plain
 
-        print(dumps(plain(found), indent=2))
+        print_json(plain(found))
         return
     print(f"# {found.detections} detections; SD per axis of a joint about its mean, mm")
     for kind, table in (("camera", found.cameras), ("joint", found.joints)):

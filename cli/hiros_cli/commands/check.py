@@ -188,11 +188,10 @@ def _with_hint(result: CaseResult, target: Path, golden: Path) -> CaseResult:
 
 def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     if json:
-        from json import dumps
-
+        from hiros_cli.output import print_json
         from hiros_mcap.regression import check_report
 
-        print(dumps(check_report.as_dict(results), indent=2))
+        print_json(check_report.as_dict(results))
         return
     if quiet:
         _show_errors(results)
@@ -200,7 +199,7 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.run_report import console
+    from hiros_cli.run_report import console, say
     from hiros_mcap.regression import check_report
 
     out = console()
@@ -210,7 +209,7 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
         out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
         lines: list[Any] = [*result.faults, *check_report.first_lines(result), *result.notes]
         for line in lines:
-            out.print(Text(f"  {printable(line, 500)}"), soft_wrap=True)
+            say(out, line, before="  ")
 
 
 def _show_errors(results: list[CaseResult]) -> None:

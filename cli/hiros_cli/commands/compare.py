@@ -102,11 +102,10 @@ def compare(
 
         comparison_page(outcomes, study).write(html)
     if json:
-        from json import dumps
-
+        from hiros_cli.output import print_json
         from hiros_mcap.summary import plain
 
-        print(dumps({"outcomes": [plain(o) for o in outcomes]}, indent=2, allow_nan=False))
+        print_json({"outcomes": [plain(o) for o in outcomes]})
     elif not quiet:
         _show(outcomes, study)
 
@@ -138,10 +137,7 @@ def _simulated(folder: Path) -> list[Path]:
 
 
 def _show(outcomes: list[Outcome], study: str | None) -> None:
-    from rich.text import Text
-
-    from hiros_cli.printable import printable
-    from hiros_cli.run_report import console, table
+    from hiros_cli.run_report import console, show_table
     from hiros_mcap.evaluate.comparison import by_number_of_cameras
     from hiros_mcap.evaluate.comparison_tables import camera_table, ranked
 
@@ -152,6 +148,5 @@ def _show(outcomes: list[Outcome], study: str | None) -> None:
         logs = dict.fromkeys(o.log for o in outcomes)
         tables = {log: ranked([o for o in outcomes if o.log == log]) for log in logs}
     out = console()
-    for title, (header, rows) in tables.items():
-        out.print(Text(f"\n{printable(title, 500)}", style="bold"), soft_wrap=True)
-        out.print(table(header[0], *(f">{cell}" for cell in header[1:]), rows=rows))
+    for title, content in tables.items():
+        show_table(out, title, content)

@@ -144,11 +144,12 @@ def _show_truth(output: _Output, truth: Truth, results: dict[str, ChannelResult]
 
         truth_page(str(output.log), truth, results).write(output.html)
     if output.json:
+        from hiros_cli.output import print_json
         from hiros_mcap.summary import plain
 
         channels = {topic: plain(result.scores) for topic, result in results.items()}
         people = list(truth.people)
-        _print_json({"log": str(output.log), "true_people": people, "channels": channels})
+        print_json({"log": str(output.log), "true_people": people, "channels": channels})
     elif not output.quiet:
         from hiros_cli.evaluation import show_truth
 
@@ -164,18 +165,13 @@ def _show_self(output: _Output, config: Config) -> None:
 
         self_page(str(output.log), scores).write(output.html)
     if output.json:
+        from hiros_cli.output import print_json
         from hiros_mcap.summary import plain, plain_value
 
         pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
         data = {"log": str(output.log), **plain(scores), "disagreement": plain_value(pairs)}
-        _print_json(data)
+        print_json(data)
     elif not output.quiet:
         from hiros_cli.evaluation import show_self
 
         show_self(output.log, scores, joints=output.joints)
-
-
-def _print_json(data: dict[str, object]) -> None:
-    from json import dumps
-
-    print(dumps(data, indent=2, allow_nan=False))

@@ -34,9 +34,9 @@ def info(
 
     overview = look(source, topics=topic, extrinsics=extrinsics)
     if json:
-        from json import dumps
+        from hiros_cli.output import print_json
 
-        print(dumps(overview.to_dict(), indent=2))
+        print_json(overview.to_dict())
     else:
         _show(overview)
 
@@ -45,7 +45,7 @@ def _show(overview: Overview) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.run_report import console
+    from hiros_cli.run_report import console, say
     from hiros_mcap.summary import number
 
     out = console()
@@ -62,7 +62,7 @@ def _show(overview: Overview) -> None:
         out.print(part)
     out.print()
     for line in _facts(overview):
-        out.print(Text(printable(line, 500)), soft_wrap=True)
+        say(out, line)
 
 
 def _channels(overview: Overview) -> Any:

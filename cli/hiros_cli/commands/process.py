@@ -228,9 +228,9 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
     if json:
-        from json import dumps
+        from hiros_cli.output import print_json
 
-        print(dumps(summary.to_dict(), indent=2))
+        print_json(summary.to_dict())
     elif not quiet:
         from hiros_cli.run_report import show
 

@@ -15,7 +15,6 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -28,7 +27,6 @@ from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.records import (
     HEAD,
-    AttachmentIndex,
     Bytes,
     Channel,
     Chunk,
@@ -134,12 +132,7 @@ class McapReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -160,8 +153,12 @@ class McapReader:
         """Message definition of a channel, None if it has none."""
         return self._contents.schemas.get(channel.schema_id)
 
-    def attachment(self, index: AttachmentIndex) -> bytes:
-        """Bytes of an attachment, which the walk has checked."""
+    def attachment(self, name: str) -> bytes | None:
+        """Bytes of the first attachment of a name, which the walk has checked; None = no such."""
+        found = (index for index in self._contents.attachments if index.name == name)
+        index = next(found, None)
+        if index is None:
+            return None
         names = len(index.name.encode()) + len(index.media_type.encode())
         start = index.offset + HEAD.size + _ATTACHMENT_FIXED + names
         return self._file.read(start, index.data_size)
@@ -177,11 +174,8 @@ class McapReader:
 
         Chunks without any of ``channels`` (ids, None for all) are not decompressed.
 
-        Raises
-        ------
-        LogError
-            where the file turns out to be damaged, at the message or a few chunks before it; it is
-            then also wrong to use the messages before it.
+        Raises LogError where the file turns out to be damaged, at the message or a few chunks
+        before it; it is then also wrong to use the messages before it.
         """
         chunks = self._contents.chunks
         if channels is not None:

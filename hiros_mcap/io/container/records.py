@@ -145,21 +145,24 @@ class Cursor:
 
 
 def parse_schema(content: Bytes) -> Schema:
-    """Read a schema from the content of its record."""
+    """Read a schema from the content of its record; fields stand in the order of the bytes."""
     at = Cursor(content)
-    ident, name, encoding = at.number(2), at.string(), at.string()
-    return Schema(id=ident, name=name, encoding=encoding, data=bytes(at.take(at.number(4))))
+    return Schema(
+        id=at.number(2),
+        name=at.string(),
+        encoding=at.string(),
+        data=bytes(at.take(at.number(4))),
+    )
 
 
 def parse_channel(content: Bytes) -> Channel:
     """Read a channel from the content of its record."""
     at = Cursor(content)
-    ident, schema_id, topic, encoding = at.number(2), at.number(2), at.string(), at.string()
     return Channel(
-        id=ident,
-        schema_id=schema_id,
-        topic=topic,
-        message_encoding=encoding,
+        id=at.number(2),
+        schema_id=at.number(2),
+        topic=at.string(),
+        message_encoding=at.string(),
         metadata=at.strings(),
     )
 
@@ -167,17 +170,14 @@ def parse_channel(content: Bytes) -> Channel:
 def parse_chunk_index(content: Bytes) -> ChunkIndex:
     """Read a chunk index from the content of its record."""
     at = Cursor(content)
-    start, end, offset, length = (at.number(8) for _ in range(4))
-    offsets = dict(at.numbers(2, 8))
-    index_length, compression = at.number(8), at.string()
     return ChunkIndex(
-        message_start_time=start,
-        message_end_time=end,
-        chunk_start_offset=offset,
-        chunk_length=length,
-        message_index_offsets=offsets,
-        message_index_length=index_length,
-        compression=compression,
+        message_start_time=at.number(8),
+        message_end_time=at.number(8),
+        chunk_start_offset=at.number(8),
+        chunk_length=at.number(8),
+        message_index_offsets=dict(at.numbers(2, 8)),
+        message_index_length=at.number(8),
+        compression=at.string(),
         compressed_size=at.number(8),
         uncompressed_size=at.number(8),
     )
@@ -186,19 +186,16 @@ def parse_chunk_index(content: Bytes) -> ChunkIndex:
 def parse_statistics(content: Bytes) -> Statistics:
     """Read the statistics from the content of their record."""
     at = Cursor(content)
-    messages, schemas = at.number(8), at.number(2)
-    channels, attachments, metadata, chunks = (at.number(4) for _ in range(4))
-    start, end, counts = at.number(8), at.number(8), dict(at.numbers(2, 8))
     return Statistics(
-        message_count=messages,
-        schema_count=schemas,
-        channel_count=channels,
-        attachment_count=attachments,
-        metadata_count=metadata,
-        chunk_count=chunks,
-        message_start_time=start,
-        message_end_time=end,
-        channel_message_counts=counts,
+        message_count=at.number(8),
+        schema_count=at.number(2),
+        channel_count=at.number(4),
+        attachment_count=at.number(4),
+        metadata_count=at.number(4),
+        chunk_count=at.number(4),
+        message_start_time=at.number(8),
+        message_end_time=at.number(8),
+        channel_message_counts=dict(at.numbers(2, 8)),
     )
 
 
@@ -216,12 +213,6 @@ def text(value: str) -> bytes:
 def texts(values: Mapping[str, str]) -> bytes:
     """Return a map of strings with its length in front, in sorted order."""
     raw = b"".join(text(part) for key in sorted(values) for part in (key, values[key]))
-    return struct.pack("<I", len(raw)) + raw
-
-
-def pairs(values: Iterable[tuple[int, int]], layout: str) -> bytes:
-    """Return an array of pairs with its length in front; ``layout`` as in struct, e.g. HQ."""
-    raw = b"".join(struct.pack("<" + layout, *pair) for pair in values)
     return struct.pack("<I", len(raw)) + raw
 
 

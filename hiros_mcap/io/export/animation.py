@@ -45,10 +45,7 @@ def write_bvh(result: Result, target: Path, parts: tuple[str, ...]) -> None:
 def tree_of(model: SkeletonModel) -> tuple[int, Tree]:
     """Return the root and the children of every marker, by the links.
 
-    Raises
-    ------
-    ConfigError
-        The links form no tree with one root.
+    Raises ConfigError if the links form no tree with one root.
     """
     tree: Tree = {}
     for parent, child in zip(model.link_parents, model.link_children, strict=True):
@@ -68,10 +65,7 @@ def _descendants(tree: Tree, slot: int) -> list[int]:
 def _without_gaps(points: Floats, needed: list[int]) -> Floats:
     """Fill gaps of (T, M, 3) linearly, and at both ends with the nearest value.
 
-    Raises
-    ------
-    ConfigError
-        A marker is never there.
+    Raises ConfigError if a marker is never there.
     """
     filled, frames = points.copy(), np.arange(len(points))
     for slot in needed:

@@ -67,10 +67,7 @@ FORMATS: dict[str, ExportFormat] = {
 def format_of(target: Path) -> ExportFormat:
     """Return the kind of file that a name asks for.
 
-    Raises
-    ------
-    ConfigError
-        There is none with this suffix.
+    Raises ConfigError if there is none with this suffix.
     """
     found = FORMATS.get(target.suffix.lower())
     if found is None:

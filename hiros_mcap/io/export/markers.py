@@ -14,11 +14,11 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.body.angles import ANGLES, flexions
 from hiros_mcap.events import Event, Events
+from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX, add_ros_channel
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.export.colours import person_colour
-from hiros_mcap.io.export.messages import CdrWriter
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 
 MARKERS, LABELS = f"{OUTPUT_PREFIX}/markers", f"{OUTPUT_PREFIX}/labels"
 JOINTS, LOG = f"{OUTPUT_PREFIX}/joint_states", f"{OUTPUT_PREFIX}/log"
@@ -27,7 +27,6 @@ LIFETIME_NS = 250_000_000
 _LINE_STRIP, _TEXT, _ADD = 4, 9, 0
 _INFO, _WARN = 20, 30
 _WIDTH_M, _TEXT_M, _ABOVE_M = 0.03, 0.15, 0.2
-_WARNINGS = ("lost", "doubted", "rejected")
 
 
 class MarkerExport:
@@ -89,8 +88,7 @@ def marker_array(frame: Frame, chains: tuple[tuple[int, ...], ...]) -> bytes:
     """visualization_msgs/MarkerArray: the bones of everybody with an id."""
     strips = [
         (person, k, piece)
-        for row, person in enumerate(frame.ids.tolist())
-        if person != UNTRACKED
+        for row, person in frame.tracked()
         for k, piece in enumerate(_pieces(frame.positions[row], chains))
     ]
     out = CdrWriter()
@@ -102,12 +100,11 @@ def marker_array(frame: Frame, chains: tuple[tuple[int, ...], ...]) -> bytes:
 
 def label_array(frame: Frame) -> bytes:
     """visualization_msgs/MarkerArray: everybody's id above the head."""
-    rows = [row for row, person in enumerate(frame.ids.tolist()) if person != UNTRACKED]
-    tops = [(row, top) for row in rows if (top := _top(frame.positions[row])) is not None]
+    tops = [(who, _top(frame.positions[row])) for row, who in frame.tracked()]
+    known = [(person, top) for person, top in tops if top is not None]
     out = CdrWriter()
-    out.uint32(len(tops))
-    for row, top in tops:
-        person = int(frame.ids[row])
+    out.uint32(len(known))
+    for person, top in known:
         _put(out, frame, _Marker(person, "names", person, _TEXT, position=top, text=str(person)))
     return out.finish()
 
@@ -177,11 +174,10 @@ def joint_state(frame: Frame, model: SkeletonModel) -> bytes:
     names: list[str] = []
     angles: list[float] = []
     flexed = flexions(model, frame.positions)
-    for row, person in enumerate(frame.ids.tolist()):
-        if person != UNTRACKED:
-            known = [k for k in range(len(ANGLES)) if not np.isnan(flexed[row, k])]
-            names += [f"person_{person}/{ANGLES[k].replace(' ', '_')}" for k in known]
-            angles += [float(flexed[row, k]) for k in known]
+    for row, person in frame.tracked():
+        known = np.flatnonzero(~np.isnan(flexed[row])).tolist()
+        names += [f"person_{person}/{ANGLES[k].replace(' ', '_')}" for k in known]
+        angles += flexed[row, known].tolist()
     out = CdrWriter()
     out.header(frame.stamp, frame.frame_id)
     out.strings(names)
@@ -193,14 +189,11 @@ def joint_state(frame: Frame, model: SkeletonModel) -> bytes:
 
 def log_message(event: Event) -> bytes:
     """rcl_interfaces/Log: what happened, to whom, seen by which camera."""
-    who = f" person {event.person}" if event.person >= 0 else ""
-    where = f" {event.source}" if event.source else ""
-    detail = f": {event.detail}" if event.detail else ""
     out = CdrWriter()
     out.time(event.stamp)
-    out.byte(_WARN if any(word in event.kind for word in _WARNINGS) else _INFO)
+    out.byte(_WARN if event.is_warning else _INFO)
     out.string("hiros")
-    out.string(f"{event.kind}{who}{where}{detail}")
+    out.string(event.text)
     out.string("")
     out.string("")
     out.uint32(0)
