@@ -99,7 +99,7 @@ def test_y_up_becomes_z_up(tmp_path: Path) -> None:
         ("a.csv", "time,x,y,z\n0,1,2,3\n", "line 1: no column marker"),
         ("a.csv", CSV.replace("1.5", "high", 1), "line 3: 'high' is not a number"),
         ("a.csv", CSV + "0.5,2,Neck,3,0,1.5\n", "line 6: Neck twice"),
-        ("a.csv", "time,marker,x,y,z\n1,A,0,0,0\n", "two instants"),
+        ("a.csv", "time,marker,x,y,z\n1,A,0,0,0\n", "two increasing times"),
         ("a.csv", CSV.replace("0.5,2", "0.5,nan"), "line 5: time and person must be numbers"),
         ("a.csv", CSV.replace("0.5,2", "0.5,1.5"), "line 5: time and person must be numbers"),
         ("a.csv", CSV.replace("1.5", "inf", 1), "line 3: 'inf' is not a number"),

@@ -84,7 +84,7 @@ def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        (["-o", "a.pdf"], "ends in .png or .html"),
+        (["-o", "a.pdf"], "must end in .png or .html"),
         (["-o", "/nowhere/at/all.png"], "no such folder"),
         (["-o", "a.png", "--what", "dance"], "none of angles, limbs, error"),
         (["-o", "a.png", "--person", "9"], "{log}: /hiros/filtered: no person 9"),
