@@ -13,7 +13,6 @@ from hiros_cli.printable import printable
 from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary, number
 
 PIPE_WIDTH = 160
-STEPS = ("read", "tracked", "merged", "optimized", "filtered", "write")
 
 
 def console() -> Console:
@@ -139,13 +138,6 @@ def _percent(ratio: float) -> str:
 
 
 def _times(summary: Summary) -> Table:
-    """Return the steps in the order in which a frame passes them; unknown ones come last."""
-    order = {name: k for k, name in enumerate(STEPS)}
-    return table(
-        "Step",
-        ">CPU time",
-        rows=[
-            (step.name, number(step.cpu_s, 3, " s"))
-            for step in sorted(summary.stages, key=lambda step: order.get(step.name, len(order)))
-        ],
-    )
+    """Return the steps in the order in which a frame passes them."""
+    rows = [(step.name, number(step.cpu_s, 3, " s")) for step in summary.stages]
+    return table("Step", ">CPU time", rows=rows)

@@ -6,6 +6,7 @@ so it is no error and no bound of one. It compares cameras, joints and settings 
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -133,14 +134,9 @@ def _fused(
     """Return the last stage's frames on some of the cameras."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
-        escaped = tuple(_literal(topic) for topic in topics)
+        escaped = tuple(map(glob.escape, topics))
         process(source, out, config=config, options=replace(options, topics=escaped, keep=()))
         return read_channel(out, output_channels(out)[-1])[0]
-
-
-def _literal(topic: str) -> str:
-    """Return a glob that matches just this topic."""
-    return "".join(f"[{c}]" if c in "*?[" else c for c in topic)
 
 
 def _left_out(

@@ -59,7 +59,7 @@ def jitter(tracks: Iterable[Track]) -> Floats:
     return nan_mean(np.concatenate(parts), 0) if parts else np.array([np.nan])
 
 
-def lag(matches: Matches, truth: Truth, shifts: Sequence[int] = SHIFTS_MS) -> float:
+def lag(matches: Matches, truth: Truth) -> float:
     """By how many ms the result is late: the shift of the truth with the least squared error.
 
     A parabola through the best three shifts gives the fraction; NaN when nobody moves or the log is
@@ -69,12 +69,12 @@ def lag(matches: Matches, truth: Truth, shifts: Sequence[int] = SHIFTS_MS) -> fl
     chosen = [
         k
         for k in range(0, len(matches.stamps), step)
-        if truth.covers(matches.stamps[k] - shifts[-1] * 1_000_000)
-        and truth.covers(matches.stamps[k] - shifts[0] * 1_000_000)
+        if truth.covers(matches.stamps[k] - SHIFTS_MS[-1] * 1_000_000)
+        and truth.covers(matches.stamps[k] - SHIFTS_MS[0] * 1_000_000)
     ]
     if not chosen:
         return np.nan
-    costs = np.array([_cost(matches, truth, chosen, shift) for shift in shifts])
+    costs = np.array([_cost(matches, truth, chosen, shift) for shift in SHIFTS_MS])
     if np.isnan(costs).any():
         return np.nan
     best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
@@ -82,7 +82,7 @@ def lag(matches: Matches, truth: Truth, shifts: Sequence[int] = SHIFTS_MS) -> fl
     curvature = left - 2 * middle + right
     if costs.max() - costs.min() < _STANDS_STILL or curvature <= 0:
         return np.nan
-    return float(shifts[best] + 0.5 * (shifts[1] - shifts[0]) * (left - right) / curvature)
+    return float(SHIFTS_MS[best] + 0.5 * (SHIFTS_MS[1] - SHIFTS_MS[0]) * (left - right) / curvature)
 
 
 def _cost(matches: Matches, truth: Truth, chosen: Sequence[int], shift: int) -> float:

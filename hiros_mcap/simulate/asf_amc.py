@@ -111,7 +111,7 @@ def _parents_first(path: Path, bones: dict[str, _AsfBone]) -> dict[str, _AsfBone
     return ordered
 
 
-def read_amc(path: Path, skeleton: AsfSkeleton, rate: float = RATE) -> Clip:
+def read_amc(path: Path, skeleton: AsfSkeleton) -> Clip:
     """Read a motion: where every bone ends, in the units of the skeleton, z up.
 
     Raises ConfigError naming the file, the line and the fault.
@@ -132,7 +132,7 @@ def read_amc(path: Path, skeleton: AsfSkeleton, rate: float = RATE) -> Clip:
             raise ConfigError(f"{path}: line {number}: not numbers: {line[:60]!r}") from None
     if len(frames) < 2:
         raise ConfigError(f"{path}: not an AMC file: it has {len(frames)} frames")
-    return Clip(_joints(path, skeleton, frames), rate)
+    return Clip(_joints(path, skeleton, frames), RATE)
 
 
 def _joints(

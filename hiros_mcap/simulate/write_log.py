@@ -21,9 +21,7 @@ TRUTH_TOPIC = "/truth/skeletons"
 _LATCHED = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
 
 
-def write_log(
-    path: str | os.PathLike[str], params: SimulateParams, *, compression: str = "zstd"
-) -> dict[str, int]:
+def write_log(path: str | os.PathLike[str], params: SimulateParams) -> dict[str, int]:
     """Write a simulated log and return its messages by topic.
 
     Detections are on /<camera>/skeletons in the camera's coordinates, the cameras' published
@@ -34,7 +32,7 @@ def write_log(
     """
     simulation = simulate(params)
     encoder = Encoder(simulation.model)
-    with McapWriter(path, compression=compression) as writer:
+    with McapWriter(path) as writer:
         tf = writer.add_channel(
             "/tf_static",
             writer.add_schema(

@@ -165,11 +165,11 @@ def _error(body: Body, true_poses: Floats) -> Figure:
     return figure
 
 
-def save_png(figure: Figure, path: Path, dpi: int = 150) -> None:
+def save_png(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, whole or not at all; the same figure gives the same bytes.
 
     Raises LogError if the file cannot be written.
     """
     with replacing(path) as temporary:
         # Without matplotlib's version; the name is how a later run knows the file.
-        figure.savefig(temporary, format="png", dpi=dpi, metadata={"Software": "hiros"})
+        figure.savefig(temporary, format="png", dpi=150, metadata={"Software": "hiros"})

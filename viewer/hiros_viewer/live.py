@@ -6,6 +6,7 @@ import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hiros_mcap.events import Events
@@ -49,10 +50,7 @@ class LiveView:
         self._scene = Scene(self._recording, source.model, final=chain[-1], batch=BATCH)
         self._scene.begin(source.cameras)
         content = content_of([self._scene], [""])
-        stages = Content(
-            list(chain), [], content.cameras, content.centre, content.reach, content.camera_centre
-        )
-        self._recording.send_blueprint(blueprint(stages, self._layout))
+        self._lay_out(replace(content, stages=list(chain)))
 
     def frame(self, channel: str, frame: Frame) -> None:
         """Draw a frame, as long as somebody looks."""
@@ -74,7 +72,10 @@ class LiveView:
             self._closed()
         elif not self._laid_out and scene.bounds:
             self._laid_out = True
-            self._recording.send_blueprint(blueprint(content_of([scene], [""]), self._layout))
+            self._lay_out(content_of([scene], [""]))
+
+    def _lay_out(self, content: Content) -> None:
+        self._recording.send_blueprint(blueprint(content, self._layout))
 
     def end(self, events: Events) -> None:
         """Draw the events and what is left."""
@@ -82,8 +83,7 @@ class LiveView:
             for event in sorted(events.log, key=lambda event: event.stamp):
                 self._scene.event(event)
             self._scene.finish()
-            content = content_of([self._scene], [""])
-            self._recording.send_blueprint(blueprint(content, self._layout))
+            self._lay_out(content_of([self._scene], [""]))
             self._recording.flush()
         self._scene = None
 

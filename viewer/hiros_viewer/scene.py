@@ -16,6 +16,7 @@ Rows are collected and sent in columns, a batch at a time, so that memory stays 
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -103,11 +104,12 @@ class Scene:
         self._batch = batch
         self._collected = 0
         self._n_detections = 0
-        self._detections: dict[str, DetectionRows] = {}
-        self._stages: dict[str, StageRows] = {}
+        n = model.n_markers
+        self._detections = defaultdict[str, DetectionRows](lambda: DetectionRows(PoseBatch(n)))
+        self._stages = defaultdict[str, StageRows](lambda: StageRows(PoseBatch(n)))
         self._scalars: dict[str, ScalarRows] = {}
         self._curves: dict[tuple[str, str], ScalarRows] = {}
-        self._texts: dict[str, TextRows] = {}
+        self._texts = defaultdict[str, TextRows](TextRows)
         self._reference = _Reference()
         self._waiting: list[tuple[int, int, str, Floats]] = []
         """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
@@ -135,16 +137,14 @@ class Scene:
         if cameras:
             self.camera_centre = np.mean([pose.translation for pose in cameras.values()], axis=0)
         for number, (name, pose) in enumerate(cameras.items()):
-            self._detections[name] = DetectionRows(PoseBatch(self.model.n_markers))
+            _ = self._detections[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
 
     # -- frames --------------------------------------------------------------------------------
 
     def detections(self, camera: str, frame: Frame | Poses) -> None:
         """Draw what a camera reports; the frame is in the fixed frame."""
-        rows = self._detections.get(camera)
-        if rows is None:
-            rows = self._detections[camera] = DetectionRows(PoseBatch(self.model.n_markers))
+        rows = self._detections[camera]
         self._hide_after_pause(rows, frame.stamp)
         rows.add(frame)
         self._curve("/people", camera).add(frame.stamp, len(frame.ids))
@@ -180,9 +180,7 @@ class Scene:
 
     def stage(self, name: str, frame: Frame | Poses) -> None:
         """Draw a stage's people."""
-        rows = self._stages.get(name)
-        if rows is None:
-            rows = self._stages[name] = StageRows(PoseBatch(self.model.n_markers))
+        rows = self._stages[name]
         self._end_before_pause(name, rows, frame.stamp)
         place = rows.poses.size
         rows.poses.add(frame)
@@ -236,8 +234,7 @@ class Scene:
         if here == self._alive:
             return
         for person in sorted(here - self._alive):
-            rows = self._texts.setdefault(f"{self._prefix}/state/{person}", TextRows())
-            rows.add(stamp, "tracked")
+            self._texts[f"{self._prefix}/state/{person}"].add(stamp, "tracked")
         self._leave(self._alive - here, stamp)
         self._alive = here
 
@@ -248,8 +245,7 @@ class Scene:
     def event(self, event: Event) -> None:
         """Write an event into the log."""
         level = "WARN" if event.is_warning else "INFO"
-        rows = self._texts.setdefault(f"{self._prefix}/log", TextRows())
-        rows.add(event.stamp, event.text, level)
+        self._texts[f"{self._prefix}/log"].add(event.stamp, event.text, level)
 
     def distance(self, stamp: int, name: str, millimetres: float) -> None:
         """Add to the curve of joint distances between two logs, mm."""

@@ -27,14 +27,13 @@ MEMORY_LIMIT = "50%"
 Draw = Callable[["rr.RecordingStream"], object]
 
 
-def new_recording(name: str, identity: str = "") -> rr.RecordingStream:
-    """Return a recording that goes nowhere yet; ``identity`` makes its id reproducible."""
+def new_recording(name: str) -> rr.RecordingStream:
+    """Return a recording that goes nowhere yet; the same name gives the same id."""
     # Wall-clock times in a recording would differ from run to run.
     os.environ.setdefault("RERUN_LOG_TIME", "0")
     import rerun as rr
 
-    text = identity or name
-    recording_id = hashlib.sha256(text.encode()).hexdigest()[:12]
+    recording_id = hashlib.sha256(name.encode()).hexdigest()[:12]
     recording = rr.RecordingStream(APPLICATION, recording_id=recording_id)
     recording.send_recording_name(name)
     return recording
@@ -95,14 +94,14 @@ def window(name: str, draw: Draw) -> int:
     return _with_file(name, draw, lambda path, env: subprocess.call(viewer_command(path), env=env))  # noqa: S603
 
 
-def web(name: str, draw: Draw, announce: Callable[[str], None], port: int = 0) -> int:
+def web(name: str, draw: Draw, announce: Callable[[str], None]) -> int:
     """Serve the web viewer on the loopback address until it is interrupted.
 
-    ``announce`` is told the address to open; port 0 chooses a free one.
+    ``announce`` is told the address to open.
     """
 
     def serve(path: Path, env: dict[str, str]) -> int:
-        page, data = port or free_port(), free_port()
+        page, data = free_port(), free_port()
         command = [
             *(str(viewer_binary()), "--serve-web", "--bind", LOOPBACK),
             *("--web-viewer-port", str(page), "--port", str(data), str(path)),

@@ -143,10 +143,10 @@ class McapWriter:
                 self._define(self.schemas, contents.schemas[channel.schema_id], r.build)
             self._define(self.channels, channel, r.build)
 
-    def add_schema(self, name: str, data: bytes, *, encoding: str = "ros2msg") -> int:
-        """Add a message definition and return its id."""
+    def add_schema(self, name: str, data: bytes) -> int:
+        """Add a definition of ROS 2 messages and return its id."""
         ident = self._free(self.schemas, self._reserved[0])
-        schema = r.Schema(id=ident, name=name, encoding=encoding, data=data)
+        schema = r.Schema(id=ident, name=name, encoding="ros2msg", data=data)
         self._define(self.schemas, schema, r.build)
         return schema.id
 
