@@ -28,7 +28,7 @@ class AssignmentWork(NamedTuple):
     visited: Flags
 
     @classmethod
-    def room(cls, size: int) -> AssignmentWork:
+    def allocate(cls, size: int) -> AssignmentWork:
         """Arrays for at most ``size`` rows and columns."""
         n = size + 1
         floats, indices = np.empty((3, n)), np.empty((2, n), np.int64)
@@ -119,5 +119,5 @@ def assign(cost: Floats) -> Stamps:
     ``cost`` is (R, C), C-contiguous; infinite entries are never assigned. Returns (C,), -1 = none.
     """
     row_of_column = np.empty(cost.shape[1], np.int64)
-    solve(cost, *cost.shape, AssignmentWork.room(max(cost.shape)), row_of_column)
+    solve(cost, *cost.shape, AssignmentWork.allocate(max(cost.shape)), row_of_column)
     return row_of_column

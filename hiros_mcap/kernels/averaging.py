@@ -55,7 +55,7 @@ class Views(NamedTuple):
     """(K, L, 19) and (K, L)."""
 
     @classmethod
-    def room(cls, views: int, n_markers: int, n_links: int) -> Views:
+    def allocate(cls, views: int, n_markers: int, n_links: int) -> Views:
         """Arrays whose contents are still to come."""
         k, m, n = views, n_markers, n_links
         shapes = (k,), (k, m, STATE), (k, m), (k, n, STATE), (k, n)
@@ -121,9 +121,9 @@ def _carry(states: Floats, dt: float) -> None:
 
 @kernel
 def load_views(
-    buffers: Buffers, q: int, people: People, person: int, carry: bool, room: Views
+    buffers: Buffers, q: int, people: People, person: int, carry: bool, scratch: Views
 ) -> Views:
-    """Return the views that buffer ``q`` holds of a person, copied into ``room``.
+    """Return the views that buffer ``q`` holds of a person, copied into ``scratch``.
 
     ``people`` are those of all messages. With ``carry``, poses are carried to the mean time.
     """
@@ -132,21 +132,21 @@ def load_views(
         for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
             if people.ids[i] != person:
                 continue
-            room.cameras[n] = buffers.messages[k, CAMERA]
-            room.stamps[n] = buffers.messages[k, TIME]
-            room.confidences[n] = people.confidences[i]
-            copy_row(room.markers, n, people.markers, i)
-            copy_row(room.marker_confidences, n, people.marker_confidences, i)
-            copy_row(room.links, n, people.links, i)
-            copy_row(room.link_confidences, n, people.link_confidences, i)
+            scratch.cameras[n] = buffers.messages[k, CAMERA]
+            scratch.stamps[n] = buffers.messages[k, TIME]
+            scratch.confidences[n] = people.confidences[i]
+            copy_row(scratch.markers, n, people.markers, i)
+            copy_row(scratch.marker_confidences, n, people.marker_confidences, i)
+            copy_row(scratch.links, n, people.links, i)
+            copy_row(scratch.link_confidences, n, people.link_confidences, i)
             if carry:
-                dt = (buffers.stamps[q] - room.stamps[n]) * 1e-9
-                _carry(room.markers[n], dt)
-                _carry(room.links[n], dt)
+                dt = (buffers.stamps[q] - scratch.stamps[n]) * 1e-9
+                _carry(scratch.markers[n], dt)
+                _carry(scratch.links[n], dt)
             n += 1
     return Views(
-        room.cameras[:n], room.stamps[:n], room.confidences[:n], room.markers[:n],
-        room.marker_confidences[:n], room.links[:n], room.link_confidences[:n],
+        scratch.cameras[:n], scratch.stamps[:n], scratch.confidences[:n], scratch.markers[:n],
+        scratch.marker_confidences[:n], scratch.links[:n], scratch.link_confidences[:n],
     )  # fmt: skip
 
 

@@ -448,7 +448,7 @@ def _average(
 def cluster_buffers(
     buffers: Buffers,
     people: People,
-    room: Views,
+    scratch: Views,
     past: ClusterPast,
     settings: ClusterSettings,
     joints: Joints,
@@ -461,14 +461,14 @@ def cluster_buffers(
     Parameters
     ----------
     buffers, people : the messages, and the people that they show.
-    room : for the views of any person in a buffer; so is ``work``.
+    scratch : for the views of any person in a buffer; so is ``work``.
     past : brought to the last buffer that shows the person.
     out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times.
     counts : (2, C) outliers and swaps by camera; added to.
     """
     for q in range(len(buffers.stamps)):
         for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
-            views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, room)
+            views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, scratch)
             _merge_person(
                 buffers.stamps[q], views, past, buffers.past_rows[p], settings, joints, out, p,
                 counts, work,

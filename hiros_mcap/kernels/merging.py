@@ -772,7 +772,7 @@ def _learn_offsets(
 def merge_buffers(
     buffers: Buffers,
     people: People,
-    room: Views,
+    scratch: Views,
     past: MergerPast,
     settings: MergerSettings,
     sides: Sides,
@@ -785,7 +785,7 @@ def merge_buffers(
     Parameters
     ----------
     buffers, people : the messages, and the people that they show.
-    room : for the views of any person in a buffer; so is ``work``.
+    scratch : for the views of any person in a buffer; so is ``work``.
     past : brought to the last buffer that shows the person.
     out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times. Who
         is in no message of a buffer is carried on from the past.
@@ -793,7 +793,7 @@ def merge_buffers(
     """
     for q in range(len(buffers.stamps)):
         for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
-            views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, room)
+            views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, scratch)
             row = buffers.past_rows[p]
             if len(views.stamps) == 0:
                 _bridge(buffers.stamps[q], past, row, out, p)

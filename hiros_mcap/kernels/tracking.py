@@ -97,7 +97,7 @@ class Tracks(NamedTuple):
     """(T, L) time of each link's state, ns."""
 
     @classmethod
-    def room(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
+    def allocate(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
         """Arrays of zeros."""
         t, m, n = n_tracks, n_markers, n_links
         markers = [np.zeros((t, m, k)) for k in (3, 3, 3, 6)]
@@ -178,7 +178,7 @@ class TrackWork(NamedTuple):
     """(P,) USABLE, NO_MARKERS or LOW_CONFIDENCE."""
 
     @classmethod
-    def room(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
+    def allocate(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
         """Arrays for at most that many tracks and detections."""
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         return cls(
@@ -191,7 +191,7 @@ class TrackWork(NamedTuple):
                 np.empty((t, p)),
                 np.empty(p, np.int64),
             ),
-            AssignmentWork.room(max(t, p)),
+            AssignmentWork.allocate(max(t, p)),
             np.empty(p, np.int64),
         )
 

@@ -196,7 +196,7 @@ class _ClusterKernel:
         self._make_room(0)
 
     def _make_room(self, views: int) -> None:
-        self._views = Views.room(views, *self._slots)
+        self._views = Views.allocate(views, *self._slots)
         self._work = self._kernels.ClusterWork.of(views, self._slots[0])
 
     def __call__(

@@ -200,7 +200,7 @@ class _MergeKernel:
         self._make_room(0)
 
     def _make_room(self, views: int) -> None:
-        self._views = Views.room(views, *self._slots)
+        self._views = Views.allocate(views, *self._slots)
         self._work = merging.MergerWork.of(views, *self._slots)
 
     def __call__(

@@ -359,7 +359,7 @@ class _Tracker:
         self.params = params
         self.events = events
         self.tracks: list[_Track] = []
-        self.bank = Bank(kernels.Tracks.room(0, model.n_markers, model.n_links))
+        self.bank = Bank(kernels.Tracks.allocate(0, model.n_markers, model.n_links))
         self.coverage = Coverage(cameras)
         self.delay: Delay[_DetectionGroup] = Delay(params.lookahead)
         self.numbers, self.ids = itertools.count(), itertools.count()
@@ -370,7 +370,7 @@ class _Tracker:
             getattr(params, name) for name in kernels.TrackSettings._fields
         )._replace(flip_aware=params.flip_aware and symmetry.known)
         self._work = partial(
-            kernels.TrackWork.room, n_markers=model.n_markers, n_links=model.n_links
+            kernels.TrackWork.allocate, n_markers=model.n_markers, n_links=model.n_links
         )
         self.work = self._work(8, 8)
 

@@ -69,7 +69,7 @@ def compared(
     people.markers[..., POSITION], people.markers[..., VELOCITY] = markers, 0.0
     people.links[..., ORIENTATION], people.links[..., ANGULAR_VELOCITY] = links, 0.0
     people.marker_confidences[:] = people.link_confidences[:] = confidence
-    rows, work = np.arange(len(tracks.seen)), tracking.TrackWork.room(len(tracks.seen), p, m, n)
+    rows, work = np.arange(len(tracks.seen)), tracking.TrackWork.allocate(len(tracks.seen), p, m, n)
     work.pairs.wanted.fill(True)
     same = np.arange(m, dtype=np.int32)
     tracking.predict(SECOND, rows, tracks, used.horizon, work.predicted)
@@ -80,7 +80,7 @@ def compared(
 
 def tracks_at(positions: Floats, orientations: Floats) -> tracking.Tracks:
     """Tracks (T, M, 3), (T, L, 4) that were seen at 1 s."""
-    tracks = tracking.Tracks.room(*positions.shape[:2], orientations.shape[1])
+    tracks = tracking.Tracks.allocate(*positions.shape[:2], orientations.shape[1])
     tracks.positions[:], tracks.orientations[:] = positions, orientations
     tracks.seen[:] = tracks.links_seen[:] = SECOND
     return tracks
@@ -203,7 +203,7 @@ def test_id_outlives_a_gap_of_max_gap_and_no_longer(more: int, expected: int) ->
 
 @pytest.mark.parametrize("cameras", [1, 5])
 def test_velocities_of_a_sinusoid(cameras: int) -> None:
-    """H18, also with cameras 0.2 ms apart, whose finite differences would explode."""
+    """Also with cameras 0.2 ms apart, where finite differences explode."""
     frames, stamps = [], []
     for k, camera in itertools.product(range(90), range(cameras)):
         stamps.append(at(k) + camera * 200_000)

@@ -204,11 +204,11 @@ def _eye(content: Content) -> Floats:
     """(3,) Where to look from, m: behind cameras that stand on one side, else from a corner."""
     back, distance = np.array([-0.55, -0.85]), 1.8 * max(content.reach, 1.0) + 1.6
     if content.camera_centre is not None:
-        apart = (content.camera_centre - content.centre)[:2]
-        if np.linalg.norm(apart) > 1.0:
+        offset = (content.camera_centre - content.centre)[:2]
+        if np.linalg.norm(offset) > 1.0:
             turn = np.radians(22.0)
             across = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-            back, distance = across @ apart, max(distance, float(np.linalg.norm(apart)) + 1.2)
+            back, distance = across @ offset, max(distance, float(np.linalg.norm(offset)) + 1.2)
     direction = np.array([*(back / np.linalg.norm(back)), 0.45])
     return np.asarray(content.centre + distance * direction / np.linalg.norm(direction))
 

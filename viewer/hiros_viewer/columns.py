@@ -109,8 +109,8 @@ class DetectionRows(Rows):
 
 
 @dataclass(slots=True)
-class BodyRows(Rows):
-    """One body over time; all that is drawn of it is derived from its joints when it is sent."""
+class PersonRows(Rows):
+    """One person over time; all that is drawn of it is derived from its joints when it is sent."""
 
     places: list[int] = field(default_factory=list)
     """Which of its stage's collected poses each row is, or HIDDEN."""
@@ -142,17 +142,17 @@ class StageRows:
     """Everybody of one stage over time."""
 
     poses: PoseBatch
-    bodies: dict[int, BodyRows] = field(default_factory=dict)
+    people: dict[int, PersonRows] = field(default_factory=dict)
     """By the person's id."""
-    shown: dict[int, BodyRows] = field(default_factory=dict)
+    shown: dict[int, PersonRows] = field(default_factory=dict)
     """Those of them that are not hidden."""
     last: int = 0
     """Stamp of the newest frame; 0 before there is one."""
 
     def hide_all(self, stamp: int) -> None:
         """Hide everybody."""
-        for body in self.shown.values():
-            body.hide(stamp)
+        for person_rows in self.shown.values():
+            person_rows.hide(stamp)
         self.shown.clear()
 
 

@@ -17,8 +17,8 @@ from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.columns import (
     HIDDEN,
-    BodyRows,
     DetectionRows,
+    PersonRows,
     PoseBatch,
     ScalarRows,
     TextRows,
@@ -159,7 +159,7 @@ class Entities:
         self.recording.send_columns(path, [times(rows.stamps)], columns(parts, n_markers * counts))
         return _highest(rows.poses, places)
 
-    def person(self, path: str, rows: BodyRows, poses: PoseBatch) -> tuple[Flags, Floats]:
+    def person(self, path: str, rows: PersonRows, poses: PoseBatch) -> tuple[Flags, Floats]:
         """Send joints, bones, label and trail of one person, all rows at once.
 
         Returns

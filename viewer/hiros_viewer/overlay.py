@@ -16,7 +16,7 @@ from hiros_viewer.scene import Scene
 
 SIMULTANEOUS_NS = 17_000_000
 """Frames of two logs at most half a period of 30 Hz apart are compared."""
-SAME_BODY = 1.0
+SAME_PERSON = 1.0
 """m, mean over joints."""
 
 
@@ -50,11 +50,11 @@ def paired(first: Iterator[Frame], second: Iterator[Frame]) -> Iterator[tuple[Fr
     """Yield frames of the same time; both are in the order of their time."""
     a, b = next(first, None), next(second, None)
     while a is not None and b is not None:
-        apart = b.stamp - a.stamp
-        if abs(apart) <= SIMULTANEOUS_NS:
+        later = b.stamp - a.stamp
+        if abs(later) <= SIMULTANEOUS_NS:
             yield a, b
             a, b = next(first, None), next(second, None)
-        elif apart < 0:
+        elif later < 0:
             b = next(second, None)
         else:
             a = next(first, None)
@@ -66,7 +66,7 @@ def joint_distances(a: Frame, b: Frame) -> Floats:
     each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
     known = ~np.isnan(each)
     mean = np.where(known, each, 0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
-    mean[~known.any(axis=-1) | (mean > SAME_BODY)] = np.inf
+    mean[~known.any(axis=-1) | (mean > SAME_PERSON)] = np.inf
     rows = assign(np.ascontiguousarray(mean)).tolist()
     found = [each[row, column] for column, row in enumerate(rows) if row >= 0]
     flat = np.concatenate(found) if found else np.zeros(0)

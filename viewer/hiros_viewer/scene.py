@@ -32,8 +32,8 @@ from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import (
-    BodyRows,
     DetectionRows,
+    PersonRows,
     PoseBatch,
     Poses,
     ScalarRows,
@@ -51,7 +51,7 @@ BATCH = 4000
 """Frames collected before they are sent."""
 GONE_NS = 250_000_000
 """Somebody or something that was not seen for this long is hidden."""
-_SAME_BODY_M = 1.0
+_SAME_PERSON_M = 1.0
 _MOST_BOUNDS = 2000
 _MOST_WAITING = 10_000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
@@ -172,9 +172,9 @@ class Scene:
 
     def _residual(self, camera: str, stamp: int, positions: Floats, people: Floats) -> None:
         """Draw the mean joint distance of detections to the nearest person each."""
-        apart = np.empty(len(positions))
-        nearest(positions, people, apart)
-        same = [distance for distance in apart.tolist() if distance < _SAME_BODY_M]
+        distances = np.empty(len(positions))
+        nearest(positions, people, distances)
+        same = [distance for distance in distances.tolist() if distance < _SAME_PERSON_M]
         if same:
             self._curve("/residual", camera).add(stamp, 1000 * sum(same) / len(same))
 
@@ -187,13 +187,13 @@ class Scene:
         ids = frame.ids.tolist()
         for person in ids:
             if person != UNTRACKED:
-                body = rows.bodies.get(person)
-                if body is None:
-                    body = rows.bodies[person] = BodyRows()
+                person_rows = rows.people.get(person)
+                if person_rows is None:
+                    person_rows = rows.people[person] = PersonRows()
                     self.people.add(person)
-                self._hide_after_pause(body, frame.stamp)
-                body.add(frame.stamp, place)
-                rows.shown[person] = body
+                self._hide_after_pause(person_rows, frame.stamp)
+                person_rows.add(frame.stamp, place)
+                rows.shown[person] = person_rows
             place += 1
         # The tracker's frames are of one camera each, which does not see everybody.
         self._hide_gone(rows, ids, frame.stamp, GONE_NS if name == "tracked" else 0)
@@ -206,8 +206,8 @@ class Scene:
         """Hide people whom this frame lacks."""
         gone = [
             person
-            for person, body in rows.shown.items()
-            if person not in ids and stamp - body.last >= patience
+            for person, person_rows in rows.shown.items()
+            if person not in ids and stamp - person_rows.last >= patience
         ]
         for person in gone:
             rows.shown.pop(person).hide(stamp)
@@ -223,7 +223,7 @@ class Scene:
             self._leave(self._alive, last + GONE_NS)
             self._alive = set()
 
-    def _hide_after_pause(self, rows: DetectionRows | BodyRows, stamp: int) -> None:
+    def _hide_after_pause(self, rows: DetectionRows | PersonRows, stamp: int) -> None:
         """Hide what was last shown before a pause of the channel."""
         if rows.shown and stamp - rows.last > 2 * GONE_NS:
             rows.hide(rows.last + GONE_NS)
@@ -271,8 +271,8 @@ class Scene:
         for rows in self._detections.values():
             rows.hide(rows.last + GONE_NS)
         for stage in self._stages.values():
-            for body in stage.shown.values():
-                body.hide(body.last + GONE_NS)
+            for person_rows in stage.shown.values():
+                person_rows.hide(person_rows.last + GONE_NS)
         self._compare(_Reference(self._reference.stamp + 2 * GONE_NS))
         final = self._stages.get(self.final)
         self._leave(self._alive, (final.last if final else 0) + GONE_NS)
@@ -301,15 +301,17 @@ class Scene:
 
     def _send_stage(self, stage: str, rows: StageRows) -> None:
         """Send everybody of a stage."""
-        for person, body in rows.bodies.items():
-            if body.stamps:
+        for person, person_rows in rows.people.items():
+            if person_rows.stamps:
                 path = f"{self._prefix}/{stage}/{person}"
-                shown, highest = self._entities.person(path, body, rows.poses)
+                shown, highest = self._entities.person(path, person_rows, rows.poses)
                 self._extend_bounds(highest)
                 if stage == self.final and shown.any():
-                    poses = rows.poses.positions[np.array(body.places)[shown]]
-                    self._derive_curves(person, body, np.array(body.stamps)[shown], poses)
-                body.sent()
+                    poses = rows.poses.positions[np.array(person_rows.places)[shown]]
+                    self._derive_curves(
+                        person, person_rows, np.array(person_rows.stamps)[shown], poses
+                    )
+                person_rows.sent()
         rows.poses.clear()
 
     def _extend_bounds(self, highest: Floats) -> None:
@@ -329,7 +331,7 @@ class Scene:
             known = ["mean", "largest"]
         return [curve_colour(known.index(last) if last in known else 0)]
 
-    def _derive_curves(self, person: int, rows: BodyRows, stamps: Stamps, poses: Floats) -> None:
+    def _derive_curves(self, person: int, rows: PersonRows, stamps: Stamps, poses: Floats) -> None:
         """Angles, limb lengths and speed of the last stage."""
         angles = np.degrees(flexions(self.model, poses))
         self._extend(f"{self._prefix}/angles/{person}", ANGLES, stamps, angles)
