@@ -78,7 +78,7 @@ class Layout:
         try:
             _write(out, _PUBLISHED, hiros_schemas.short_name(_NAME), self._read(bytes(data)))
         except _UNREADABLE as error:
-            fault = f"message does not fit its own schema: {error}"
+            fault = f"message cannot be read with its own schema: {error}"
             raise LogError(fault, topic=topic) from error
         return out.finish()
 

@@ -54,7 +54,7 @@ def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path: Path) -
 
 
 def test_two_cameras_are_needed(walking: Path) -> None:
-    with pytest.raises(ConfigError, match="two channels"):
+    with pytest.raises(ConfigError, match="at least two cameras"):
         leave_one_out(walking, options=ProcessOptions(topics=("/camera_0/*",)))
 
 

@@ -7,11 +7,11 @@ import warnings
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 from odd_logs import Change, believed, changed, later, scaled
 
 from hiros_cli.app import run as command
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import look
 from hiros_mcap.running.pipeline import ProcessOptions, process
@@ -141,13 +141,21 @@ def test_a_latched_transform_of_time_0_makes_the_log_no_longer(
 @pytest.mark.parametrize("schema", ["foxglove.Pose", "Example", "a/b/c/d", ""])
 def test_channels_of_other_programs_do_no_harm(schema: str, walking: Path, tmp_path: Path) -> None:
     log = tmp_path / "foreign.mcap"
-    with open_log(walking) as source, McapWriter(log) as writer:
-        writer.copy_definitions(source.reader, source.reader.channels)
-        foreign = writer.add_schema(schema, b"{}", encoding="jsonschema")
-        channel = writer.add_channel("/pose", foreign, encoding="json")
+    with open_log(walking) as source, log.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        foreign = writer.register_schema(schema, "jsonschema", b"{}")
+        pose = writer.register_channel("/pose", "json", foreign)
+        ids = {}
+        for known in source.reader.channels.values():
+            definition = source.reader.schema(known)
+            assert definition is not None
+            own = writer.register_schema(definition.name, definition.encoding, definition.data)
+            ids[known.id] = writer.register_channel(known.topic, "cdr", own)
         for message in source.reader.messages():
-            writer.write(message.channel_id, message.log_time, bytes(message.data))
-            writer.write(channel, message.log_time, b"{}")
-        writer.commit()
+            time = message.log_time
+            writer.add_message(ids[message.channel_id], time, bytes(message.data), time)
+            writer.add_message(pose, time, b"{}", time)
+        writer.finish()
     assert len(process(log).people) == 1
     assert command(["info", str(log)]) == 0

@@ -244,7 +244,7 @@ def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
         for kind, frame in in_time_order(log):
             if kind != "detections":
                 scene.stage(kind, frame)
-            bodies = [body for rows in scene._stages.values() for body in rows.bodies.values()]
+            bodies = [body for rows in scene._stages.values() for body in rows.people.values()]
             longest = max(longest, *(len(body.stamps) for body in bodies), 0)
     assert 0 < longest <= 50
 
