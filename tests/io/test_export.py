@@ -197,3 +197,13 @@ def test_faults_in_one_line(
     assert fault in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_process_names_export_instead_of_writing_mcap_under_another_name(
+    suffix: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / f"out{suffix}"
+    assert run(["process", str(walking), "-o", str(target)]) == 2
+    assert "run hiros export on its result" in capsys.readouterr().err
+    assert not target.exists()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.summary import Summary
 
+EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
 SUFFIX = ".hiros.mcap"
 
 
@@ -123,6 +124,10 @@ def process(
 
     source.stat()  # reports a missing file before anything slow happens
     target = beside(source, SUFFIX) if output is None else output
+    if target.suffix.lower() in EXPORTED:
+        raise ConfigError(
+            f"{target}: process writes MCAP; for {target.suffix}, run hiros export on its result"
+        )
     check_outputs(
         (target, "log"),
         (save_limbs, "limb table"),
