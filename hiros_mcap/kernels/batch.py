@@ -20,7 +20,7 @@ from hiros_mcap.kernels.cdr import (
     read_header,
 )
 from hiros_mcap.kernels.cleaning import clean
-from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel, named_tuple, rows_of
 from hiros_mcap.kernels.transforming import POSES, PoseArrays, move
 from hiros_mcap.skeletons import People
 
@@ -45,21 +45,6 @@ class Results(NamedTuple):
 
 
 RESULTS = named_tuple(Results, I1, I1, I2, I1, I2, I2)
-
-
-@kernel
-def rows(people: People, begin: int, end: int) -> People:
-    """Return views of some people."""
-    return People(
-        people.ids[begin:end],
-        people.stamps[begin:end],
-        people.confidences[begin:end],
-        people.markers[begin:end],
-        people.marker_confidences[begin:end],
-        people.links[begin:end],
-        people.link_confidences[begin:end],
-        people.boxes[begin:end],
-    )
 
 
 # As short as it is, giving up the GIL would take longer.
@@ -99,7 +84,7 @@ def decode_messages(
     for k in range(len(places)):
         i = message + k
         begin, end = results.first[i], results.first[i + 1]
-        mine = rows(people, begin, end)
+        mine = rows_of(people, begin, end)
         results.codes[i] = decode(
             data[places[k, START] : places[k, STOP]],
             tables,

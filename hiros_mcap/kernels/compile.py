@@ -64,3 +64,18 @@ J1, J2 = types.int32[::1], types.int32[:, ::1]
 B1, B2 = types.boolean[::1], types.boolean[:, ::1]
 
 PEOPLE = named_tuple(People, J1, I1, F1, F3, F2, F3, F2, F2)
+
+
+@inlined
+def rows_of(people: People, begin: int, end: int) -> People:
+    """People from row ``begin`` on and before row ``end``, as views; for kernels."""
+    return People(
+        people.ids[begin:end],
+        people.stamps[begin:end],
+        people.confidences[begin:end],
+        people.markers[begin:end],
+        people.marker_confidences[begin:end],
+        people.links[begin:end],
+        people.link_confidences[begin:end],
+        people.boxes[begin:end],
+    )

@@ -28,6 +28,7 @@ from hiros_mcap.kernels.compile import (
     inlined,
     kernel,
     named_tuple,
+    rows_of,
 )
 from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
@@ -728,21 +729,6 @@ def _associate(
         solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)
 
 
-@inlined
-def _rows(people: People, begin: int, end: int) -> People:
-    """People from row ``begin`` on and before row ``end``, as views."""
-    return People(
-        people.ids[begin:end],
-        people.stamps[begin:end],
-        people.confidences[begin:end],
-        people.markers[begin:end],
-        people.marker_confidences[begin:end],
-        people.links[begin:end],
-        people.link_confidences[begin:end],
-        people.boxes[begin:end],
-    )
-
-
 @kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, _SLOTS, _SETTINGS, _WORK, _FOLLOWED))
 def follow(
     stamps: Stamps,
@@ -769,7 +755,7 @@ def follow(
     pairs = work.pairs
     for k in range(len(stamps)):
         begin, end = spans[k, 0], spans[k, 1]
-        group = _rows(people, begin, end)
+        group = rows_of(people, begin, end)
         screen(group, settings.min_marker_confidence, settings.min_skeleton_confidence, work.faults)
         for j in range(end - begin):
             pairs.wanted[j] = work.faults[j] == USABLE
