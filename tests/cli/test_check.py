@@ -12,6 +12,7 @@ import pytest
 from odd_logs import changed
 
 from hiros_cli.app import run
+from hiros_mcap.config import load_config
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import Frame
 
@@ -21,7 +22,8 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("check") / "out.mcap"
-    process(SAMPLES / "one_person_walking.mcap", out)
+    exact = load_config(overrides=["output.precision=full"])
+    process(SAMPLES / "one_person_walking.mcap", out, config=exact)
     return out
 
 
@@ -58,7 +60,7 @@ def test_bless_check_and_differ(
     tolerances.write_text("positions = 0\n")
     strict = ["--golden", str(golden), "--tolerances", str(tolerances)]
     assert run(["check", str(output), *strict]) == 1
-    assert "positions: up to " in capsys.readouterr().out
+    assert "positions: up to 0.0001" in capsys.readouterr().out
 
 
 def test_a_suite_with_reports(
