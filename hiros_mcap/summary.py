@@ -99,8 +99,10 @@ class Summary:
     stages: tuple[StageTime, ...] = ()
     written: Mapping[str, int] = field(default_factory=dict)
     """Messages written, by output channel."""
+    warnings: tuple[str, ...] = ()
+    """What makes the result doubtful or incomplete, with the remedy, one line each."""
     notes: tuple[str, ...] = ()
-    """What a user should know: warnings, one line each."""
+    """What else a user should know, one line each."""
 
     @property
     def times_real_time(self) -> float:

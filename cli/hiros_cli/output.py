@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from hiros_cli.printable import warning_line
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import Kind
 from hiros_mcap.outputs import check_outputs as check
@@ -21,6 +23,11 @@ def check_outputs(
     Raises LogError as :func:`hiros_mcap.outputs.check_outputs` does.
     """
     check(outputs, inputs, force=force, remedy="--force")
+
+
+def warn(text: str) -> None:
+    """Print ``hiros: warning: ...`` on stderr, where no pipe and no --quiet hides it."""
+    print(warning_line(text), file=sys.stderr, flush=True)
 
 
 def print_json(data: object) -> None:

@@ -43,6 +43,11 @@ def error_line(error: BaseException, *, bug: bool = False) -> str:
     return f"hiros: error: {_reason(error)}"
 
 
+def warning_line(text: str) -> str:
+    """One line that says what a user must know of a result, ``hiros: warning: ...``."""
+    return f"hiros: warning: {printable(text, LINE_LIMIT)}"
+
+
 def _reason(error: BaseException) -> str:
     from hiros_mcap.errors import LogError
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -38,6 +37,7 @@ def noise(
     Only --system malaguti uses this parameter.
     """
     from hiros_cli.compiling import prepare
+    from hiros_cli.output import print_json, warn
 
     log.stat()
     span = None if window is None else seconds_range("--window", window)
@@ -59,13 +59,11 @@ def noise(
     if not found.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     if found.deviation > STILL_M:
-        print(
-            f"hiros: warning: joints scatter by {number(100 * found.deviation, 0)} cm about their "
-            "mean, so somebody moved; choose a part without motion with --window START:END",
-            file=sys.stderr,
+        warn(
+            f"joints scatter by {number(100 * found.deviation, 0)} cm about their "
+            "mean, so somebody moved; choose a part without motion with --window START:END"
         )
     if json:
-        from hiros_cli.output import print_json
         from hiros_mcap.summary import plain
 
         print_json(plain(found))

@@ -232,9 +232,11 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
 
 
 def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
-    if json:
-        from hiros_cli.output import print_json
+    from hiros_cli.output import print_json, warn
 
+    for text in summary.warnings:
+        warn(text)
+    if json:
         print_json(summary.to_dict())
     elif not quiet:
         from hiros_cli.run_report import show
