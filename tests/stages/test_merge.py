@@ -423,6 +423,34 @@ def test_a_camera_without_confidences_counts_fully() -> None:
     assert merged.marker_confidences[0, 0] == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(("markers", "expected"), [(np.nan, 0.9), (0.5, 0.5)])
+def test_eq12_falls_back_to_the_confidence_of_the_skeleton(markers: float, expected: float) -> None:
+    frames = views([person(0.0), person(0.1)])
+    for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
+        frame.confidences[:], frame.marker_confidences[:] = confidence, markers
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0, 0, 0] == pytest.approx(0.1 * expected)
+    assert merged.marker_confidences[0, 0] == pytest.approx(markers, nan_ok=True)
+
+
+def test_links_without_confidences_weigh_as_their_skeletons_do() -> None:
+    frames = views([person()] * 2, turns=True)
+    for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
+        frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
+        frame.confidences[:] = confidence
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    turned = Rotation.from_quat(merged.orientations[0]).as_euler("zyx")[:, 0]
+    assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
+
+
+def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_right() -> None:
+    frames = views(BOTH_WAYS)
+    for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
+        frame.confidences[:], frame.marker_confidences[:] = confidence, np.nan
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0] == pytest.approx(person()[MIRROR])
+
+
 def test_orientations_are_weighed_by_confidence() -> None:
     frames = views([person()] * 2, turns=True)
     for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
