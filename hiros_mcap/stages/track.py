@@ -102,6 +102,13 @@ class TrackParams(Params):
         description="Weight of eq 9 against eq 8 in eq 6, m per rad. The paper adds metres and "
         "radians one to one; a detection that faces the wrong way then costs as much as 3 m.",
     )
+    position_weight: float = advanced(
+        1.0,
+        ge=0,
+        description="Weight of the positions in eq 8. 0 leaves them out: velocities and "
+        "orientations then decide between the tracks within the gate. A detection with left and "
+        "right swapped has only positions; it costs its distance.",
+    )
     velocity_weight: float = advanced(
         0.05, ge=0, description="w_v of eq 8, s. Only detections with velocities use it."
     )
