@@ -27,7 +27,7 @@ from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
-from hiros_mcap.systems import LETTERS, SYSTEMS
+from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -241,6 +241,21 @@ def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> Non
         assert off.max() > 0
         assert np.all(off <= np.abs(others[known]) * 2.0**-21)
     assert small.stat().st_size < 0.3 * full.stat().st_size
+
+
+@pytest.mark.parametrize("system", ["hiros", "malaguti", "lee", "maf", "average", "raw"])
+def test_every_skeleton_has_the_box_of_its_markers(system: str, tmp_path: Path) -> None:
+    process(CROSSING, tmp_path / "out", options=ProcessOptions(system=system))
+    for channel in chain_of(system):
+        frames, *_ = read_channel(tmp_path / "out", f"/hiros/{channel}")
+        people = [(frame, k) for frame in frames for k in range(frame.n_people)]
+        assert people
+        for frame, k in people:
+            box, size = frame.boxes[k], frame.boxes[k, [20, 21, 19]]
+            for side, limit in ((-0.5, np.nanmin), (0.5, np.nanmax)):
+                expected = limit(frame.positions[k], axis=0)
+                assert box[:3] + side * size == pytest.approx(expected, abs=1e-5)
+            assert box[ORIENTATION].tolist() == [0, 0, 0, 1]
 
 
 def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
