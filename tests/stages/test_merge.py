@@ -700,6 +700,33 @@ def test_a_long_block_gives_what_its_frames_give_one_by_one() -> None:
     assert all(map(same, together, merge(frames, MODEL, params)))
 
 
+def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with() -> None:
+    """Person 0 leaves; person 1, in the same block, does not inherit the offset of camera c1."""
+    frames = [f for k in range(60) for f in views([person(), person(0.06)], k)]
+    others = [seen([person(3)], at(0) + s * SECOND, "c1", ids=[9]) for s in range(3, 14)]
+    new = [seen([person(0.06)], at(0) + s * SECOND, "c1", ids=[1]) for s in (14, 15)]
+    block = join([(Block.of(frame), 0) for frame in [*frames, *others, *new]])
+    params = PLAIN.model_copy(update={"offset_time": 2.0})
+    for merged in list(frames_of(merge_blocks([block], MODEL, params)))[-2:]:
+        assert merged.ids.tolist() == [1]
+        assert merged.positions[0] == pytest.approx(person(0.06))
+
+
+def test_the_signs_of_orientations_are_aligned_with_their_mean() -> None:
+    """The first view, of little weight, lies across: by its signs the others would cancel out."""
+    frames = views([person()] * 3, turns=True)
+    turns = np.radians([0.0, 160.0, 200.0])
+    for frame, turn, confidence in zip(frames, turns, (0.1, 1.0, 0.9), strict=True):
+        frame.links[0, :, 3:7] = Rotation.from_euler("z", turn).as_quat()
+        frame.link_confidences[:] = confidence
+    changes = {"cameras": 3, "max_orientation_delta": 0.0, "max_facing_delta": 0.0}
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update=changes))
+    turned = Rotation.from_quat(merged.orientations[0]).magnitude()
+    mean = np.angle(np.dot((0.1, 1.0, 0.9), np.exp(0.5j * turns)))  # of half the angles
+    assert np.degrees(turned) == pytest.approx(np.full(7, np.degrees(2.0 * mean)))
+    assert 170.0 < np.degrees(turned[0]) <= 180.0
+
+
 def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest() -> None:
     frames = [seen([person(), person(2)], at(0), "a", ids=[0, 1], turns=True)]
     frames += [seen([person(2)], at(k), "a", ids=[1]) for k in range(1, 10)]
