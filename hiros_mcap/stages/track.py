@@ -33,6 +33,7 @@ from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
+    ORIENTATION,
     POSITION,
     UNTRACKED,
     Floats,
@@ -135,6 +136,9 @@ class TrackParams(Params):
     )
     min_markers: int = advanced(
         4, ge=1, description="A detection with fewer markers starts no track."
+    )
+    min_links: int = advanced(
+        0, ge=0, description="A detection with fewer link orientations starts no track."
     )
     tentative_gap: float = advanced(
         0.5,
@@ -495,6 +499,10 @@ class _Tracker:
             here = group.people.markers[j, :, POSITION]
             if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
                 group.reasons[j] = "too few markers"
+                continue
+            turned = ~np.isnan(group.people.links[j, :, ORIENTATION.start])
+            if np.count_nonzero(turned) < self.params.min_links:
+                group.reasons[j] = "too few links"
                 continue
             support = _Support(group.stamp, np.nanmean(here, axis=0))
             pairs.match[j] = len(new)

@@ -464,6 +464,13 @@ def test_a_swapped_body_keeps_its_id_and_does_not_throw_the_track() -> None:
     assert max(np.nanmax(np.abs(f.velocities)) for f in tracked) < 0.1
 
 
+def test_links_may_be_needed_to_start_a_track() -> None:
+    frames, events = [seen([person()], at(k), turns=k > 4) for k in range(10)], Events()
+    params = AT_ONCE.model_copy(update={"min_links": 7})
+    assert ids(track(frames, MODEL, params, events)) == [[-1]] * 5 + [[0]] * 5
+    assert events.counts["too few links", "a"] == 5
+
+
 def test_no_common_marker_does_not_hang() -> None:
     first, second = person(), person()
     first[4:], second[:4] = np.nan, np.nan
