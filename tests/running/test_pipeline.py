@@ -297,6 +297,16 @@ def test_a_system_or_a_chain_that_does_not_exist() -> None:
         process(WALKING, None, options=ProcessOptions(stages="FT"))
 
 
+@pytest.mark.parametrize("options", [{"system": "lee"}, {"stages": "TMF"}])
+@pytest.mark.parametrize("name", ["limbs_in", "limbs_out"])
+def test_limb_lengths_are_refused_where_no_stage_uses_them(
+    options: dict[str, str], name: str, tmp_path: Path
+) -> None:
+    more = {name: tmp_path / "limbs.toml"}
+    with pytest.raises(ConfigError, match=r"limbs\.toml: .* has no optimizer"):
+        process(WALKING, None, options=ProcessOptions(**options, **more))
+
+
 def test_limb_lengths_that_are_given_are_not_measured_again(tmp_path: Path) -> None:
     given, saved = tmp_path / "given.toml", tmp_path / "saved.toml"
     process(WALKING, None, options=ProcessOptions(limbs_out=given))
