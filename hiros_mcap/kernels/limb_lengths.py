@@ -17,6 +17,7 @@ class LimbLengths(NamedTuple):
     """What is known of people's limbs: R rows, L links."""
 
     lengths: Floats  # (R, L) m
+    squares: Floats  # (R, L) sum of the squared deviations of the first lengths, m2
     frames: Stamps  # (R,) frames with the whole skeleton that were measured
     given: Flags  # (R,) whether the lengths are known from before; NaN = a link has none
 
@@ -36,7 +37,7 @@ class LimbSettings(NamedTuple):
 
 
 _TREE = named_tuple(LinkTree, J2, I1)
-_PAST = named_tuple(LimbLengths, F2, I1, B1)
+_PAST = named_tuple(LimbLengths, F2, F2, I1, B1)
 _SETTINGS = named_tuple(LimbSettings, types.int64, types.float64)
 
 
@@ -63,6 +64,7 @@ def _learn(
         if frames < settings.frames:
             if is_whole:
                 past.lengths[row, k] += error / (frames + 1)
+                past.squares[row, k] += error * error * frames / (frames + 1)
         elif not np.isnan(error):
             past.lengths[row, k] += settings.rate * error
     if frames < settings.frames:

@@ -88,8 +88,8 @@ class _LimbConsistency:
         self._settings = kernels.LimbSettings(params.frames, params.rate)
         order = link_order(model, () if params.head else _head(model))
         self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), order)
-        no_lengths = np.zeros((0, model.n_links)), np.zeros(0, np.int64), np.zeros(0, np.bool_)
-        self._bank = Bank(kernels.LimbLengths(*no_lengths))
+        nobody, none = np.zeros(0, np.int64), np.zeros((0, model.n_links))
+        self._bank = Bank(kernels.LimbLengths(none, none, nobody, nobody > 0))
         self._calibrated: set[int] = set()
 
     def apply(self, out: Frame) -> list[int]:
@@ -132,8 +132,10 @@ class _LimbConsistency:
 
     def _save(self, person: int, row: int) -> None:
         if person in self._calibrated:
-            pairs = zip(self._keys, self._bank.past.lengths[row].tolist(), strict=True)
-            limbs = {key: Limb(x, 0.0, self._settings.frames) for key, x in pairs if x > 0}
+            past, n = self._bank.past, self._settings.frames
+            deviations = np.sqrt(past.squares[row] / n).tolist()
+            columns = zip(self._keys, past.lengths[row].tolist(), deviations, strict=True)
+            limbs = {key: Limb(length, sd, n) for key, length, sd in columns if length > 0}
             self._limbs.people[person] = limbs
 
 

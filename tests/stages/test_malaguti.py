@@ -561,7 +561,8 @@ def test_the_closed_form_is_the_minimum_of_eq_12() -> None:
     for _ in range(5):
         noisy = POSE + rng.normal(scale=0.05, size=POSE.shape)
         frame = seen([noisy], START)
-        past = limb_lengths.LimbLengths(lengths[None].copy(), np.array([0]), np.array([True]))
+        known, zero = lengths[None].copy(), np.zeros((1, MODEL.n_links))
+        past = limb_lengths.LimbLengths(known, zero, np.array([0]), np.array([True]))
         arguments = np.array([0]), past, tree, limb_lengths.LimbSettings(1, 0.0)
         limb_lengths.straighten(frame.markers, *arguments)
         closed, solved = frame.positions[0], noisy.copy()
@@ -649,7 +650,9 @@ def test_lengths_are_learned_from_whole_frames_only() -> None:
 def test_the_first_lengths_are_means() -> None:
     table = LimbTable()
     list(straighten(scaled(0.9, 10) + scaled(1.2, 20, 10), MODEL, limbs=table))
-    assert table.people[0]["NECK"].length == pytest.approx(0.5 * 1.1)
+    neck = table.people[0]["NECK"]
+    assert neck.length == pytest.approx(0.5 * 1.1)
+    assert neck.deviation == pytest.approx(0.5 * np.std([0.9] * 10 + [1.2] * 20))
 
 
 def test_people_without_an_id_pass_unchanged() -> None:
