@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from builders import room
 
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, chain_of, merging_order, system
@@ -41,6 +43,22 @@ def test_a_stage_gets_what_the_run_has() -> None:
     bound = run.stage(print, run.config.kalman, cameras=run.cameras).keywords
     expected = {"model": MODEL, "params": run.config.kalman, "events": run.events}
     assert bound == {**expected, "cameras": run.cameras}
+
+
+@pytest.mark.parametrize("preset", ["paper", "upstream"])
+def test_the_optimizer_of_the_published_presets_acts(preset: str) -> None:
+    """Good detections pass the paper's quality gate; then the lengths vary three times less."""
+    scene = room(people=1, cameras=4, seconds=8, noise=0.3, flips=0.0, phantoms=0.0, seed=3)
+    run = Run(scene.model, load_config(preset=preset), cameras=scene.cameras, fixed_frame="world")
+    stages, spread = system("hiros").stages(run), {}
+    frames = scene.frames
+    for channel in ("tracked", "merged", "optimized"):
+        frames = list(by_frame(stages[channel])(frames))
+        poses = np.stack([frame.positions[0] for frame in frames if frame.n_people][-60:])
+        lengths = np.linalg.norm(np.diff(poses[:, scene.model.links], axis=2)[:, :, 0], axis=-1)
+        spread[channel] = np.mean(lengths.std(axis=0) / lengths.mean(axis=0))
+    assert [e.kind for e in run.events.log] == ["track born", "limbs calibrated"]
+    assert spread["optimized"] < spread["merged"] / 3
 
 
 def test_the_order_of_merging_names_the_steps_that_are_on() -> None:

@@ -50,7 +50,7 @@ ANGLE_NAMES: tuple[str, ...] = (
 _PELVIS = ("pelvis", "spinebase", "midhip", "hips", "spine_base")
 _NECK = ("neck", "spineshoulder", "spine_shoulder", "spine_chest")
 _LOWER_SPINE = ("spine_naval", "spinemid", "spine_mid", "spine", "naval")
-_HEAD = ("head", "nose")
+HEAD = ("head", "nose")
 _TOE = ("foot", "toe", "bigtoe", "big_toe", "toebase")
 _AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -176,7 +176,7 @@ def _trunk_angles(pelvis: Floats, thorax: Floats) -> Columns:
 
 def _neck_angles(at: Finder, thorax: Floats) -> Columns:
     """Direction of the head's long axis in the thorax; markers do not show its rotation."""
-    x, y, z = _inside(thorax, _unit(at(*_HEAD) - at(*_NECK)))
+    x, y, z = _inside(thorax, _unit(at(*HEAD) - at(*_NECK)))
     return {"neck flexion": np.arctan2(x, y), "neck side bend": np.arcsin(np.clip(z, -1, 1))}
 
 

@@ -415,6 +415,10 @@ class Encoder:
     derivatives : write velocities and accelerations; else they are NaN in every message.
     precision : "full" keeps every bit; "micrometre" rounds to 20 bits of mantissa, a relative
         error of at most 2**-21 (0.5 um at 1 m, 1 um at 2 m), which halves the compressed size.
+    boxes : write everybody's bounding box anew: the smallest along the axes of the frame that
+        holds all markers (Hi-ROS 2023, table 1). Its centre has the orientation of the frame;
+        height is along z, length along x, width along y. A person without any marker keeps the
+        box that was given. By default all boxes are written as given.
     """
 
     def __init__(
@@ -423,13 +427,15 @@ class Encoder:
         *,
         derivatives: bool = True,
         precision: Precision = "full",
+        boxes: bool = False,
     ) -> None:
         self.model = model
         self._hierarchy = encode.Hierarchy(
             np.array([model.max_markers, model.max_links], np.int64), *model_tables(model)
         )
         columns = STATE if derivatives else ORIENTATION.stop
-        self._format = encode.Format(columns, 0 if precision == "full" else _DROPPED)
+        dropped = 0 if precision == "full" else _DROPPED
+        self._format = encode.Format(columns, dropped, int(boxes))
         self._out = np.empty(0, np.uint8)
 
     def encode(self, frame: Frame, source: str | None = None) -> bytes:

@@ -73,6 +73,14 @@ def _double(typing_context: Any, value: Any) -> Any:
 
 
 @intrinsic
+def _word(typing_context: Any, value: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], ir.IntType(64))
+
+    return types.uint64(types.float64), generate
+
+
+@intrinsic
 def _copy(typing_context: Any, to: Any, at: Any, source: Any, start: Any, size: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         target = _place(context, builder, signature.args[0], args[0], args[1])
@@ -93,6 +101,9 @@ swap64 = _swapper(types.uint64)
 
 to_double: Any = _double
 """``to_double(word)``: the number with these 64 bits, the payload of a NaN included."""
+
+to_word: Any = _word
+"""``to_word(number)``: the 64 bits of a number."""
 
 copy: Any = _copy
 """``copy(to, at, source, start, size)``: ``size`` bytes from one array to another."""

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.bytes import load64, store32, store64
+from hiros_mcap.kernels.bytes import load64, store32, store64, to_word
 from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
 from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel, named_tuple
-from hiros_mcap.skeletons import Floats, People
+from hiros_mcap.skeletons import ORIENTATION, Floats, People
 
 # Faults of a frame.
 SHAPE = 1
@@ -60,11 +60,13 @@ class Format(NamedTuple):
     """How many of the numbers of a KinematicState: all, or the pose only. The others are NaN."""
     dropped: int
     """How many of the 52 bits of the mantissa are rounded away, the lowest ones."""
+    boxed: int
+    """Whether bounding boxes are those of the markers; else they are written as they are given."""
 
 
 _HIERARCHY = named_tuple(Hierarchy, I1, I2, I2, types.uint64[::1])
 _MESSAGES = named_tuple(Messages, types.Array(types.uint8, 1, "C", readonly=True), I2, I1, I2)
-_FORMAT: Any = types.NamedUniTuple(types.int64, 2, Format)  # type: ignore[no-untyped-call]
+_FORMAT: Any = types.NamedUniTuple(types.int64, 3, Format)  # type: ignore[no-untyped-call]
 
 
 @kernel
@@ -180,6 +182,53 @@ def _put_elements(
 
 
 @kernel
+def _span(markers: Floats, first: int, count: int, axis: int) -> tuple[float, float]:
+    """Return the least and the greatest coordinate of a person's markers; NaN if none is known.
+
+    ``markers`` are flat; the person's ``count`` markers start at ``first``.
+    """
+    least, greatest = np.nan, np.nan
+    for m in range(count):
+        at = first + m * STATE
+        if np.isnan(markers[at] + markers[at + 1] + markers[at + 2]):
+            continue
+        x = markers[at + axis]
+        least = x if not least <= x else least
+        greatest = x if not greatest >= x else greatest
+    return least, greatest
+
+
+@kernel
+def _put_number(out: Bytes, at: int, value: float, dropped: int) -> int:
+    store64(out, at, _rounded(to_word(value), dropped))
+    return at + 8
+
+
+@kernel
+def _put_box(out: Bytes, at: int, person: int, n_markers: int, flat: People, form: Format) -> int:
+    """Write a bounding box: as given, or the smallest along the frame's axes with all markers.
+
+    Height is along z, length along x, width along y. Of a person without markers the box is
+    written as given.
+    """
+    first = person * n_markers * STATE
+    x0, x1 = _span(flat.markers, first, n_markers, 0)
+    if not form.boxed or np.isnan(x0):
+        at = _put_state(out, at, flat.boxes, person * BOX, form)
+        return _put_numbers(out, at, flat.boxes, person * BOX + STATE, BOX - STATE, form.dropped)
+    y0, y1 = _span(flat.markers, first, n_markers, 1)
+    z0, z1 = _span(flat.markers, first, n_markers, 2)
+    for value in (0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1), 0.0, 0.0, 0.0, 1.0):
+        at = _put_number(out, at, value, form.dropped)
+    for _ in range(STATE - ORIENTATION.stop):
+        store64(out, at, _ABSENT)
+        at += 8
+    for value in (z1 - z0, x1 - x0, y1 - y0):
+        at = _put_number(out, at, value, form.dropped)
+    return at
+
+
+@kernel
 def _size(n_people: int, texts: int, marker_table: Table, link_table: Table) -> int:
     """Bytes that are enough for any message of so many people, with the padding."""
     person = MIN_PERSON + texts + 2 * _SLACK
@@ -199,8 +248,7 @@ def _put_person(
     at = _put_string(out, at, source)
     at = _pad8(out, _put(out, _put(out, at, model.most[0]), model.most[1]))
     at = _put_numbers(out, at, flat.confidences, person, 1, form.dropped)
-    at = _put_state(out, at, flat.boxes, person * BOX, form)
-    at = _put_numbers(out, at, flat.boxes, person * BOX + STATE, BOX - STATE, form.dropped)
+    at = _put_box(out, at, person, len(model.markers), flat, form)
     at = _put_elements(
         out, at, model.markers, model.words, flat.markers, flat.marker_confidences, person, form
     )

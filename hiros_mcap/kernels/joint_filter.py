@@ -4,13 +4,16 @@ No noise of the paper's 6M-state filter couples two joints or two axes. Its cova
 stays block-diagonal, and the three axes of a joint share one block. The result is the same, and two
 thousand times faster.
 
-The difference d of equations 9 and 10 is here the length of the innovation: the distance from the
-predicted to the measured position. The paper's literal form is the distance between consecutive
-positions of the joint, |q_m,t - q_m,t-1|. The cameras share no clock, so their messages come 1 to
-33 ms after each other. The literal form measures these intervals times the speed: a joint in steady
-motion would be an outlier after every longer interval. The prediction covers the motion in the
-interval, so the innovation depends on neither. Innovations of outliers do not enter the history;
-the first one would raise the threshold for the next N measurements.
+The difference d of equations 9 and 10 has two forms (``consecutive``):
+
+- As printed, it is the distance between consecutive positions of the joint: of a detection, the
+  distance from the joint's previous position; in the history, the steps that the joint has made.
+- By default it is the length of the innovation, the distance from the predicted to the measured
+  position. This departs from the paper. The cameras share no clock, so their messages come 1 to
+  33 ms after each other. The printed form measures these intervals times the speed: a joint in
+  steady motion would be an outlier after every longer interval. The prediction covers the motion in
+  the interval, so the innovation depends on neither. Innovations of outliers do not enter the
+  history; the first one would raise the threshold for the next N measurements.
 
 The paper replaces a rejected joint by its prediction (III-C). Here the correction is left out. A
 correction by the prediction would not move the joint; it would only lower the covariance, as if the
@@ -25,14 +28,17 @@ import numpy as np
 from numba import types
 
 from hiros_mcap.kernels.centroid_filter import NOISE_RATE, STARTING_SPEED
-from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, PEOPLE, inlined, kernel, named_tuple
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import POSITION, VELOCITY, Flags, Floats, People, Stamps
 
 _LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
-_ACCEPTED, _OUTLIERS = 0, 1  # columns of the counts
+_DISTANCES, _OUTLIERS = 0, 1  # columns of the counts
 _X, _VX = POSITION.start, VELOCITY.start
+
+Position = tuple[float, float, float]
+"""m."""
 
 
 class FilteredPeople(NamedTuple):
@@ -42,8 +48,8 @@ class FilteredPeople(NamedTuple):
     known: Flags  # (R, M) joints that were measured at least once
     states: Floats  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
     covariances: Floats  # (R, M, 6) of ``kalman_filter``
-    innovations: Floats  # (R, M, N) lengths of the last N accepted innovations, m
-    counts: Stamps  # (R, M, 2) innovations accepted so far, consecutive outliers
+    distances: Floats  # (R, M, N) the last N d of eq 9, m: innovations accepted, or steps made
+    counts: Stamps  # (R, M, 2) distances so far, consecutive outliers
     confidences: Floats  # (R,) of the newest detection, as are the next three
     marker_confidences: Floats  # (R, M)
     links: Floats  # (R, L, 19)
@@ -51,7 +57,7 @@ class FilteredPeople(NamedTuple):
 
     @classmethod
     def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
-        """Return the filters of nobody, with ``history`` innovations (N) per joint."""
+        """Return the filters of nobody, with ``history`` distances (N) per joint."""
         nobody, count = People.allocate(0, markers, links), np.zeros((0, markers, 2), np.int64)
         return cls(
             nobody.stamps, count[..., 0] > 0, np.zeros((0, markers, 2, 3)),
@@ -70,13 +76,15 @@ class JointFilterSettings(NamedTuple):
     min_confidence: float
     outlier_factor: float
     max_outliers: int
+    consecutive: bool
 
 
 _I3 = types.int64[:, :, ::1]
 _PAST = named_tuple(FilteredPeople, I1, B2, F4, F3, F3, _I3, F1, F2, F3, F2)
 _SETTINGS = named_tuple(
-    JointFilterSettings, *[types.float64] * 3, types.boolean, *[types.float64] * 2, types.int64
-)
+    JointFilterSettings, *[types.float64] * 3, types.boolean, *[types.float64] * 2, types.int64,
+    types.boolean,
+)  # fmt: skip
 
 
 @kernel
@@ -104,31 +112,55 @@ def _measurement_variance(
     return float(sigma_r**2 / max(confidence, _LEAST_CONFIDENCE) + range_variance)  # eq 8
 
 
+@inlined
+def _distance(a: Floats, b: Floats | Position) -> float:
+    return float(np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2))
+
+
 @kernel
 def _outlier_factor(
-    history: Floats, counts: Stamps, innovation: float, settings: JointFilterSettings
+    history: Floats, counts: Stamps, d: float, settings: JointFilterSettings
 ) -> float:
-    """Factor of the variance of a measurement; 1 = no outlier, it enters the history (N,)."""
+    """Factor of the variance of a measurement at distance ``d``, m; 1 = no outlier."""
     size = len(history)
-    if size == 0:
-        return 1.0
     highest = 0.0
     for i in range(size):
         highest = max(highest, history[i])
     threshold = settings.outlier_factor * highest  # eq 9
-    is_outlier = counts[_ACCEPTED] >= size and innovation > threshold > 0
+    is_outlier = 0 < size <= counts[_DISTANCES] and d > threshold > 0
     if is_outlier and counts[_OUTLIERS] < settings.max_outliers:  # o_max
         counts[_OUTLIERS] += 1
-        return innovation / threshold  # eq 10
+        return d / threshold  # eq 10
     counts[_OUTLIERS] = 0
-    history[counts[_ACCEPTED] % size] = innovation
-    counts[_ACCEPTED] += 1
     return 1.0
 
 
 @kernel
-def _distance(a: Floats, b: Floats) -> float:
-    return float(np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2))
+def _remember(history: Floats, counts: Stamps, d: float) -> None:
+    """Put a distance into the history (N,), in place of the oldest."""
+    if len(history) > 0:
+        history[counts[_DISTANCES] % len(history)] = d
+        counts[_DISTANCES] += 1
+
+
+@kernel
+def _correct_joint(
+    past: FilteredPeople, row: int, m: int, before: Position, measured: Floats, variance: float,
+    settings: JointFilterSettings,
+) -> bool:  # fmt: skip
+    """Correct a predicted joint, which was at ``before``; whether the measurement is an outlier."""
+    x, p = past.states[row, m], past.covariances[row, m]
+    history, counts = past.distances[row, m], past.counts[row, m]
+    innovation = _distance(measured, x[0])
+    d = _distance(measured, before) if settings.consecutive else innovation
+    factor = _outlier_factor(history, counts, d, settings)  # eq 9 and 10
+    is_outlier: bool = factor > 1.0
+    correct(x, p, measured, variance * factor)  # eq 6 and 7
+    if settings.consecutive:
+        _remember(history, counts, _distance(x[0], before))
+    elif not is_outlier:
+        _remember(history, counts, innovation)
+    return is_outlier
 
 
 @kernel
@@ -157,6 +189,7 @@ def update(
         dt = (now - past.stamps[row]) * 1e-9
         for m in range(people.markers.shape[1]):
             x, p = past.states[row, m], past.covariances[row, m]
+            before = x[0, 0], x[0, 1], x[0, 2]
             if past.known[row, m]:
                 _predict_joint(x, p, dt, settings)  # eq 5
             confidence, measured = people.marker_confidences[k, m], people.markers[k, m, POSITION]
@@ -164,12 +197,7 @@ def update(
             if np.isnan(variance + measured[0]):
                 continue  # the prediction stands (III-C)
             if past.known[row, m]:
-                innovation = _distance(measured, x[0])
-                factor = _outlier_factor(
-                    past.innovations[row, m], past.counts[row, m], innovation, settings
-                )  # eq 9 and 10
-                correct(x, p, measured, variance * factor)  # eq 6 and 7
-                outliers += factor > 1.0
+                outliers += _correct_joint(past, row, m, before, measured, variance, settings)
             else:
                 start(x, p, measured, prior(variance, STARTING_SPEED**2, 0.0))
                 past.known[row, m] = True

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import F2, F3, I1, J2, kernel, named_tuple
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.kernels.compile import B1, F2, F3, I1, J2, kernel, named_tuple
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 _SHORTEST = 1e-6  # m; a shorter link has no direction
 
@@ -17,7 +17,9 @@ class LimbLengths(NamedTuple):
     """What is known of people's limbs: R rows, L links."""
 
     lengths: Floats  # (R, L) m
+    squares: Floats  # (R, L) sum of the squared deviations of the first lengths, m2
     frames: Stamps  # (R,) frames with the whole skeleton that were measured
+    given: Flags  # (R,) whether the lengths are known from before; NaN = a link has none
 
 
 class LinkTree(NamedTuple):
@@ -35,7 +37,7 @@ class LimbSettings(NamedTuple):
 
 
 _TREE = named_tuple(LinkTree, J2, I1)
-_PAST = named_tuple(LimbLengths, F2, I1)
+_PAST = named_tuple(LimbLengths, F2, F2, I1, B1)
 _SETTINGS = named_tuple(LimbSettings, types.int64, types.float64)
 
 
@@ -62,6 +64,7 @@ def _learn(
         if frames < settings.frames:
             if is_whole:
                 past.lengths[row, k] += error / (frames + 1)
+                past.squares[row, k] += error * error * frames / (frames + 1)
         elif not np.isnan(error):
             past.lengths[row, k] += settings.rate * error
     if frames < settings.frames:
@@ -73,12 +76,13 @@ def _apply(pose: Floats, lengths: Floats, tree: LinkTree) -> None:
     """Give every link its length (L,), m, by moving its child; the parents have moved before.
 
     The minimum of eq 12 has a closed form. Theta_kf points from the moved parent to the filter's
-    child (eq 13), so the point at the link's length in this direction makes both terms 0.
+    child (eq 13), so the point at the link's length in this direction makes both terms 0. A link
+    without a length is left alone.
     """
     for k in tree.order:
         parent, child = tree.ends[k, 0], tree.ends[k, 1]
         measured = _length(pose, tree, k)
-        if np.isnan(measured) or measured < _SHORTEST:
+        if np.isnan(measured + lengths[k]) or measured < _SHORTEST:
             continue
         scale = lengths[k] / measured
         for c in range(3):
@@ -90,13 +94,16 @@ def _apply(pose: Floats, lengths: Floats, tree: LinkTree) -> None:
 def straighten(
     markers: Floats, rows: Stamps, past: LimbLengths, tree: LinkTree, settings: LimbSettings
 ) -> None:
-    """Learn the limb lengths of people (P, M, 19) and apply them in place.
+    """Learn the limb lengths of people (P, M, 19), if they are not given, and apply them in place.
 
     ``rows`` (P,) are the people's rows in ``past``; -1 = left alone, like anybody with too few
     frames.
     """
     for p in range(len(rows)):
-        if rows[p] >= 0:
-            _learn(markers[p], rows[p], past, tree, settings)
-            if past.frames[rows[p]] >= settings.frames:
-                _apply(markers[p], past.lengths[rows[p]], tree)
+        row = rows[p]
+        if row < 0:
+            continue
+        if not past.given[row]:
+            _learn(markers[p], row, past, tree, settings)
+        if past.given[row] or past.frames[row] >= settings.frames:
+            _apply(markers[p], past.lengths[row], tree)

@@ -149,6 +149,9 @@ class _Slots(NamedTuple):
     states: Floats
     """(K, M, 19)."""
     confidences: Floats
+    """(K, M)."""
+    skeleton_confidences: Floats
+    """(K,) of the views as a whole."""
     weights: Floats
     """(K, M)."""
     past: Floats
@@ -177,15 +180,15 @@ def _merge_person(
     blank_person(out, p)
     _merge_slots(  # outliers by Euclidean distance, then eq 12
         _Slots(
-            views.markers, views.marker_confidences, work.marker_weights, work.past_positions,
-            out.markers[p], out.marker_confidences[p],
+            views.markers, views.marker_confidences, views.confidences, work.marker_weights,
+            work.past_positions, out.markers[p], out.marker_confidences[p],
         ),
         False, settings.max_position_delta, settings, views.cameras, counts, work,
     )  # fmt: skip
     _merge_slots(  # outliers by eq 10, then eq 12
         _Slots(
-            views.links, views.link_confidences, work.link_weights, work.past_orientations,
-            out.links[p], out.link_confidences[p],
+            views.links, views.link_confidences, views.confidences, work.link_weights,
+            work.past_orientations, out.links[p], out.link_confidences[p],
         ),
         True, settings.max_orientation_delta, settings, views.cameras, counts, work,
     )  # fmt: skip
@@ -373,7 +376,7 @@ def _correct_flips(
     if size == 1 or not _compare_facing(views, settings, sides, distances, work):
         return _CONFIRMED
     confidences, right = work.weights[:n], work.present[:n]
-    _sum_confidences(views.marker_confidences, confidences)
+    _sum_confidences(views, confidences)
     best = largest_group(distances, confidences, has_past, limit)
     if settings.drop_ties and _is_tied(distances, best, limit):
         for k in range(n):
@@ -462,13 +465,22 @@ def _left_to_right(positions: Floats, pairs: Ints) -> tuple[float, float, float]
     return x / length, y / length, z / length
 
 
+@inlined
+def _confidence(given: float, skeleton: float) -> float:
+    """Confidence of a marker or link: as given, else its skeleton's, else 1 (eq 12)."""
+    if math.isnan(given):
+        return 1.0 if math.isnan(skeleton) else skeleton
+    return given
+
+
 @kernel
-def _sum_confidences(confidences: Floats, out: Floats) -> None:
-    """Sum each view's confidences; one that is not given counts 1."""
+def _sum_confidences(views: Views, out: Floats) -> None:
+    """Sum the confidences of each view's markers."""
+    confidences = views.marker_confidences
     for k in range(len(confidences)):
         out[k] = 0.0
         for m in range(confidences.shape[1]):
-            out[k] += 1.0 if math.isnan(confidences[k, m]) else confidences[k, m]
+            out[k] += _confidence(confidences[k, m], views.confidences[k])
 
 
 @kernel
@@ -557,7 +569,7 @@ def _merge_slots(
     present, weights = work.present[:n], work.weights[:n]
     # Half of the limit, for _all_agree. The angle between quaternions is half the rotation's.
     half = math.cos(0.25 * limit) if orientations else 0.25 * limit * limit
-    _raise(slots.confidences, settings.confidence_power, slots.weights)
+    _raise(slots, settings.confidence_power)
     for m in range(slots.states.shape[1]):
         if not _load_values(slots, m, orientations, values, present):
             continue
@@ -582,14 +594,13 @@ def _merge_slots(
 
 
 @kernel
-def _raise(confidences: Floats, power: float, out: Floats) -> None:
-    """Fill ``out`` with the weights of eq 12: confidences to a power, 1 where not given."""
+def _raise(slots: _Slots, power: float) -> None:
+    """Fill the weights of eq 12: confidences to a power."""
+    confidences, out = slots.confidences, slots.weights
     for k in range(len(confidences)):
         for m in range(confidences.shape[1]):
-            c = confidences[k, m]
-            if math.isnan(c):
-                out[k, m] = 1.0
-            elif power == 2.0:  # the power function takes twenty times as long
+            c = _confidence(confidences[k, m], slots.skeleton_confidences[k])
+            if power == 2.0:  # the power function takes twenty times as long
                 out[k, m] = c * c
             else:
                 out[k, m] = c**power

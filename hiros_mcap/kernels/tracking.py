@@ -113,6 +113,7 @@ class TrackSettings(NamedTuple):
     max_distance: float
     min_distance: float
     orientation_weight: float
+    position_weight: float
     velocity_weight: float
     angular_velocity_weight: float
     velocity_decay: float
@@ -228,7 +229,7 @@ class Followed(NamedTuple):
 
 _F, _I = types.float64, types.int64
 _TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2)
-_SETTINGS = named_tuple(TrackSettings, *16 * [_F], *3 * [types.boolean])
+_SETTINGS = named_tuple(TrackSettings, *17 * [_F], *3 * [types.boolean])
 _PREDICTED = named_tuple(PredictedTracks, F3, F3)
 _WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
 _PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1)
@@ -377,6 +378,7 @@ def _linear_distance(
         if math.isnan(d):
             continue
         common += 1
+        d *= settings.position_weight
         if settings.velocity_weight > 0.0 and not math.isnan(markers[m, _TO_VELOCITY]):
             d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
         total += weights[m] * confidences[m] * d

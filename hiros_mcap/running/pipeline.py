@@ -28,7 +28,7 @@ from hiros_mcap.running.write import open_output, unmatched_globs
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
+from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
 
 __all__ = [
     "ProcessOptions",
@@ -75,6 +75,7 @@ def process(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     chain = chain_of(options.system, options.stages)
+    _check_limbs(options, chain)
     path = None if target is None else Path(target)
     check_outputs(
         ((path, "log"), (options.limbs_out, "limb table")),
@@ -100,6 +101,16 @@ def process(
         if options.limbs_out:
             run.limbs.save(options.limbs_out)
         return report.summary(None if target is None else str(target))
+
+
+def _check_limbs(options: ProcessOptions, chain: Sequence[str]) -> None:
+    """Raise ConfigError if limb lengths are given or wanted that no stage uses."""
+    table = options.limbs_in or options.limbs_out
+    if table and LETTERS["O"] not in chain:
+        raise ConfigError(
+            f"{table}: nothing uses or finds limb lengths: system {options.system} with the stages "
+            f"{', '.join(chain)} has no optimizer"
+        )
 
 
 def camera_positions(log: Log) -> dict[str, Floats]:

@@ -80,6 +80,7 @@ class LogOutput:
                 log.model,
                 derivatives=params.derivatives == "all" or name == chain[-1],
                 precision=params.precision,
+                boxes=True,
             )
             for name in chain
         }

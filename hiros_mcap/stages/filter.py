@@ -50,7 +50,9 @@ class FilterParams(Params):
     method: Literal["state_space", "butterworth"] = Field(
         "state_space",
         description="state_space: Kalman filter of integrated white noise; no lag on steady motion."
-        " butterworth: maximally flat, any order; lags unless it looks ahead.",
+        " Without look-ahead it amplifies motion below two thirds of the cut-off by up to 13 % "
+        "(order 2) or 26 % (order 3). butterworth: maximally flat, any order; lags unless it looks "
+        "ahead.",
     )
     cutoff: float = Field(
         4.5,

@@ -49,8 +49,14 @@ class KalmanParams(Params):
     history: int = advanced(
         15,
         ge=0,
-        description="N of eq 9: number of innovations that set the outlier threshold. 0 = no "
+        description="N of eq 9: number of distances that set the outlier threshold. 0 = no "
         "outliers.",
+    )
+    consecutive: bool = advanced(
+        False,
+        description="Measure d of eq 9 and 10 between consecutive positions of the joint, as "
+        "printed. By default, d is the distance of the detection from the prediction. As printed, "
+        "d depends on the time between two messages, which varies with unsynchronised cameras.",
     )
     outlier_factor: float = advanced(
         1.25, ge=1, description="w of eq 9: factor of the outlier threshold."

@@ -5,7 +5,8 @@
 2. The views of a person are carried to the mean time of the messages.
 3. Views that face another way than the largest group are flipped (eq 10).
 4. Markers and links that are not in the largest group of views are outliers.
-5. The rest is averaged, weighted by confidence (eq 12).
+5. The rest is averaged, weighted by confidence (eq 12): the marker's or link's own, that of the
+   skeleton where the detector gives no other, 1 where it gives none.
 
 The kernel ``_merge_person`` of hiros_mcap.kernels.merging shows steps 3 to 5. Beyond the paper:
 views are carried by their velocities, since cameras are not synchronised; the previous merged pose

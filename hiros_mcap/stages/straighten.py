@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
+from hiros_mcap.body.anatomy import HEAD
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
@@ -29,6 +30,11 @@ class StraightenParams(Params):
         description="Weight of a new measurement in a length. The paper measures the optimized "
         "joints, whose links already have this length; hiros measures the filter's joints.",
     )
+    head: bool = advanced(
+        True,
+        description="Give the links of the head constant lengths, too. The paper leaves the head "
+        "out of its tree (III-E).",
+    )
     chest_midpoint: bool = advanced(
         False, description="Put the chest midway between the shoulders and hips (III-E)."
     )
@@ -48,7 +54,13 @@ def straighten(
     frames : merged frames; people pass unchanged until their lengths are known.
     model : its links are walked from the root outwards; those that close a loop are left alone.
     params, events : parameters; where calibrations are noted.
-    limbs : filled with the lengths of everybody, when they leave and at the end.
+    limbs : lengths known from before. These people keep them exactly, from their first frame on.
+        Filled with the lengths of everybody else, when they leave and at the end.
+
+    Raises
+    ------
+    ConfigError
+        If ``limbs`` names a link that the model lacks.
     """
     params = params or StraightenParams()
     consistency = _LimbConsistency(model, params, LimbTable() if limbs is None else limbs)
@@ -72,17 +84,19 @@ class _LimbConsistency:
         from hiros_mcap.kernels import limb_lengths as kernels
 
         self._kernels, self._limbs, self._keys = kernels, limbs, link_keys(model)
+        self._given = {person: limbs.lengths(person, model) for person in limbs.people}
         self._settings = kernels.LimbSettings(params.frames, params.rate)
-        self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), link_order(model))
-        no_lengths = np.zeros((0, model.n_links)), np.zeros(0, np.int64)
-        self._bank = Bank(kernels.LimbLengths(*no_lengths))
+        order = link_order(model, () if params.head else _head(model))
+        self._tree = kernels.LinkTree(np.ascontiguousarray(model.links), order)
+        nobody, none = np.zeros(0, np.int64), np.zeros((0, model.n_links))
+        self._bank = Bank(kernels.LimbLengths(none, none, nobody, nobody > 0))
         self._calibrated: set[int] = set()
 
     def apply(self, out: Frame) -> list[int]:
         """Move the joints of ``out`` in place; return who is calibrated from now on."""
         self._forget(out.stamp)
         rows = [
-            -1 if person == UNTRACKED else self._bank.row(person, out.stamp)
+            -1 if person == UNTRACKED else self._row(person, out.stamp)
             for person in out.ids.tolist()
         ]
         past = self._bank.past
@@ -97,6 +111,14 @@ class _LimbConsistency:
         self._calibrated = ready
         return sorted(new)
 
+    def _row(self, person: int, stamp: int) -> int:
+        is_new = person not in self._bank.rows
+        row = self._bank.row(person, stamp)
+        if is_new and person in self._given:
+            self._bank.past.lengths[row] = self._given[person]
+            self._bank.past.given[row] = True
+        return row
+
     def _forget(self, now: int) -> None:
         rows = self._bank.rows.copy()
         for person in self._bank.expire(now):
@@ -110,21 +132,27 @@ class _LimbConsistency:
 
     def _save(self, person: int, row: int) -> None:
         if person in self._calibrated:
-            pairs = zip(self._keys, self._bank.past.lengths[row].tolist(), strict=True)
-            limbs = {key: Limb(x, 0.0, self._settings.frames) for key, x in pairs if x > 0}
+            past, n = self._bank.past, self._settings.frames
+            deviations = np.sqrt(past.squares[row] / n).tolist()
+            columns = zip(self._keys, past.lengths[row].tolist(), deviations, strict=True)
+            limbs = {key: Limb(length, sd, n) for key, length, sd in columns if length > 0}
             self._limbs.people[person] = limbs
 
 
-def link_order(model: SkeletonModel) -> Stamps:
+def link_order(model: SkeletonModel, without: Collection[int] = ()) -> Stamps:
     """Order the links, a parent's before its children's; loops and loose ends are left out.
 
-    A root is a marker that is no link's child.
+    A root is a marker that is no link's child. Links of the markers ``without`` are left out, too.
     """
-    ends = [(int(p), int(c)) for p, c in model.links]
-    children = {c for _, c in ends}
-    placed = {p for p, _ in ends if p >= 0 and p not in children}
+    ends = {
+        k: (p, c)
+        for k, (p, c) in enumerate(model.links.tolist())
+        if p not in without and c not in without
+    }
+    children = {c for _, c in ends.values()}
+    placed = {p for p, _ in ends.values() if p >= 0 and p not in children}
     order: list[int] = []
-    waiting = [k for k, (p, c) in enumerate(ends) if p >= 0 and c >= 0]
+    waiting = [k for k, (p, c) in ends.items() if p >= 0 and c >= 0]
     while True:
         ready = [k for k in waiting if ends[k][0] in placed and ends[k][1] not in placed]
         if not ready:
@@ -134,6 +162,11 @@ def link_order(model: SkeletonModel) -> Stamps:
                 order.append(k)
                 placed.add(ends[k][1])
         waiting = [k for k in waiting if k not in order]
+
+
+def _head(model: SkeletonModel) -> list[int]:
+    """Slots of the head; a detector of faces calls it nose."""
+    return [k for k, name in enumerate(model.marker_names) if split_side(name)[0] in HEAD]
 
 
 def _chest(model: SkeletonModel) -> tuple[int, list[int]] | None:

@@ -33,6 +33,7 @@ from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
+    ORIENTATION,
     POSITION,
     UNTRACKED,
     Floats,
@@ -102,6 +103,13 @@ class TrackParams(Params):
         description="Weight of eq 9 against eq 8 in eq 6, m per rad. The paper adds metres and "
         "radians one to one; a detection that faces the wrong way then costs as much as 3 m.",
     )
+    position_weight: float = advanced(
+        1.0,
+        ge=0,
+        description="Weight of the positions in eq 8. 0 leaves them out: velocities and "
+        "orientations then decide between the tracks within the gate. A detection with left and "
+        "right swapped has only positions; it costs its distance.",
+    )
     velocity_weight: float = advanced(
         0.05, ge=0, description="w_v of eq 8, s. Only detections with velocities use it."
     )
@@ -128,6 +136,9 @@ class TrackParams(Params):
     )
     min_markers: int = advanced(
         4, ge=1, description="A detection with fewer markers starts no track."
+    )
+    min_links: int = advanced(
+        0, ge=0, description="A detection with fewer link orientations starts no track."
     )
     tentative_gap: float = advanced(
         0.5,
@@ -488,6 +499,10 @@ class _Tracker:
             here = group.people.markers[j, :, POSITION]
             if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
                 group.reasons[j] = "too few markers"
+                continue
+            turned = ~np.isnan(group.people.links[j, :, ORIENTATION.start])
+            if np.count_nonzero(turned) < self.params.min_links:
+                group.reasons[j] = "too few links"
                 continue
             support = _Support(group.stamp, np.nanmean(here, axis=0))
             pairs.match[j] = len(new)

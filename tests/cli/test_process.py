@@ -145,11 +145,16 @@ def test_options_with_a_name_of_their_own(
     assert target.exists()
 
 
-def test_malaguti_saves_the_limbs_that_it_finds(crossing: Path, tmp_path: Path) -> None:
-    limbs = tmp_path / "limbs.toml"
-    options = ["--system", "malaguti", "--save-limbs", str(limbs), "-q"]
-    assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap"), *options]) == 0
-    assert LimbTable.load(limbs).people
+def test_malaguti_saves_the_limbs_that_it_finds_and_uses_those_of_a_file(
+    crossing: Path, tmp_path: Path
+) -> None:
+    limbs, again = tmp_path / "limbs.toml", tmp_path / "again.toml"
+    command = ["process", str(crossing), "-o", str(tmp_path / "out.mcap"), "--system", "malaguti"]
+    assert run([*command, "--save-limbs", str(limbs), "-q"]) == 0
+    table = LimbTable.load(limbs)
+    assert table.people
+    assert run([*command, "--limbs", str(limbs), "--save-limbs", str(again), "-q"]) == 0
+    assert LimbTable.load(again).people == table.people
 
 
 @pytest.mark.parametrize(
@@ -250,7 +255,7 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--system", "lee", "--limbs", "x.toml"], "--limbs has no effect: --system lee"),
         (["--system", "lee", "--solver", "ceres"], "--solver has no effect: --system lee"),
         (["--system", "malaguti", "--two-pass"], "--two-pass has no effect: --system malaguti"),
-        (["--system", "malaguti", "--limbs", "x.toml"], "has an optimizer of its own"),
+        (["--system", "malaguti", "--limbs", "missing.toml"], "missing.toml"),
         (["--limbs", "x.toml", "--two-pass"], "--two-pass has no effect: the limb lengths come"),
         (["--calibrate=-inf:3"], "must start at a finite time"),
         (["--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),

@@ -142,6 +142,48 @@ def test_a_marker_is_written_if_any_of_its_written_numbers_is_known(column: int)
     assert count_of_markers(frame, derivatives=False) == (column < 7)
 
 
+def boxed(*markers: tuple[float, float, float], given: float = np.nan, **options: Any) -> Any:
+    """Box (22,) of a person with these markers."""
+    model = SkeletonModel.of([f"m{k}" for k in range(len(markers))], [])
+    frame = Frame.empty(1, model, source="cam", frame_id="map")
+    frame.positions[0], frame.boxes[:] = np.array(markers), given
+    data = Encoder(model, boxes=True, **options).encode(frame)
+    return Decoder(model, exact=True).decode_message(data)[0].boxes[0]
+
+
+NOWHERE = (np.nan, np.nan, np.nan)
+
+
+def test_the_box_holds_all_markers_that_are_known() -> None:
+    box = boxed((1, 2, 3), NOWHERE, (0, 4, 3.5), (0.5, 2, 3), (np.nan, 9, 9))
+    assert box[:7].tolist() == [0.5, 3, 3.25, 0, 0, 0, 1]
+    assert np.isnan(box[7:STATE]).all()
+    assert box[STATE:].tolist() == [0.5, 1, 2]  # height z, length x, width y
+
+
+def test_the_box_of_one_marker_has_no_size() -> None:
+    assert boxed((1, 2, 3))[[0, 1, 2, 19, 20, 21]].tolist() == [1, 2, 3, 0, 0, 0]
+
+
+def test_without_markers_the_box_is_as_given() -> None:
+    assert np.isnan(boxed(NOWHERE)).all()
+    assert (boxed(NOWHERE, given=0.25) == 0.25).all()
+
+
+def test_boxes_of_detectors_give_way_to_those_of_the_markers() -> None:
+    assert boxed((1, 2, 3), (0, 4, 3.5), given=7.0)[STATE:].tolist() == [0.5, 1, 2]
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=6))
+def test_every_face_of_the_box_touches_a_marker(markers: list[tuple[float, float, float]]) -> None:
+    box, known = boxed(*markers), np.array(markers)
+    sizes = box[[20, 21, 19]]
+    assert box[:3] - sizes / 2 == pytest.approx(known.min(axis=0), abs=1e-12)
+    assert box[:3] + sizes / 2 == pytest.approx(known.max(axis=0), abs=1e-12)
+    assert boxed(*markers, precision="micrometre") == pytest.approx(box, abs=2e-6, nan_ok=True)
+
+
 def count_of_markers(frame: Frame, **options: Any) -> int:
     """Markers in the message of a frame without links, by its length."""
     empty = len(Encoder(MODEL, **options).encode(Frame.empty(1, MODEL)))

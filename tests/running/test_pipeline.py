@@ -27,7 +27,7 @@ from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
-from hiros_mcap.systems import LETTERS, SYSTEMS
+from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -243,6 +243,21 @@ def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> Non
     assert small.stat().st_size < 0.3 * full.stat().st_size
 
 
+@pytest.mark.parametrize("system", ["hiros", "malaguti", "lee", "maf", "average", "raw"])
+def test_every_skeleton_has_the_box_of_its_markers(system: str, tmp_path: Path) -> None:
+    process(CROSSING, tmp_path / "out", options=ProcessOptions(system=system))
+    for channel in chain_of(system):
+        frames, *_ = read_channel(tmp_path / "out", f"/hiros/{channel}")
+        people = [(frame, k) for frame in frames for k in range(frame.n_people)]
+        assert people
+        for frame, k in people:
+            box, size = frame.boxes[k], frame.boxes[k, [20, 21, 19]]
+            for side, limit in ((-0.5, np.nanmin), (0.5, np.nanmax)):
+                expected = limit(frame.positions[k], axis=0)
+                assert box[:3] + side * size == pytest.approx(expected, abs=1e-5)
+            assert box[ORIENTATION].tolist() == [0, 0, 0, 1]
+
+
 def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     process(WALKING, tmp_path / "out.mcap")
     with McapReader(tmp_path / "out.mcap") as reader:
@@ -280,6 +295,16 @@ def test_a_system_or_a_chain_that_does_not_exist() -> None:
         process(WALKING, None, options=ProcessOptions(system="hydra"))
     with pytest.raises(ConfigError, match="system hiros cannot run the stages 'FT'"):
         process(WALKING, None, options=ProcessOptions(stages="FT"))
+
+
+@pytest.mark.parametrize("options", [{"system": "lee"}, {"stages": "TMF"}])
+@pytest.mark.parametrize("name", ["limbs_in", "limbs_out"])
+def test_limb_lengths_are_refused_where_no_stage_uses_them(
+    options: dict[str, str], name: str, tmp_path: Path
+) -> None:
+    more = {name: tmp_path / "limbs.toml"}
+    with pytest.raises(ConfigError, match=r"limbs\.toml: .* has no optimizer"):
+        process(WALKING, None, options=ProcessOptions(**options, **more))
 
 
 def test_limb_lengths_that_are_given_are_not_measured_again(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from skeleton_makers import energies, energy_of, random_model, random_poses
+from skeleton_makers import energies, energy_of, random_model, random_poses, scene_of
 
+from hiros_mcap.events import Events
 from hiros_mcap.kernels.energy import STIFFNESS, Energy
 from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.stages import ceres
 from hiros_mcap.stages.ceres import CeresSolver, Residuals
-from hiros_mcap.stages.optimize import block_solver
+from hiros_mcap.stages.optimize import OptimizeParams, block_solver, optimize
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -60,6 +62,25 @@ def test_orientation_residual_has_the_angle_for_a_norm(angle):
     residuals.load(start, np.array([1.0]), np.array([[0.0, 0.0, 0.0, 1.0]]))
     moved = np.array([[0.0, 0, 0], [np.cos(angle) - 1.0, np.sin(angle), 0]])
     assert np.linalg.norm(residuals(moved)[0]) == pytest.approx(angle, rel=1e-9)
+
+
+def test_skeletons_that_ceres_does_not_finish_are_counted(monkeypatch):
+    def hasty(*args):
+        options = real(*args)
+        options.max_num_iterations = 1
+        return options
+
+    real = ceres._options
+    monkeypatch.setattr(ceres, "_options", hasty)
+    rng = np.random.default_rng(3)
+    model = random_model(rng)
+    start, nominal = random_poses(model, 5, rng)
+    start[4] = np.nan  # nothing to solve
+    assert CeresSolver(model, 1e-9)(energy_of(model, start, nominal, exact=True))[1] == 4
+    frame, limbs = scene_of(model, start, nominal)
+    events, params = Events(), OptimizeParams(solver="ceres")
+    next(optimize([frame], model, params, events, limbs))
+    assert events.total("optimizer not converged") == 4
 
 
 def test_model_without_links_needs_no_solution():

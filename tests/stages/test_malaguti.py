@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
-from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.calibrate.noise import measure_noise
 from hiros_mcap.config import load_config
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.kernels import centroid_filter, joint_filter, limb_lengths
 from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
@@ -360,17 +361,46 @@ def test_a_rejected_joint_neither_counts_as_outlier_nor_enters_the_history() -> 
 
 
 def test_steady_motion_is_no_outlier_at_uneven_times() -> None:
-    """The literal form of eq 9 and 10, with consecutive positions, finds most long intervals."""
+    """As printed, with consecutive positions, most long intervals give outliers."""
     rng, events = np.random.default_rng(5), Events()
     ticks = np.cumsum([1 if k % 16 else 9 for k in range(160)]) / 8
     frames = [seen([person(0.03 * k)], at(k), ids=[0]) for k in ticks.tolist()]
     for frame in frames:
         frame.positions[:] += rng.normal(scale=0.001, size=(8, 3))
     list(kalman(frames, MODEL, events=events))
-    moves = np.linalg.norm(np.diff([frame.positions[0] for frame in frames], axis=0), axis=-1)
-    literal = sum((moves[k] > 1.25 * moves[k - 15 : k].max(axis=0)).sum() for k in range(15, 159))
-    assert literal >= 9 * 8
-    assert events.total("outlier") < literal / 4
+    as_printed = Events()
+    list(kalman(frames, MODEL, KalmanParams(consecutive=True), as_printed))
+    assert as_printed.total("outlier") >= 9 * 8
+    assert events.total("outlier") < as_printed.total("outlier") / 4
+
+
+@pytest.mark.parametrize(
+    ("consecutive", "outliers", "x"), [(False, 0, 0.1 + 0.026 / 2), (True, 1, 0.1 + 0.026 / 3)]
+)
+def test_d_as_printed_is_between_consecutive_positions(
+    consecutive: bool, outliers: int, x: float
+) -> None:
+    """The joint was at 0 and is expected at 100 mm, as uncertain as its detection at 126 mm.
+
+    The threshold is 1.25 x 50.4 = 63 mm. The detection is 26 mm from the prediction, which is no
+    outlier, and 126 mm from the joint's last position, which is two thresholds.
+    """
+    joints = Joints(consecutive=consecutive, process_noise=1e-9)
+    joints.past.known[:], joints.x[0, 1, 0] = True, 1.0
+    joints.p[:] = [0.0009, 0, 0, 0, 0, 0]
+    joints.past.distances[0, 0], joints.past.counts[0, 0, 0] = 0.0504, 15
+    assert joints.take(np.array([[0.126, 0, 0]]), dt=0.1) == outliers
+    assert joints.x[0, 0, 0] == pytest.approx(x, abs=1e-9)
+    assert joints.past.distances[0, 0, 0] == pytest.approx(x if consecutive else 0.026, abs=1e-9)
+
+
+def test_as_printed_the_steps_of_outliers_are_in_the_history() -> None:
+    joints = Joints(consecutive=True, history=2)
+    assert [joints.measure(0.01) for _ in range(2)] == [(0, pytest.approx(0.5))] * 2  # 5 mm steps
+    assert joints.measure(0.025) == (1, pytest.approx(1 / 5))  # 4 x 6.25 mm: another step of 5 mm
+    assert joints.past.distances[0, 0] == pytest.approx([0.005, 0.005])
+    assert joints.measure(0.025) == (1, pytest.approx(1 / 5))
+    assert joints.measure(0.025) == (0, pytest.approx(1 / 2))  # o_max
 
 
 def test_a_real_fast_motion_is_followed_after_two_samples() -> None:
@@ -531,7 +561,8 @@ def test_the_closed_form_is_the_minimum_of_eq_12() -> None:
     for _ in range(5):
         noisy = POSE + rng.normal(scale=0.05, size=POSE.shape)
         frame = seen([noisy], START)
-        past = limb_lengths.LimbLengths(lengths[None].copy(), np.array([1]))
+        known, zero = lengths[None].copy(), np.zeros((1, MODEL.n_links))
+        past = limb_lengths.LimbLengths(known, zero, np.array([0]), np.array([True]))
         arguments = np.array([0]), past, tree, limb_lengths.LimbSettings(1, 0.0)
         limb_lengths.straighten(frame.markers, *arguments)
         closed, solved = frame.positions[0], noisy.copy()
@@ -619,7 +650,9 @@ def test_lengths_are_learned_from_whole_frames_only() -> None:
 def test_the_first_lengths_are_means() -> None:
     table = LimbTable()
     list(straighten(scaled(0.9, 10) + scaled(1.2, 20, 10), MODEL, limbs=table))
-    assert table.people[0]["NECK"].length == pytest.approx(0.5 * 1.1)
+    neck = table.people[0]["NECK"]
+    assert neck.length == pytest.approx(0.5 * 1.1)
+    assert neck.deviation == pytest.approx(0.5 * np.std([0.9] * 10 + [1.2] * 20))
 
 
 def test_people_without_an_id_pass_unchanged() -> None:
@@ -653,6 +686,51 @@ def test_the_chest_is_the_middle_of_shoulders_and_hips() -> None:
     assert out.positions[0, 0].tolist() == frame.positions[0, 1:].mean(axis=0).tolist()
     (plain,) = straighten([frame], model)
     assert (plain.positions == frame.positions).all()
+
+
+@pytest.mark.parametrize("name", ["HEAD", "Nose"])
+def test_the_head_can_be_left_out_of_the_tree(name: str) -> None:
+    """Nobody ever sees it whole; with the head, the lengths of the others stay unknown."""
+    model = SkeletonModel.of(
+        ["PELVIS", "NECK", name, "EAR"], [("spine", 0, 1), ("head", 1, 2), ("ear", 2, 3)]
+    )
+    frames = [Frame.empty(1, model, stamp=at(k)) for k in range(40)]
+    for k, frame in enumerate(frames):
+        frame.ids[:], frame.positions[0] = 0, np.arange(12).reshape(4, 3)
+        frame.positions[0, 1] *= 1.5 if k == 39 else 1.0
+        frame.markers[0, 3] = np.nan
+    *_, without = straighten(frames, model, StraightenParams(head=False, rate=0.0))
+    spine = without.positions[0, 1] - without.positions[0, 0]
+    assert np.linalg.norm(spine) == pytest.approx(math.sqrt(27))
+    assert (without.positions[0, 2] == frames[39].positions[0, 2]).all()
+    *_, with_head = straighten(frames, model, StraightenParams(rate=0.0))
+    assert same(with_head, frames[39])
+
+
+def test_a_head_that_is_the_root_can_be_left_out() -> None:
+    model = SkeletonModel.of(["head", "neck", "hip"], [("", 0, 1), ("", 1, 2)])
+    assert link_order(model).tolist() == [0, 1]
+    assert link_order(model, [0]).tolist() == [1]
+
+
+def test_given_lengths_hold_from_the_first_frame_and_are_kept() -> None:
+    """Person 0 has all lengths but one; person 1 is measured as usual."""
+    frames = [seen([person(), person(2)], at(k), ids=[0, 1]) for k in range(60)]
+    given = {name: Limb(1.1 * x, 0.01, 7) for name, x in zip(MODEL.link_names, TRUE, strict=True)}
+    del given["WRIST_LEFT"]
+    table, events = LimbTable({0: dict(given)}), Events()
+    out = list(straighten(frames, MODEL, StraightenParams(rate=0.5), events, table))
+    for frame in out:
+        assert lengths_of(frame)[:5] == pytest.approx(1.1 * TRUE[:5])
+    assert (out[0].positions[0, 6] == frames[0].positions[0, 6]).all()
+    assert table.people[0] == given
+    assert [(e.kind, e.person) for e in events.log] == [("limbs calibrated", 1)]
+
+
+def test_given_lengths_of_unknown_links_are_refused() -> None:
+    table = LimbTable({0: {"TAIL": Limb(0.3)}})
+    with pytest.raises(ConfigError, match="person 0: this log has no link 'TAIL'"):
+        next(straighten(scaled(1.0), MODEL, limbs=table))
 
 
 # -- noise, baselines ------------------------------------------------------------------------------
@@ -774,7 +852,7 @@ CHANGES = [
     for name, value in {
         "measurement_noise": 0.1, "process_noise": 1.0, "step": 0.033, "use_confidence": False,
         "min_confidence": 0.1, "history": 3, "outlier_factor": 2.0, "max_outliers": 0,
-        "range_noise": 0.1, "max_gap": 0.5, "hold": 0.0, "rate": 10.0,
+        "range_noise": 0.1, "max_gap": 0.5, "hold": 0.0, "rate": 10.0, "consecutive": True,
     }.items()
 ] + [
     (straighten, StraightenParams, "frames", 3), (straighten, StraightenParams, "rate", 0.5),
@@ -800,7 +878,7 @@ def test_every_parameter_changes_something(
 
 def test_the_parameters_above_are_all() -> None:
     named = {(params, name) for _, params, name, _ in CHANGES}
-    named.add((StraightenParams, "chest_midpoint"))
+    named |= {(StraightenParams, "chest_midpoint"), (StraightenParams, "head")}
     kinds = AssociateParams, KalmanParams, StraightenParams, MovingAverageParams
     assert named == {(kind, name) for kind in kinds for name in kind.model_fields}
 

@@ -423,6 +423,34 @@ def test_a_camera_without_confidences_counts_fully() -> None:
     assert merged.marker_confidences[0, 0] == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(("markers", "expected"), [(np.nan, 0.9), (0.5, 0.5)])
+def test_eq12_falls_back_to_the_confidence_of_the_skeleton(markers: float, expected: float) -> None:
+    frames = views([person(0.0), person(0.1)])
+    for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
+        frame.confidences[:], frame.marker_confidences[:] = confidence, markers
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0, 0, 0] == pytest.approx(0.1 * expected)
+    assert merged.marker_confidences[0, 0] == pytest.approx(markers, nan_ok=True)
+
+
+def test_links_without_confidences_weigh_as_their_skeletons_do() -> None:
+    frames = views([person()] * 2, turns=True)
+    for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
+        frame.links[0, :, 3:7] = Rotation.from_euler("z", angle).as_quat()
+        frame.confidences[:] = confidence
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    turned = Rotation.from_quat(merged.orientations[0]).as_euler("zyx")[:, 0]
+    assert turned == pytest.approx(np.full(7, 0.025), abs=1e-4)
+
+
+def test_of_two_views_that_face_opposite_ways_the_more_confident_skeleton_is_right() -> None:
+    frames = views(BOTH_WAYS)
+    for frame, confidence in zip(frames, (0.1, 0.9), strict=True):
+        frame.confidences[:], frame.marker_confidences[:] = confidence, np.nan
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update={"cameras": 2}))
+    assert merged.positions[0] == pytest.approx(person()[MIRROR])
+
+
 def test_orientations_are_weighed_by_confidence() -> None:
     frames = views([person()] * 2, turns=True)
     for frame, angle, confidence in zip(frames, (0.0, 0.1), (0.75, 0.25), strict=True):
@@ -670,6 +698,33 @@ def test_a_long_block_gives_what_its_frames_give_one_by_one() -> None:
     params = MergeParams(bridge=3.0)
     together = frames_of(merge_blocks([block], MODEL, params))
     assert all(map(same, together, merge(frames, MODEL, params)))
+
+
+def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with() -> None:
+    """Person 0 leaves; person 1, in the same block, does not inherit the offset of camera c1."""
+    frames = [f for k in range(60) for f in views([person(), person(0.06)], k)]
+    others = [seen([person(3)], at(0) + s * SECOND, "c1", ids=[9]) for s in range(3, 14)]
+    new = [seen([person(0.06)], at(0) + s * SECOND, "c1", ids=[1]) for s in (14, 15)]
+    block = join([(Block.of(frame), 0) for frame in [*frames, *others, *new]])
+    params = PLAIN.model_copy(update={"offset_time": 2.0})
+    for merged in list(frames_of(merge_blocks([block], MODEL, params)))[-2:]:
+        assert merged.ids.tolist() == [1]
+        assert merged.positions[0] == pytest.approx(person(0.06))
+
+
+def test_the_signs_of_orientations_are_aligned_with_their_mean() -> None:
+    """The first view, of little weight, lies across: by its signs the others would cancel out."""
+    frames = views([person()] * 3, turns=True)
+    turns = np.radians([0.0, 160.0, 200.0])
+    for frame, turn, confidence in zip(frames, turns, (0.1, 1.0, 0.9), strict=True):
+        frame.links[0, :, 3:7] = Rotation.from_euler("z", turn).as_quat()
+        frame.link_confidences[:] = confidence
+    changes = {"cameras": 3, "max_orientation_delta": 0.0, "max_facing_delta": 0.0}
+    (merged,) = merge(frames, MODEL, PLAIN.model_copy(update=changes))
+    turned = Rotation.from_quat(merged.orientations[0]).magnitude()
+    mean = np.angle(np.dot((0.1, 1.0, 0.9), np.exp(0.5j * turns)))  # of half the angles
+    assert np.degrees(turned) == pytest.approx(np.full(7, np.degrees(2.0 * mean)))
+    assert 170.0 < np.degrees(turned[0]) <= 180.0
 
 
 def test_bridging_stops_moving_after_a_fifth_of_a_second_and_keeps_the_rest() -> None:

@@ -9,6 +9,14 @@ from skeleton_makers import energies, energy_of, lengths_of, random_model, rando
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import Events
+from hiros_mcap.kernels.energy import (
+    W_DISTAL,
+    W_LENGTH,
+    W_PROXIMAL,
+    Energy,
+    exact_weights,
+    paper_weights,
+)
 from hiros_mcap.kernels.normal_equations import NormalEquations, solve_equations
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.elimination import topology_of
@@ -190,6 +198,23 @@ def test_a_marker_that_moves_half_of_the_limit_is_an_outlier():
     assert events.total("optimizer outlier") == 2
 
 
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("wrong", range(8))
+def test_the_measured_place_of_an_outlier_counts_next_to_nothing(wrong, exact):
+    """At whichever end of a link it is; the links to it keep their lengths."""
+    topology, outlier = topology_of(MODEL), np.zeros((1, 8), np.int32)
+    outlier[0, wrong] = 1
+    energy = Energy(POSE[None] * 1.05, lengths_of(MODEL, POSE[None]), np.empty((1, 7, 4)))
+    if exact:
+        exact_weights(energy, topology, outlier, np.ones((1, 8)))
+    else:
+        paper_weights(energy, topology, outlier, 0.1)
+    ends = energy.weights[0, :, [W_PROXIMAL, W_DISTAL]].T
+    assert (ends[MODEL.links == wrong] < 1e-3).all()
+    assert (ends[MODEL.links != wrong] > 0.01).all()
+    assert (energy.weights[0, (MODEL.links == wrong).any(axis=1), W_LENGTH] >= 1.0).all()
+
+
 def test_confidence_decides_which_end_is_wrong():
     away = (POSE[7] - POSE[6]) / np.linalg.norm(POSE[7] - POSE[6])
     model = SkeletonModel.of("ab", [("link", 0, 1)])
@@ -343,6 +368,15 @@ def test_confident_markers_move_less():
     frame.marker_confidences[0, 7] = 0.1
     moved = np.linalg.norm(optimized(frame).positions[0] - frame.positions[0], axis=1)
     assert moved[7] > 5 * moved[6] > 0
+
+
+@pytest.mark.parametrize(("confidence", "share"), [(0.01, 1 / 2), (0.03, 3 / 4), (1.0, 100 / 101)])
+def test_a_marker_of_no_confidence_moves_as_one_of_a_hundredth(confidence, share):
+    model = SkeletonModel.of("ab", [("link", 0, 1)])
+    frame, limbs = scene_of(model, np.array([[[0, 0, 0], [0.45, 0, 0]]]), np.array([[0.4]]))
+    frame.marker_confidences[:] = 0.0, confidence
+    moved = next(optimize([frame], model, limbs=limbs)).positions[0, 0, 0]
+    assert moved == pytest.approx(share * 0.05, abs=1e-4)
 
 
 def test_link_with_a_zero_length_or_no_marker_is_harmless():

@@ -126,6 +126,32 @@ def test_eq8_adds_the_velocity_difference() -> None:
 
 
 @pytest.mark.parametrize(
+    ("weight", "velocity_weight", "expected"), [(1.0, 0.1, 1.2), (0.5, 0.0, 0.5), (0.0, 0.1, 0.2)]
+)
+def test_eq8_weighs_positions_against_velocities(
+    weight: float, velocity_weight: float, expected: float
+) -> None:
+    """1 m apart, and 2 m/s."""
+    tracks = tracks_at(np.zeros((1, 1, 3)), np.empty((1, 0, 4)))
+    tracks.velocities[0, :, 0], tracks.seen[:] = 2.0, SECOND
+    there, links = np.array([[[1.0, 0, 0]]]), np.empty((1, 0, 4))
+    weights = {"position_weight": weight, "velocity_weight": velocity_weight}
+    assert compared(tracks, there, links, **weights).cost[0, 0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("weight", "expected"), [(1.0, 1), (0.0, 0)])
+def test_without_positions_the_orientations_decide_within_the_gate(
+    weight: float, expected: int
+) -> None:
+    """Who comes is nearer to 1, and faces as 0 does."""
+    frames = [seen([person(), person(0.5)], at(k), turns=True) for k in range(5)]
+    for frame in frames:
+        frame.links[1, :, 3:7] = about_z(1.0)
+    last = seen([person(0.3)], at(5), turns=True)
+    assert last_id([*frames, last], position_weight=weight) == [expected]
+
+
+@pytest.mark.parametrize(
     ("dot", "angle"), [(1, 0), (-1, 0), (1.1, 0), (math.sqrt(0.5), math.pi / 2)]
 )
 def test_eq10(dot: float, angle: float) -> None:
@@ -411,11 +437,38 @@ def test_somebody_who_enters_beside_another_gets_an_own_id() -> None:
     assert ids(track(frames, MODEL))[-1] == [0, 1]
 
 
+def test_two_people_who_enter_close_together_have_their_ids_from_the_start() -> None:
+    """A detection beside a tentative track is no duplicate: nobody knows yet who is who."""
+    apart = [0.2, *[0.6] * 40]
+    frames = [seen([person()], at(k)) for k in range(2)]
+    frames += [seen([person(), person(x)], at(2 + k)) for k, x in enumerate(apart)]
+    assert ids(track(frames, MODEL)) == [[0]] * 2 + [[0, 1]] * 41
+
+
+def test_a_camera_that_reported_a_person_does_not_contradict_itself() -> None:
+    """Camera b stops; a alone reports somebody for a second, then for another second does not."""
+    frames = [seen(walkers(k), at(k, c), "ab"[c]) for k in range(60) for c in range(2)]
+    for k in range(60, 150):
+        there = [] if 90 <= k < 120 else [person(0.0, 0.2)]
+        frames.append(seen(walkers(k) + there, at(k), "a"))
+    events = Events()
+    tracked = list(track(frames, MODEL, events=events, cameras=CAMERAS))
+    assert {f.ids.tolist()[2] for f in tracked if f.n_people == 3} == {2}
+    assert "track withdrawn" not in {event.kind for event in events.log}
+
+
 def test_a_swapped_body_keeps_its_id_and_does_not_throw_the_track() -> None:
     frames = [seen([person()[MIRROR] if 20 <= k < 40 else person()], at(k)) for k in range(60)]
     tracked = list(track(frames, MODEL))
     assert all(i == [0] for i in ids(tracked))
     assert max(np.nanmax(np.abs(f.velocities)) for f in tracked) < 0.1
+
+
+def test_links_may_be_needed_to_start_a_track() -> None:
+    frames, events = [seen([person()], at(k), turns=k > 4) for k in range(10)], Events()
+    params = AT_ONCE.model_copy(update={"min_links": 7})
+    assert ids(track(frames, MODEL, params, events)) == [[-1]] * 5 + [[0]] * 5
+    assert events.counts["too few links", "a"] == 5
 
 
 def test_no_common_marker_does_not_hang() -> None:

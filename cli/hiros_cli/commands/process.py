@@ -220,8 +220,9 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
         what = f"--stages {stages}" if stages else f"--system {system}"
         unused, why = set(given), f"{what} has no optimizer"
     elif "optimize" not in sections_of(system):
-        # It calibrates in its own way; the lengths can be saved.
-        unused, why = {*given} - {"--save-limbs"}, f"--system {system} has an optimizer of its own"
+        # It calibrates in its own way; the lengths can be saved and given.
+        unused = {*given} - {"--save-limbs", "--limbs"}
+        why = f"--system {system} has an optimizer of its own"
     elif given["--limbs"]:
         unused, why = {"--two-pass"}, "the limb lengths come from --limbs"
     else:
