@@ -1,5 +1,6 @@
 # make demo   environment, install, one log processed, and what came of it
 # make test   lint, types and tests, as .ci/run does
+# make docs   the documentation as a web site, in site/
 # make clean  the environment and everything built
 #
 # PYTHON chooses the interpreter (3.11 or later), VENV where the environment goes.
@@ -8,9 +9,9 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SAMPLE := sample_data/two_people_crossing.mcap
-CODE   := hiros_mcap cli schemas viewer tests benchmarks
+CODE   := hiros_mcap cli schemas viewer tests benchmarks docs
 
-.PHONY: demo test lint types tests format dist clean
+.PHONY: demo test lint types tests docs format dist clean
 
 demo: $(VENV)/.installed
 	$(BIN)/hiros process $(SAMPLE)
@@ -26,6 +27,10 @@ types: $(VENV)/.installed-dev
 
 tests: $(VENV)/.installed-dev
 	$(BIN)/pytest -n auto
+
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "open site/index.html"
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix $(CODE)
@@ -50,5 +55,9 @@ $(VENV)/.installed-dev: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@ $(VENV)/.installed
 
+$(VENV)/.installed-docs: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@touch $@ $(VENV)/.installed
+
 clean:
-	rm -rf $(VENV) dist build .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) site dist build .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -352,36 +352,37 @@ def _entry(params: Params, name: str, schema: Mapping[str, Any]) -> str:
     """One parameter: what it is, what is allowed, what it is by default, its value."""
     field = type(params).model_fields[name]
     value, default = getattr(params, name), field.get_default(call_default_factory=True)
-    allowed = _allowed(schema)
+    limits = allowed(schema)
     remarks = [" ".join((field.description or "").split())]
-    if allowed:
-        remarks.append(f"Allowed: {allowed}.")
+    if limits:
+        remarks.append(f"Allowed: {limits}.")
     if value != default:
-        remarks.append(f"Default: {_toml(default)}.")
+        remarks.append(f"Default: {toml_value(default)}.")
     comment = "\n".join(
         textwrap.fill(remark, WIDTH, initial_indent="# ", subsequent_indent="# ")
         for remark in remarks
     )
-    line = f"# {name} is not set" if value is None else f"{name} = {_toml(value)}"
+    line = f"# {name} is not set" if value is None else f"{name} = {toml_value(value)}"
     return f"{comment}\n{line}\n"
 
 
-def _toml(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """Return a value as TOML writes it, "not set" for None."""
     if value is None:
         return "not set"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(item) for item in value)}]"
+        return f"[{', '.join(toml_value(item) for item in value)}]"
     return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
 
 
-def _allowed(schema: Mapping[str, Any]) -> str:
+def allowed(schema: Mapping[str, Any]) -> str:
     """Return the range or the choices of a parameter from its JSON schema, "" if anything goes."""
     choices = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
     (option, *others) = choices
     if others:
         return ""
     if "enum" in option:
-        return ", ".join(_toml(choice) for choice in option["enum"])
+        return ", ".join(toml_value(choice) for choice in option["enum"])
     words = {
         "exclusiveMinimum": "above",
         "minimum": "at least",

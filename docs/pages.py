@@ -1,0 +1,162 @@
+"""The pages that are generated when the site is built: commands, parameters, messages, Python.
+
+A hook of MkDocs; ``mkdocs.yml`` names it. What these pages say comes from the code, so it cannot
+become wrong.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parent.parent
+WIDTH = 78
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages to those of the folder."""
+    for path, text in generated().items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def generated() -> dict[str, str]:
+    """Path of each generated page -> its Markdown."""
+    pages: Mapping[str, Callable[[], str]] = {
+        "changes.md": changes,
+        "reference/commands.md": commands,
+        "reference/messages.md": messages,
+        "reference/parameters.md": parameters,
+        "reference/python.md": python,
+    }
+    return {path: page() for path, page in pages.items()}
+
+
+def changes() -> str:
+    """Return the changelog."""
+    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def commands() -> str:
+    """Return what ``--help`` of every command says."""
+    import typer
+
+    from hiros_cli.commands import app
+
+    root: Any = typer.main.get_command(app)
+    parts = [
+        "# Commands",
+        "Exit codes: 0 done, 1 `hiros check` found a difference, 2 bad input or usage (one line on "
+        "stderr, no output), 3 recovered with losses, 70 a bug of hiros, 128 + n stopped by "
+        "signal n. Warnings go to stderr, also with `--quiet`.",
+    ]
+    for name, command in _leaves(root, "hiros"):
+        context = command.make_context(name, ["--help"], resilient_parsing=True)
+        context.info_name = name
+        formatter = context.make_formatter()
+        formatter.width = WIDTH
+        command.format_help(context, formatter)
+        parts.append(f"## {name}\n\n```text\n{formatter.getvalue().strip()}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def _leaves(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield every command that does something, with its full name."""
+    below = getattr(command, "commands", None)
+    if not below:
+        yield name, command
+        return
+    for child, sub in below.items():
+        yield from _leaves(sub, f"{name} {child}")
+
+
+def parameters() -> str:
+    """Return every parameter of every section: meaning, default, range; advanced ones last."""
+    from hiros_mcap.config import Config
+
+    parts = [
+        "# Parameters",
+        "`hiros config --system NAME` prints the parameters of one system with the values in "
+        "effect. Set one with `--set section.parameter=value`, several with `--config FILE`. "
+        "Most people never need the advanced ones.",
+    ]
+    for section, field in Config.model_fields.items():
+        parts.append(f"## {section}\n\n{field.description}")
+        parts += _tables(field.default)
+    return "\n\n".join(parts) + "\n"
+
+
+def _tables(params: Any) -> Iterator[str]:
+    from hiros_mcap.params import is_advanced
+
+    fields = type(params).model_fields
+    schema = params.model_json_schema()["properties"]
+    for title, wanted in (("", False), ("Advanced", True)):
+        rows = [
+            _row(params, name, schema[name])
+            for name, field in fields.items()
+            if is_advanced(field) == wanted
+        ]
+        if rows:
+            heading = f"**{title}**\n\n" if title else ""
+            header = "| parameter | default | allowed | what it is |\n|---|---|---|---|\n"
+            yield heading + header + "\n".join(rows)
+
+
+def _row(params: Any, name: str, schema: Mapping[str, Any]) -> str:
+    from hiros_mcap.config import allowed, toml_value
+
+    description = " ".join((type(params).model_fields[name].description or "").split())
+    default = toml_value(getattr(params, name))
+    cells = (f"`{name}`", f"`{default}`", allowed(schema), _text(description))
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def _text(description: str) -> str:
+    """Markdown that shows the description as it is."""
+    return re.sub(r"([<>*_])", r"\\\1", description)
+
+
+def messages() -> str:
+    """Return the message definitions, comments included."""
+    from hiros_schemas import NAMES, ROS_PACKAGE, type_hash
+
+    parts = [
+        "# Messages",
+        "The folder `schemas/hiros_schemas/hiros_skeleton_msgs` is a complete ROS 2 interface "
+        "package. Put it into a workspace and run `colcon build`. hiros reads and writes "
+        "`SkeletonGroup`.",
+    ]
+    for name in NAMES:
+        kind = name.rpartition("/")[2]
+        text = (ROS_PACKAGE / "msg" / f"{kind}.msg").read_text(encoding="utf-8").strip()
+        title = f"## {kind}\n\n`{name}`, type hash `{type_hash(name)}`"
+        parts.append(f"{title}\n\n```text\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def python() -> str:
+    """Return the public names with their docstrings."""
+    import hiros_mcap
+    import hiros_schemas
+
+    parts = ["# Python"]
+    for module in (hiros_mcap, hiros_schemas):
+        parts.append(f"## {module.__name__}\n\n{inspect.getdoc(module)}")
+        parts += [f"::: {home}" for home in _public(module)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _public(module: ModuleType) -> Iterator[str]:
+    """Yield the full name of each public class and function of a module."""
+    for name in module.__all__:
+        value = getattr(module, name)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            yield f"{module.__name__}.{name}"

@@ -1,0 +1,107 @@
+"""The documentation says what is true: pages, links, commands."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+import hiros_mcap
+from hiros_cli.app import run
+from hiros_cli.commands import app
+from hiros_mcap import open_result
+from hiros_mcap.config import Config
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
+
+SLOW = {"compare"}
+WINDOWS = {"--web", "--view", "--connect"}
+"""Options that wait for somebody."""
+
+
+def generated() -> dict[str, str]:
+    """Return the pages that the site's hook makes."""
+    spec = importlib.util.spec_from_file_location("pages", DOCS / "pages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    pages: dict[str, str] = module.generated()
+    return pages
+
+
+def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
+    pages = generated()
+    root: Any = typer.main.get_command(app)
+    for name in root.commands:
+        assert f"## hiros {name}" in pages["reference/commands.md"]
+    for section, field in Config.model_fields.items():
+        for name in type(field.default).model_fields:
+            assert f"| `{name}` |" in pages["reference/parameters.md"], section
+    for name in set(hiros_mcap.__all__) - {"__version__"}:
+        assert f"::: hiros_mcap.{name}\n" in pages["reference/python.md"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
+        path = page.parent / target
+        assert path.exists() or target in generated(), f"{page.name}: {target}"
+
+
+def commands(page: Path) -> list[str]:
+    """Return the commands of a page's indented blocks, without `hiros` and remarks."""
+    lines = re.findall(r"^    (?:\$ )?hiros (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return [line.split("  #")[0].strip() for line in lines]
+
+
+def parse(arguments: list[str]) -> None:
+    """Take the arguments apart as the program does, and run nothing."""
+    command: Any = typer.main.get_command(app)
+    while hasattr(command, "commands"):
+        command, arguments = command.commands[arguments[0]], arguments[1:]
+    command.make_context(command.name, list(arguments))
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with every file that the pages' commands read."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    shutil.copytree(ROOT / "sample_data", folder / "sample_data")
+    shutil.copy(ROOT / "sample_data" / "two_people_crossing.mcap", folder / "lab.mcap")
+    shutil.copy(folder / "lab.mcap", folder / "mocap.mcap")
+    result = str(folder / "lab.hiros.mcap")
+    assert run(["process", str(folder / "lab.mcap"), "--quiet"]) == 0
+    assert run(["export", result, "-o", str(folder / "mocap.trc"), "--person", "0"]) == 0
+    rows = open_result(result).joints()["WRIST_LEFT"].reset_index()
+    rows.insert(2, "marker", "WRIST_LEFT")
+    rows.columns = ["person", "time", "marker", "x", "y", "z"]
+    rows.to_csv(folder / "mocap.csv", index=False)
+    return folder
+
+
+def test_at_least_one_page_has_commands() -> None:
+    assert sum(len(commands(page)) for page in PAGES) > 20
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_run(page: Path, laboratory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(laboratory)
+    for line in commands(page):
+        arguments = shlex.split(line)
+        parse(arguments)
+        if arguments[0] in SLOW or WINDOWS & set(arguments):
+            continue
+        if arguments[0] == "view" and "--save" not in arguments:
+            arguments += ["--save", "view.rrd"]
+        if arguments[0] == "export":
+            arguments.append("--force")
+        assert run(arguments) == 0, line
