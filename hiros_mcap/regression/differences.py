@@ -12,7 +12,7 @@ import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.logs import output_channels, read_channel
+from hiros_mcap.evaluate.logs import has_outputs, output_channels, read_channel
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.io.channels import LIMBS_ATTACHMENT, OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
@@ -206,6 +206,9 @@ def compare_logs(
         The skeleton models differ: there is nothing to compare.
     """
     tolerances = beside(Path(golden)) if tolerances is None else tolerances
+    if not has_outputs(golden):
+        fault = "is no golden log: it holds no results (for a truth, use `hiros eval --truth`)"
+        raise LogError(fault, path=golden)
     topics = output_channels(golden)
     try:
         there = set(output_channels(output))

@@ -19,6 +19,9 @@ from hiros_mcap.skeletons import Frame
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
+RECORDING = SAMPLES / "one_person_walking.mcap"
+
+
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("check") / "out.mcap"
@@ -105,6 +108,8 @@ def test_quiet_leaves_the_exit_code_and_errors(
     [
         (["{output}"], "name the golden log with --golden"),
         (["{output}", "--golden", "/nowhere.mcap"], "no such golden file"),
+        (["{output}", "--golden", "{recording}"], "is no golden log"),
+        (["{recording}", "--golden", "{output}"], "run `hiros process` first"),
         (["{output}", "--golden", "/etc/passwd"], "ends in .mcap"),
         (["{output}", "--junit", "a.xml"], "--junit has no effect on an output"),
         (["{suite}", "--golden", "a.mcap"], "--golden has no effect on a suite"),
@@ -120,7 +125,15 @@ def test_faults_are_one_line(
     arguments: list[str],
     fault: str,
 ) -> None:
-    assert run(["check", *(a.format(output=output, suite=suite) for a in arguments)]) == 2
+    assert (
+        run(
+            [
+                "check",
+                *(a.format(output=output, suite=suite, recording=RECORDING) for a in arguments),
+            ]
+        )
+        == 2
+    )
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert fault in captured.err

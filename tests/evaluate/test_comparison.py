@@ -153,6 +153,18 @@ def test_without_a_truth_nothing_is_ranked(
     assert "needs a truth" in capsys.readouterr().err
 
 
+def test_a_result_without_its_recording_cannot_be_compared(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process(walking, tmp_path / "result.mcap", options=ProcessOptions(keep=()))
+    process(walking, tmp_path / "truth.mcap", options=ProcessOptions(keep=("/truth/*",)))
+    for name in ("result.mcap", "truth.mcap"):
+        assert run(["compare", str(tmp_path / name), "--system", "hiros"]) == 2
+        line = capsys.readouterr().err
+        assert line.endswith("holds results or a truth, but no detections; name the recording\n")
+        assert line.count("\n") == 1
+
+
 def test_what_is_known_without_a_truth(bare: Path, capsys: pytest.CaptureFixture[str]) -> None:
     systems = ["--system", "raw", "--system", "hiros"]
     assert run(["compare", str(bare), *systems, "--jobs", "1", "--json"]) == 0

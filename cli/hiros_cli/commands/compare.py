@@ -79,6 +79,10 @@ def compare(
     check_outputs(
         (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
     )
+    from hiros_mcap.evaluate.logs import check_recording
+
+    for path in paths:
+        check_recording(path)
     prepare(quiet=quiet or json, roots=ALL)
     from hiros_cli.progress import bar
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
