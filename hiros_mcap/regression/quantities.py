@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from math import floor, log10
 
 import numpy as np
 
@@ -58,11 +59,10 @@ class Quantity:
         """Return a distance as text."""
         return f"{self.scale * distance:.4g} {self.unit}".rstrip()
 
-    def value(self, numbers: Floats) -> str:
+    def value(self, numbers: Floats, decimals: int) -> str:
         """Return the numbers of one element as text."""
-        if np.isnan(numbers).any():
-            return "absent"
-        return f"{', '.join(f'{x:.8g}' for x in numbers.tolist())} {self.values}".rstrip()
+        rounded = (round(x, decimals) for x in numbers.tolist())
+        return f"{', '.join(f'{x:.12g}' for x in rounded)} {self.values}".rstrip()
 
 
 def _states(columns: slice) -> Read:
@@ -203,7 +203,8 @@ class QuantityComparison:
         if distance.max(initial=0.0) > self.largest:
             s, k = divmod(int(distance.argmax()), distance.shape[1])
             self.largest = float(distance[s, k])
-            self.was, self.now = self.quantity.value(was[s, k]), self.quantity.value(now[s, k])
+            decimals = max(3, 2 - floor(log10(np.abs(was[s, k] - now[s, k]).max())))
+            self.was, self.now = (self.quantity.value(x[s, k], decimals) for x in (was, now))
             seconds = (pairs[s].was.stamp - start) / 1e9
             self.place = f"{names[k]} of person {pairs[s].person} at {seconds:.3f} s"
         # What is absent or new has no distance, and tells more than one.

@@ -163,7 +163,7 @@ def _run_suite(
     reports.check([*suite.files, *kept], force=options.force)
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
-    with bar(path.name, quiet=quiet) as progress:
+    with bar(f"{path.name}: {len(options.only) or len(suite.cases)} logs", quiet=quiet) as progress:
         results = run_suite(suite, options, progress)
     reports.write(results, path.stem)
     return results
