@@ -1,4 +1,4 @@
-"""Several systems on the same log: who is nearest to the truth, or to the camera left out.
+"""Several systems on the same log: who is nearest to the truth, or what each does without one.
 
 A log is decoded once per process and kept in memory while all systems run on it.
 """
@@ -74,17 +74,22 @@ class Outcome:
     """CPU time of the stages per input message, without compiling or loading the kernels."""
     scores: Scores | None = None
     """Against the truth; None without one."""
-    distance: float = float("nan")
-    """Without a truth: mean over cameras of the median distance of the one left out, mm."""
+    disagreement: float = float("nan")
+    """Without a truth: distance of a camera left out from the result of the others, mm; median
+    over joints, mean over cameras. Neither the error nor a bound on it."""
+    coverage: float = float("nan")
+    """Without a truth: share of the left-out cameras' skeletons that the others confirm."""
+    ids: int = 0
+    """Number of different ids in the result."""
     limb_variation: float = float("nan")
     jitter: float = float("nan")
     people: float = float("nan")
     """Mean number of people in the result."""
 
     @property
-    def rank(self) -> float:
-        """What outcomes are ordered by: mean joint error, or distance of the camera left out."""
-        return self.distance if self.scores is None else self.scores.mean
+    def error(self) -> float:
+        """Mean joint error, mm; NaN without a truth."""
+        return float("nan") if self.scores is None else self.scores.mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +160,7 @@ def run_task(task: Task) -> Outcome:
         scores=scores,
         limb_variation=scores.limb_variation,
         jitter=scores.jitter,
+        ids=len({ident for frame in found for _, ident in frame.tracked()}),
         people=float(np.mean([frame.n_people for frame in found])) if found else 0.0,
     )
 
@@ -200,9 +206,13 @@ def _without_truth(task: Task, outcome: Outcome) -> Outcome:
     config = load_config(None, entry.assignments, "default", entry.system)
     options = ProcessOptions(system=entry.system, stages=entry.stages)
     scores = leave_one_out(task.log, config=config, options=options)
+    detections = sum(camera.detections for camera in scores.cameras)
+    unmatched = sum(camera.unmatched for camera in scores.cameras)
     return replace(
         outcome,
-        distance=float(np.mean([camera.median for camera in scores.cameras])),
+        disagreement=float(np.mean([camera.median for camera in scores.cameras])),
+        coverage=1 - unmatched / detections if detections else float("nan"),
+        ids=len(scores.consistency.people),
         limb_variation=scores.consistency.limb_variation,
         jitter=scores.consistency.jitter,
     )

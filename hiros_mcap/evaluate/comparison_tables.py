@@ -16,17 +16,48 @@ TRUTH_HEADER = (
     *("System", "Mean", "SD", "Torso", "Upper", "Lower", "Angles", "Limb CV", "Jitter", "Lag"),
     *("Missing", "False", "Switches", "HOTA", "ms/message"),
 )
-SELF_HEADER = ("System", "Left out", "Limb CV", "Jitter", "ms/message")
+SELF_HEADER = ("System", "Disagreement", "Coverage", "Ids", "Limb CV", "Jitter", "ms/message")
+WITHOUT_TRUTH = (
+    "Not ranked, since there is no truth. Disagreement: median distance, mm, of a camera left out "
+    "from the result of the others. This is neither the error nor a bound on it: it adds the "
+    "camera's own noise and misses errors that all cameras share. Coverage: share of that "
+    "camera's skeletons near somebody whom the others see."
+)
 
 
-def ranked(outcomes: Sequence[Outcome]) -> Table:
-    """Header and rows of one log, the best first; against the truth, or without one."""
-    ordered = sorted(outcomes, key=lambda o: (np.isnan(o.rank), o.rank, o.name))
-    if any(o.scores is None for o in ordered):
-        return SELF_HEADER, [
-            (o.name, number(o.distance, 1), *_motion(o), number(o.milliseconds, 3)) for o in ordered
-        ]
-    return TRUTH_HEADER, [_truth_row(o, o.scores) for o in ordered if o.scores is not None]
+def table_of(outcomes: Sequence[Outcome]) -> Table:
+    """Header and rows of one log.
+
+    With a truth, the system with the least error comes first. Without one, the systems stay in the
+    order in which they were named: no number tells which is best.
+    """
+    ordered = best_first(outcomes)
+    if has_truth(outcomes):
+        return TRUTH_HEADER, [_truth_row(o, o.scores) for o in ordered if o.scores is not None]
+    return SELF_HEADER, [_self_row(o) for o in ordered]
+
+
+def has_truth(outcomes: Sequence[Outcome]) -> bool:
+    """Whether all outcomes were compared with a truth."""
+    return all(o.scores is not None for o in outcomes)
+
+
+def best_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Order outcomes by their error, or leave them in their order without a truth."""
+    if not has_truth(outcomes):
+        return list(outcomes)
+    return sorted(outcomes, key=lambda o: (np.isnan(o.error), o.error, o.name))
+
+
+def _self_row(o: Outcome) -> tuple[str, ...]:
+    return (
+        o.name,
+        number(o.disagreement, 1),
+        number(100 * o.coverage, 1, " %"),
+        str(o.ids),
+        *_motion(o),
+        number(o.milliseconds, 3),
+    )
 
 
 def _motion(o: Outcome) -> tuple[str, str]:

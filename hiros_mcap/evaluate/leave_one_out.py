@@ -1,7 +1,7 @@
 """Without a truth: fuse all cameras but one, and measure how far the one left out is from the rest.
 
-The distance contains the noise of the camera left out and lacks the errors that all cameras share,
-so it is no error and no bound of one. It compares cameras, joints and settings on one log.
+This is neither the error nor a bound on it: it adds the camera's own noise and misses errors that
+all cameras share. It compares cameras, joints and settings on one log.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ class LeftOut:
     unmatched: int
     """Those that match nobody."""
     mirrored: int
-    """Those that fit better with left and right swapped; they are not in the errors below."""
-    error: ErrorStats
+    """Those that fit better with left and right swapped; they are not in the distances below."""
+    distance: ErrorStats
+    """From the same joint in the result of the others."""
     median: float
-    """Of the joint distances, mm."""
+    """Of these distances, mm."""
     offset: float
     """Norm of the mean displacement over all joints, mm: mostly the error of the extrinsics."""
     parts: Mapping[str, ErrorStats]
@@ -144,19 +145,19 @@ def _left_out(
 ) -> LeftOut:
     found = _residuals(frames, fused, model)
     displacement = found.displacement[~found.mirrored]
-    errors = 1000 * np.linalg.norm(displacement, axis=-1)
-    known = errors[~np.isnan(errors)]
+    distances = 1000 * np.linalg.norm(displacement, axis=-1)
+    known = distances[~np.isnan(distances)]
     means = [mean_of(displacement[..., axis]) for axis in range(3)]
     return LeftOut(
         topic=topic,
         detections=len(found.stamps) + found.unmatched,
         unmatched=found.unmatched,
         mirrored=int(found.mirrored.sum()),
-        error=ErrorStats.of(errors),
+        distance=ErrorStats.of(distances),
         median=float(np.median(known)) if known.size else np.nan,
         offset=1000 * float(np.linalg.norm(means)),
-        parts={part: ErrorStats.of(errors[:, own]) for part, own in parts_of(model).items()},
-        joints=ErrorStats.by_name(model.marker_names, errors),
+        parts={part: ErrorStats.of(distances[:, own]) for part, own in parts_of(model).items()},
+        joints=ErrorStats.by_name(model.marker_names, distances),
     )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
 from hiros_mcap.evaluate.scores import Scores, score_matches
@@ -52,6 +53,16 @@ def has_outputs(path: str | os.PathLike[str]) -> bool:
     """Whether a log holds a channel that hiros wrote."""
     with open_reader(path) as reader:
         return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
+
+
+def check_recording(path: str | os.PathLike[str]) -> None:
+    """Raise LogError if a log holds results of hiros or a truth, but no detections."""
+    with open_reader(path) as reader:
+        groups = [c for c in channels_of(reader) if c.has_type(hiros_schemas.SKELETON_GROUP)]
+    own = tuple(f"{prefix}/" for prefix in (OUTPUT_PREFIX, TRUTH_PREFIX))
+    if groups and all(c.topic.startswith(own) for c in groups):
+        fault = "holds results or a truth, but no detections; name the recording"
+        raise LogError(fault, path=path)
 
 
 def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:

@@ -97,7 +97,7 @@ def left_out_table(cameras: Sequence[LeftOut]) -> Table:
         (
             c.topic,
             number(c.median, 1),
-            *_millimetres(c.error),
+            *_millimetres(c.distance),
             *(number(c.parts[part].mean, 1) for part in parts),
             number(c.offset, 1),
             *map(str, (c.detections, c.unmatched, c.mirrored)),

@@ -17,6 +17,10 @@ OUTPUT_TOPICS = tuple(
 """Of the stages' channels, in the order of the chain."""
 LIMBS_ATTACHMENT = "hiros/limbs.toml"
 EVENTS_ATTACHMENT = "hiros/events.json"
+CONFIG_ATTACHMENT = "hiros/config.toml"
+"""The parameters in effect."""
+PROVENANCE = "hiros.provenance"
+"""Metadata of how a result came about."""
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
 _LISTED = 20

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
@@ -15,6 +16,16 @@ _SHOWN = ("mpjpe", "id_switches", "limb_cv", "jitter")
 _MARKS = {"equal": "✅ equal", "different": "❌ different", "error": "⚠️ error"}
 
 
+def totals(results: Sequence[CaseResult]) -> str:
+    """Return how many logs are as expected, in one line."""
+    counts = Counter(result.status for result in results)
+    seconds = sum(result.seconds for result in results)
+    return (
+        f"{counts['equal']} of {len(results)} logs as expected, {counts['different']} different, "
+        f"{counts['error']} failed, {seconds:.1f} s"
+    )
+
+
 def as_dict(results: Sequence[CaseResult]) -> dict[str, Any]:
     """Plain data for JSON."""
     return {
@@ -23,6 +34,15 @@ def as_dict(results: Sequence[CaseResult]) -> dict[str, Any]:
         "errors": sum(r.status == "error" for r in results),
         "logs": [plain(r) for r in results],
     }
+
+
+def lines(result: CaseResult) -> list[str]:
+    """Return what is wrong with a log, one line each: what was and is, where it begins."""
+    begin = [
+        f"{topic}: first in frame {d.frame}, {d.seconds:.3f} s: {d.what}"
+        for topic, d in result.first
+    ]
+    return [*([result.error] if result.error else []), *map(str, result.differences), *begin]
 
 
 def junit(results: Sequence[CaseResult], name: str) -> str:
@@ -41,10 +61,11 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
         )
         if result.status != "equal":
             kind = "error" if result.status == "error" else "failure"
-            fault = ElementTree.SubElement(case, kind, message=_xml_text(result.faults[0]))
-            fault.text = _xml_text("\n".join([*result.faults, *first_lines(result)]))
-        lines = [f"{k} = {shown(k, v)}" for k, v in result.metrics.items()]
-        ElementTree.SubElement(case, "system-out").text = "\n".join([*lines, *result.notes])
+            found = lines(result)
+            fault = ElementTree.SubElement(case, kind, message=_xml_text(found[0]))
+            fault.text = _xml_text("\n".join(found))
+        metrics = [f"{k} = {shown(k, v)}" for k, v in result.metrics.items()]
+        ElementTree.SubElement(case, "system-out").text = "\n".join([*metrics, *result.notes])
     root = ElementTree.Element("testsuites")
     root.append(suite)
     ElementTree.indent(root)
@@ -57,36 +78,43 @@ def _xml_text(text: str) -> str:
     return "".join(c if c in "\t\n" or c >= " " else "?" for c in text)
 
 
-def first_lines(result: CaseResult) -> list[str]:
-    """Where each channel begins to differ, one line each."""
-    return [
-        f"{topic}: first in frame {d.frame}, {d.seconds:.3f} s: {d.what}"
-        for topic, d in result.first
-    ]
-
-
 def markdown(results: Sequence[CaseResult], name: str) -> str:
-    """Summary for a pull request: a table, and the details of what is not equal folded below."""
-    good = sum(r.status == "equal" for r in results)
-    lines = [
-        f"{MARKDOWN_MARK}{_cell(name)}: {good} of {len(results)} logs as expected",
-        "",
-        "| log | | " + " | ".join(_SHOWN) + " | what |",
-        "|---|---|" + "---:|" * len(_SHOWN) + "---|",
+    """Summary for a pull request: a table of the logs, and one of what was and is for each."""
+    # A metric that no log has would be an empty column.
+    known = [m for m in _SHOWN if any(m in r.metrics for r in results)]
+    rows = [
+        (
+            r.name,
+            _MARKS[r.status],
+            *(shown(m, r.metrics[m]) if m in r.metrics else "-" for m in known),
+        )
+        for r in results
     ]
+    text = [f"{MARKDOWN_MARK}{_cell(name)}: {totals(results)}", ""]
+    text += _table(("log", "result", *known), rows)
     for r in results:
-        numbers = [shown(m, r.metrics[m]) if m in r.metrics else "" for m in _SHOWN]
-        what = r.faults[0] if r.faults else (r.notes[0] if r.notes else "")
-        more = f" (and {len(r.faults) - 1} more)" if len(r.faults) > 1 else ""
-        row = [_cell(r.name), _MARKS[r.status], *numbers, _cell(what) + more]
-        lines.append("| " + " | ".join(row) + " |")
-    for r in results:
-        if r.faults:
-            detail = "\n".join([*r.faults, *first_lines(r)])
-            fence = "```" if "```" not in detail else "~~~~"
-            lines += ["", f"<details><summary>{_cell(r.name)}</summary>", "", fence, detail, fence]
-            lines += ["", "</details>"]
-    return "\n".join(lines) + "\n"
+        text += _details(r)
+    return "\n".join(text) + "\n"
+
+
+def _details(r: CaseResult) -> list[str]:
+    if r.status == "equal":
+        return []
+    text = ["", f"**{_cell(r.name)}**", ""]
+    if r.error:
+        text += [_cell(r.error), ""]
+    if r.differences:
+        rows = [(d.where, d.what, d.was, d.now) for d in r.differences]
+        text += [*_table(("where", "what", "was", "is"), rows), ""]
+        detail = "\n".join([*lines(r), *r.notes])
+        fence = "```" if "```" not in detail else "~~~~"
+        text += ["<details><summary>details</summary>", "", fence, detail, fence, "", "</details>"]
+    return text
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    ruled = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
+    return ruled + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
 
 
 def _cell(text: str) -> str:

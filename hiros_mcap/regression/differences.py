@@ -4,25 +4,53 @@ from __future__ import annotations
 
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.body.rotations import angle
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.logs import output_channels, read_channel
+from hiros_mcap.evaluate.logs import has_outputs, output_channels, read_channel
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.io.channels import LIMBS_ATTACHMENT, OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.regression.quantities import (
+    QUANTITIES,
+    Pair,
+    QuantityComparison,
+    most,
+    spread,
+    union,
+    worst,
+)
 from hiros_mcap.regression.tolerances import Tolerances, beside
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 
 SAME_PERSON = 0.3
 """m, mean joint distance: closer skeletons of two results are of the same person."""
-_SHOWN = 5
+_BATCH = 256
+"""Skeletons that are compared at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Something that was, and is not any more."""
+
+    where: str
+    """Channel, or "configuration", "calibration", "metrics", ..."""
+    what: str
+    """A parameter, a quantity, a metric."""
+    was: str
+    """In the golden file."""
+    now: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """One line."""
+        detail = f" ({self.detail})" if self.detail else ""
+        return f"{self.where}: {self.what}: was {self.was}, is {self.now}{detail}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +69,7 @@ class Divergence:
 
 @dataclass(slots=True)
 class ChannelComparison:
-    """A channel against its golden self. Lengths in m, angles in degrees."""
+    """A channel against its golden self."""
 
     topic: str
     frames: int = 0
@@ -49,63 +77,78 @@ class ChannelComparison:
     skeletons: int = 0
     missing_frames: int = 0
     extra_frames: int = 0
+    frame_ids: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """(golden coordinate frame, another one) -> frames."""
     missing: Counter[int] = field(default_factory=Counter)
     """Golden person -> frames in which nobody is there instead."""
     extra: Counter[int] = field(default_factory=Counter)
     """New id -> frames in which the golden channel has nobody there."""
     renamed: Counter[tuple[int, int]] = field(default_factory=Counter)
     """(golden person, new id) -> frames in which the person has another id than usual."""
-    vanished: Counter[str] = field(default_factory=Counter)
-    """Joint or link -> frames in which it is absent now."""
-    appeared: Counter[str] = field(default_factory=Counter)
-    """Joint or link -> frames in which it was absent before."""
-    position_max: float = 0.0
-    position_rms: float = 0.0
-    joints: dict[str, float] = field(default_factory=dict)
-    """Joint -> largest distance."""
-    orientation_max: float = 0.0
-    links: dict[str, float] = field(default_factory=dict)
-    """Link -> largest angle."""
+    seen: Counter[int] = field(default_factory=Counter)
+    """Golden person -> frames."""
+    quantities: dict[str, QuantityComparison] = field(default_factory=dict)
+    """By name, in the order of :data:`hiros_mcap.regression.quantities.QUANTITIES`."""
     first: Divergence | None = None
     ids: dict[int, int] = field(default_factory=dict)
     """Golden person -> id now. Which ids people have does not matter."""
 
-    def faults(self, tolerances: Tolerances) -> list[str]:
-        """Say what differs by more than is tolerated, one line each; empty if nothing does."""
-        lines = []
+    def differences(self, tolerances: Tolerances) -> list[Difference]:
+        """Return what differs by more than is tolerated; empty if nothing does."""
+        found = []
         if self.missing_frames + self.extra_frames > tolerances.frames * self.frames:
-            lines.append(
-                f"frames: {self.missing_frames} missing, {self.extra_frames} extra of {self.frames}"
-            )
+            now = self.frames - self.missing_frames + self.extra_frames
+            detail = f"{self.missing_frames} missing, {self.extra_frames} extra"
+            found.append(self._frames("frames", str(self.frames), str(now), detail))
+        found += [
+            self._frames("coordinate frame", was, now, f"in {n} frames")
+            for (was, now), n in self.frame_ids.items()
+        ]
         wrong = sum((self.missing + self.extra).values()) + sum(self.renamed.values())
         if wrong > tolerances.people * self.skeletons:
-            lines += self._people()
-        lines += self._absent()
-        if self.position_max > tolerances.positions:
-            lines.append(
-                f"positions: up to {_mm(self.position_max)}, RMS {_mm(self.position_rms)}; "
-                f"worst {_worst(self.joints, _mm)}"
-            )
-        if self.orientation_max > tolerances.orientations:
-            worst = _worst(self.links, _deg)
-            lines.append(f"orientations: up to {_deg(self.orientation_max)}; worst {worst}")
-        return lines
+            found += self._people()
+        for compared in self.quantities.values():
+            found += self._absent(compared)
+            if compared.largest > compared.quantity.tolerated(tolerances):
+                found.append(self._off(compared))
+        return found
 
-    def _people(self) -> list[str]:
-        lines = [f"people: person {p} is missing in {n} frames" for p, n in self.missing.items()]
-        lines += [f"people: id {i} is extra in {n} frames" for i, n in self.extra.items()]
-        lines += [
-            f"identity: person {p}, otherwise id {self.ids.get(p, '-')}, is id {i} in {n} frames"
-            for (p, i), n in self.renamed.items()
+    def _frames(self, what: str, was: str, now: str, detail: str = "") -> Difference:
+        return Difference(self.topic, what, was, now, detail)
+
+    def _people(self) -> list[Difference]:
+        lines = [
+            self._frames(f"person {p}", f"in {self.seen[p]} frames", f"missing in {n} of them")
+            for p, n in self.missing.items()
         ]
+        lines += [
+            self._frames(f"id {i}", "not there", f"in {n} frames") for i, n in self.extra.items()
+        ]
+        lines += [
+            self._frames(f"identity of person {p}", f"id {self.ids.get(p, '-')}", f"id {i}",
+                         f"in {n} frames")
+            for (p, i), n in self.renamed.items()
+        ]  # fmt: skip
         return lines
 
-    def _absent(self) -> list[str]:
+    def _absent(self, compared: QuantityComparison) -> list[Difference]:
+        name = compared.quantity.name
         return [
-            f"joints: {what} in some frames: {_most(counts)}"
-            for what, counts in (("absent", self.vanished), ("new", self.appeared))
+            self._frames(name, was, now, f"skeletons: {most(counts)}")
+            for counts, was, now in (
+                (compared.vanished, "there", "absent"),
+                (compared.appeared, "absent", "there"),
+            )
             if counts
         ]
+
+    def _off(self, compared: QuantityComparison) -> Difference:
+        shown = compared.quantity.shown
+        detail = (
+            f"{compared.place}; up to {shown(compared.largest)}, RMS {shown(compared.rms)}; "
+            f"worst {worst(compared.worst, shown)}"
+        )
+        return self._frames(compared.quantity.name, compared.was, compared.now, detail)
 
 
 @dataclass(slots=True)
@@ -115,19 +158,29 @@ class Comparison:
     channels: list[ChannelComparison]
     missing_channels: list[str] = field(default_factory=list)
     """In the golden log only."""
-    lengths: dict[tuple[int, str], float] = field(default_factory=dict)
-    """(golden person, link) -> difference of the calibrated lengths, m; inf if one has none."""
+    lengths: dict[tuple[int, str], tuple[float, float]] = field(default_factory=dict)
+    """(golden person, link) -> calibrated length in the golden log and now, m; NaN = none."""
 
-    def faults(self, tolerances: Tolerances) -> dict[str, list[str]]:
+    def differences(self, tolerances: Tolerances) -> dict[str, list[Difference]]:
         """Channel (or "calibration") -> what differs; empty if nothing does."""
-        found = {c.topic: lines for c in self.channels if (lines := c.faults(tolerances))}
-        found.update({topic: ["the channel is missing"] for topic in self.missing_channels})
-        wrong = {key: d for key, d in self.lengths.items() if d > tolerances.lengths}
+        found = {c.topic: lines for c in self.channels if (lines := c.differences(tolerances))}
+        for topic in self.missing_channels:
+            found[topic] = [Difference(topic, "channel", "there", "missing")]
+        wrong = {
+            key: (was, now)
+            for key, (was, now) in self.lengths.items()
+            if not abs(now - was) <= tolerances.lengths
+        }
         if wrong:
-            (person, link), worst = max(wrong.items(), key=lambda item: item[1])
-            off = "calibrated in one log only" if np.isinf(worst) else f"off by {_mm(worst)}"
+            (person, link), (was, now) = max(
+                wrong.items(), key=lambda item: np.nan_to_num(abs(np.diff(item[1])[0]), nan=np.inf)
+            )
             found["calibration"] = [
-                f"lengths: {len(wrong)} limbs differ; worst {link} of person {person}: {off}"
+                Difference(
+                    *("calibration", f"length of {link} of person {person}"),
+                    *(_metres(was), _metres(now)),
+                    f"{len(wrong)} limbs differ; this is the worst",
+                )
             ]
         return found
 
@@ -153,6 +206,9 @@ def compare_logs(
         The skeleton models differ: there is nothing to compare.
     """
     tolerances = beside(Path(golden)) if tolerances is None else tolerances
+    if not has_outputs(golden):
+        fault = "is no golden log: it holds no results (for a truth, use `hiros eval --truth`)"
+        raise LogError(fault, path=golden)
     topics = output_channels(golden)
     try:
         there = set(output_channels(output))
@@ -178,19 +234,15 @@ def _compare_channel(
 ) -> ChannelComparison:
     new, model, _ = read_channel(output, topic)
     old, golden_model, _ = read_channel(golden, topic)
-    if (fault := _model_fault(model, golden_model)) and new and old:
-        raise ConfigError(f"{output}: {topic}: cannot be compared with {golden}: {fault}")
+    names = model.marker_names, model.link_names
+    if names != (golden_model.marker_names, golden_model.link_names):
+        if not set(model.marker_names) & set(golden_model.marker_names):
+            fault = f"cannot be compared with {golden}: the skeletons share no marker"
+            raise ConfigError(f"{output}: {topic}: {fault}")
+        both = union(golden_model, model)
+        new = [spread(frame, model, both) for frame in new]
+        old, golden_model = [spread(frame, golden_model, both) for frame in old], both
     return compare_frames(new, old, golden_model, tolerances, topic)
-
-
-def _model_fault(new: SkeletonModel, old: SkeletonModel) -> str:
-    for what, a, b in (
-        ("markers", new.marker_names, old.marker_names),
-        ("links", new.link_names, old.link_names),
-    ):
-        if a != b:
-            return f"{what} {', '.join(a[:_SHOWN])}, ... against {', '.join(b[:_SHOWN])}, ..."
-    return ""
 
 
 def compare_frames(
@@ -206,17 +258,17 @@ def compare_frames(
     pairs = _pair_frames(new, golden, round(tolerances.times * 1e9))
     common = [(new[n], golden[g]) for n, g in pairs if n is not None and g is not None]
     result.ids = _match_people(common)
-    start = golden[0].stamp if golden else None
+    start = golden[0].stamp if golden else new[0].stamp if new else 0
     collector = _DifferenceCollector(model, tolerances, result, start)
     index = 0
     for n, g in pairs:
         index = index if g is None else g
         if n is None and g is not None:
             result.missing_frames += 1
-            collector.diverge(index, golden[g], "the frame is missing")
+            collector.diverge(index, golden[g].stamp, "the frame is missing")
         elif g is None and n is not None:
             result.extra_frames += 1
-            collector.diverge(index, new[n], "an extra frame")
+            collector.diverge(index, new[n].stamp, "an extra frame")
         elif n is not None and g is not None:
             collector.add(index, new[n], golden[g])
     collector.finish()
@@ -265,99 +317,78 @@ class _DifferenceCollector:
         model: SkeletonModel,
         tolerances: Tolerances,
         result: ChannelComparison,
-        start: int | None,
+        start: int,
     ) -> None:
         self.model = model
-        self.links = tuple(f"link {name}" for name in model.link_names)
         self.tolerances = tolerances
         self.result = result
         self.start = start
-        self._distances: list[Floats] = []
-        self._angles: list[Floats] = []
+        self._pairs: list[Pair] = []
 
-    def diverge(self, index: int, frame: Frame, what: str) -> None:
+    def diverge(self, index: int, stamp: int, what: str) -> None:
         """Note a difference; only the first is kept."""
-        if self.result.first is None:
-            start = frame.stamp if self.start is None else self.start
-            seconds = (frame.stamp - start) / 1e9
-            self.result.first = Divergence(index, frame.stamp, seconds, what)
+        first = self.result.first
+        if first is None or (stamp, index) < (first.stamp, first.frame):
+            seconds = (stamp - self.start) / 1e9
+            self.result.first = Divergence(index, stamp, seconds, what)
 
     def add(self, index: int, new: Frame, old: Frame) -> None:
-        """Compare two frames of the same time."""
-        rows = {ident: k for k, ident in enumerate(new.ids.tolist())}
-        compared = set()
+        """Match the people of two frames of the same time."""
+        result = self.result
+        if new.frame_id != old.frame_id:
+            result.frame_ids[old.frame_id, new.frame_id] += 1
+            self.diverge(index, old.stamp, f"the coordinate frame is {new.frame_id!r}")
+        result.skeletons += old.n_people
+        result.seen.update(old.ids.tolist())
+        rows = self._rows(new, old)
+        for g, row in enumerate(rows):
+            person = int(old.ids[g])
+            if row < 0:
+                result.missing[person] += 1
+                self.diverge(index, old.stamp, f"person {person} is missing")
+                continue
+            ident = int(new.ids[row])
+            if ident != result.ids.get(person, person):
+                result.renamed[person, ident] += 1
+                self.diverge(index, old.stamp, f"person {person} is now id {ident}")
+            self._pairs.append(Pair(index, old, g, new, row))
+        for row in set(range(new.n_people)) - set(rows):
+            ident = int(new.ids[row])
+            result.extra[ident] += 1
+            self.diverge(index, old.stamp, f"id {ident} is extra")
+
+    def _rows(self, new: Frame, old: Frame) -> list[int]:
+        """Row in ``new`` of every person of ``old``, -1 if there is none.
+
+        First those who have the expected id, then those who are where the person was.
+        """
         distance = skeleton_distances(old.positions, new.positions)
-        for g, person in enumerate(old.ids.tolist()):
-            self.result.skeletons += 1
-            row = rows.get(self.result.ids.get(person, UNTRACKED), -1)
-            if row < 0 or distance[g, row] >= SAME_PERSON:
-                row = self._find_elsewhere(index, old, person, distance[g], new)
-            if row >= 0:
-                compared.add(row)
-                self._compare_skeletons(index, old, g, new, row)
-        for row, ident in enumerate(new.ids.tolist()):
-            if row not in compared:
-                self.result.extra[ident] += 1
-                self.diverge(index, old, f"id {ident} is extra")
-
-    def _find_elsewhere(
-        self, index: int, old: Frame, person: int, distance: Floats, new: Frame
-    ) -> int:
-        """Row of the skeleton where the person was, under another id; -1 if there is none."""
-        row = int(np.argmin(distance)) if len(distance) else -1
-        if row < 0 or distance[row] >= SAME_PERSON:
-            self.result.missing[person] += 1
-            self.diverge(index, old, f"person {person} is missing")
-            return -1
-        ident = int(new.ids[row])
-        self.result.renamed[person, ident] += 1
-        self.diverge(index, old, f"person {person} is now id {ident}")
-        return row
-
-    def _compare_skeletons(self, index: int, old: Frame, g: int, new: Frame, n: int) -> None:
-        of = f"of person {int(old.ids[g])}"
-        distance = np.linalg.norm(new.positions[n] - old.positions[g], axis=-1)
-        degrees = np.degrees(angle(old.orientations[g], new.orientations[n]))
-        for names, was, now in (
-            (self.model.marker_names, old.positions[g], new.positions[n]),
-            (self.links, old.orientations[g], new.orientations[n]),
-        ):
-            before, after = ~np.isnan(was[:, 0]), ~np.isnan(now[:, 0])
-            for counts, mask, what in (
-                (self.result.vanished, before & ~after, "is absent"),
-                (self.result.appeared, after & ~before, "is new"),
-            ):
-                for k in np.nonzero(mask)[0]:
-                    counts[names[k]] += 1
-                    self.diverge(index, old, f"{names[k]} {of} {what}")
-        if (distance > self.tolerances.positions).any():
-            worst = int(np.nanargmax(distance))
-            name, off = self.model.marker_names[worst], _mm(distance[worst])
-            self.diverge(index, old, f"{name} {of} is off by {off}")
-        if (degrees > self.tolerances.orientations).any():
-            worst = int(np.nanargmax(degrees))
-            self.diverge(index, old, f"{self.links[worst]} {of} is off by {_deg(degrees[worst])}")
-        self._distances.append(distance)
-        self._angles.append(degrees)
+        # Of two skeletons without any marker, only the id is left to compare.
+        somewhere = [(~np.isnan(f.positions)).any(axis=(1, 2)) for f in (old, new)]
+        nowhere = ~np.logical_or.outer(*somewhere)
+        distance[nowhere] = 0.0
+        expected = np.array([self.result.ids.get(p, p) for p in old.ids.tolist()])
+        same = expected[:, None] == new.ids[None]
+        near = distance < SAME_PERSON
+        rows = np.full(old.n_people, -1)
+        for allowed in (near & same, near & ~nowhere):
+            free = ~np.isin(np.arange(new.n_people), rows)
+            cost = np.where(allowed & free & (rows < 0)[:, None], distance, np.inf)
+            for g, n in best_pairs(cost):
+                rows[g] = n
+        return [int(row) for row in rows]
 
     def finish(self) -> None:
-        """Sum up."""
-        if not self._distances:
-            return
-        distances, result = np.stack(self._distances), self.result
-        known = distances[~np.isnan(distances)]
-        if known.size:
-            result.position_max = float(known.max())
-            result.position_rms = float(np.sqrt((known * known).mean()))
-        result.joints = _largest(self.model.marker_names, distances)
-        result.links = _largest(self.model.link_names, np.stack(self._angles))
-        result.orientation_max = max(result.links.values(), default=0.0)
-
-
-def _largest(names: Sequence[str], table: Floats) -> dict[str, float]:
-    """Name -> largest number of its column; columns without any are left out."""
-    known = np.nonzero(~np.isnan(table).all(axis=0))[0].tolist()
-    return {names[k]: float(np.nanmax(table[:, k])) for k in known}
+        """Compare the numbers of those who were matched."""
+        for quantity in QUANTITIES:
+            compared = QuantityComparison(quantity)
+            self.result.quantities[quantity.name] = compared
+            for k in range(0, len(self._pairs), _BATCH):
+                pairs = self._pairs[k : k + _BATCH]
+                found = compared.add(pairs, self.model, self.tolerances, self.start)
+                if found is not None:
+                    pair, what = found
+                    self.diverge(pair.index, pair.was.stamp, what)
 
 
 def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
@@ -369,34 +400,22 @@ def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
 
 def compare_limbs(
     new: LimbTable, golden: LimbTable, ids: Mapping[int, int]
-) -> dict[tuple[int, str], float]:
-    """Difference of the lengths of every link of a golden person that either log has calibrated.
+) -> dict[tuple[int, str], tuple[float, float]]:
+    """Lengths, before and now, of every link of a golden person that either log has calibrated.
 
     A golden log without any calibration expects none.
     """
-    differences: dict[tuple[int, str], float] = {}
+    lengths: dict[tuple[int, str], tuple[float, float]] = {}
     for person, limbs in golden.people.items():
         others = new.people.get(ids.get(person, person), {})
         for link in {**limbs, **others}:
             was, now = limbs.get(link), others.get(link)
-            difference = np.inf if was is None or now is None else abs(now.length - was.length)
-            differences[person, link] = difference
-    return differences
+            lengths[person, link] = (
+                np.nan if was is None else was.length,
+                np.nan if now is None else now.length,
+            )
+    return lengths
 
 
-def _mm(metres: float) -> str:
-    return f"{1000 * metres:.4g} mm"
-
-
-def _deg(degrees: float) -> str:
-    return f"{degrees:.4g} deg"
-
-
-def _worst(values: Mapping[str, float], unit: Callable[[float], str]) -> str:
-    ordered = sorted(values.items(), key=lambda item: -item[1])[:_SHOWN]
-    return ", ".join(f"{name} {unit(value)}" for name, value in ordered)
-
-
-def _most(counts: Counter[str]) -> str:
-    rest = f" and {len(counts) - _SHOWN} more" if len(counts) > _SHOWN else ""
-    return ", ".join(f"{name} ({n})" for name, n in counts.most_common(_SHOWN)) + rest
+def _metres(length: float) -> str:
+    return "not calibrated" if np.isnan(length) else f"{length:.7g} m"

@@ -9,13 +9,37 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.evaluate.logs import output_channels, read_channel
-from hiros_mcap.io.channels import LIMBS_ATTACHMENT, add_skeleton_channel
+from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
+    LIMBS_ATTACHMENT,
+    PROVENANCE,
+    add_skeleton_channel,
+)
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter
-from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame
+from hiros_mcap.skeletons import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    ANGULAR_VELOCITY,
+    ORIENTATION,
+    POSITION,
+    STATE,
+    VELOCITY,
+    Floats,
+    Frame,
+)
 
-GRID = 2.0**-23
-"""Numbers of a golden log are multiples of this: 0.12 micrometres, a fifth of the bytes' noise."""
+_GRIDS = (
+    (POSITION, 2.0**-23),
+    (ORIENTATION, 2.0**-23),
+    (VELOCITY, 2.0**-16),
+    (ANGULAR_VELOCITY, 2.0**-16),
+    (ACCELERATION, 2.0**-10),
+    (ANGULAR_ACCELERATION, 2.0**-10),
+)
+"""Numbers of a golden log are multiples of these, so that they compress: at most a sixth of the
+default tolerances, such as 0.12 micrometres."""
+_CONFIDENCE_GRID = 2.0**-23
 
 
 def write_golden(
@@ -23,8 +47,8 @@ def write_golden(
 ) -> None:
     """Write a compact copy of channels of an output.
 
-    Kept are times, ids, joint positions, link orientations and confidences (rounded to
-    :data:`GRID`) and the limb lengths; velocities, accelerations and boxes are left out.
+    Kept are all numbers of the skeletons, rounded, the limb lengths, and how the output came
+    about: version, configuration, hash of the input.
 
     Parameters
     ----------
@@ -40,26 +64,31 @@ def write_golden(
             for frame in frames:
                 writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
         with McapReader(output) as reader:
-            if (limbs := reader.attachment(LIMBS_ATTACHMENT)) is not None:
-                writer.add_attachment(LIMBS_ATTACHMENT, limbs, "application/toml")
+            for name in (LIMBS_ATTACHMENT, CONFIG_ATTACHMENT):
+                if (content := reader.attachment(name)) is not None:
+                    writer.add_attachment(name, content, "application/toml")
+            for name, values in reader.contents.metadata:
+                if name == PROVENANCE:
+                    writer.add_metadata(name, values)
         writer.commit()
 
 
 def compact(frame: Frame) -> Frame:
-    """Return a frame with nothing but what a check compares."""
-    markers, links = np.full_like(frame.markers, np.nan), np.full_like(frame.links, np.nan)
-    markers[..., POSITION] = _rounded(frame.positions)
-    links[..., ORIENTATION] = _rounded(frame.orientations)
+    """Return a frame with rounded numbers."""
+    markers, links, boxes = frame.markers.copy(), frame.links.copy(), frame.boxes.copy()
+    for columns, grid in _GRIDS:
+        for states in (markers, links, boxes):
+            states[..., columns] = _rounded(states[..., columns], grid)
+    boxes[..., STATE:] = _rounded(boxes[..., STATE:], _CONFIDENCE_GRID)
     return frame.replace(
         markers=markers,
         links=links,
-        # Without orientations, its confidence is all that is known of a link.
-        confidences=_rounded(frame.confidences),
-        marker_confidences=_rounded(frame.marker_confidences),
-        link_confidences=_rounded(frame.link_confidences),
-        boxes=np.full_like(frame.boxes, np.nan),
+        confidences=_rounded(frame.confidences, _CONFIDENCE_GRID),
+        marker_confidences=_rounded(frame.marker_confidences, _CONFIDENCE_GRID),
+        link_confidences=_rounded(frame.link_confidences, _CONFIDENCE_GRID),
+        boxes=boxes,
     )
 
 
-def _rounded(numbers: Floats) -> Floats:
-    return np.asarray(np.rint(numbers / GRID) * GRID)
+def _rounded(numbers: Floats, grid: float) -> Floats:
+    return np.asarray(np.rint(numbers / grid) * grid)

@@ -8,13 +8,15 @@ import operator
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import Scores, Truth
 from hiros_mcap.evaluate.logs import consistency, evaluate_log, find_truth, read_channel
 from hiros_mcap.outputs import write_text
+from hiros_mcap.regression.differences import Difference
+from hiros_mcap.regression.provenance import Provenance
 
 VERSION = 1
 
@@ -97,14 +99,17 @@ class Threshold:
         except ValueError:
             raise ConfigError(f"threshold {text!r}: {number!r} is not a number") from None
 
-    def fault(self, values: Mapping[str, float]) -> str:
-        """Return what is wrong, "" if the requirement is met."""
+    def difference(self, values: Mapping[str, float]) -> Difference | None:
+        """Return what is required and what is instead; None if the requirement is met."""
         value = values.get(self.metric, math.nan)
+        required = f"required {self.sign} {shown(self.metric, self.value)}"
         if math.isnan(value):
-            return f"{self.text}: {self.metric} is not known (no truth, or nothing to measure)"
-        if _COMPARE[self.sign](value, self.value):
-            return ""
-        return f"{self.text}: is {shown(self.metric, value)}"
+            now = "not known (no truth, or nothing to measure)"
+        elif _COMPARE[self.sign](value, self.value):
+            return None
+        else:
+            now = shown(self.metric, value)
+        return Difference("metrics", self.metric, required, now)
 
 
 def shown(name: str, value: float) -> str:
@@ -140,35 +145,49 @@ def metrics_of(
 
 def worse(
     new: Mapping[str, float], golden: Mapping[str, float], share: float
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[Difference], list[Difference]]:
     """Compare metrics: (what got worse by more than ``share``, what got better by more).
 
     Counts are compared exactly. A metric that only the golden ones have is worse.
     """
-    faults, gains = [], []
+    losses, gains = [], []
     for name, was in golden.items():
         now, metric = new.get(name, math.nan), METRICS[name]
         if math.isnan(now):
-            faults.append(f"{name}: was {shown(name, was)}, is not known any more")
+            losses.append(Difference("metrics", name, shown(name, was), "not known any more"))
             continue
         slack = max(share * abs(was), metric.floor) if metric.floor else 0.0
-        change = f"{name}: was {shown(name, was)}, is {shown(name, now)}"
+        change = Difference("metrics", name, shown(name, was), shown(name, now))
         if (metric.better == 0 and now != was) or metric.better * (was - now) > slack:
-            faults.append(change)
+            losses.append(change)
         elif metric.better * (now - was) > slack:
             gains.append(change)
-    return faults, gains
+    return losses, gains
 
 
-def save_metrics(path: Path, topic: str, values: Mapping[str, float]) -> None:
+@dataclass(frozen=True, slots=True)
+class GoldenMetrics:
+    """What a golden file of metrics holds."""
+
+    channel: str
+    values: Mapping[str, float]
+    provenance: Provenance = field(default_factory=Provenance)
+
+
+def save_metrics(path: Path, golden: GoldenMetrics) -> None:
     """Write golden metrics: JSON, one number a line, so that a change shows in a diff."""
-    rounded = {name: float(f"{value:.6g}") for name, value in values.items()}
-    data = {"hiros_golden_metrics": VERSION, "channel": topic, "metrics": rounded}
+    rounded = {name: float(f"{value:.6g}") for name, value in golden.values.items()}
+    data = {
+        "hiros_golden_metrics": VERSION,
+        "channel": golden.channel,
+        "metrics": rounded,
+        "provenance": golden.provenance.to_json(),
+    }
     write_text(path, json.dumps(data, indent=1) + "\n")
 
 
-def load_metrics(path: Path) -> tuple[str, dict[str, float]]:
-    """Read golden metrics: the channel and its numbers.
+def load_metrics(path: Path) -> GoldenMetrics:
+    """Read golden metrics.
 
     Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
     does not exist.
@@ -187,4 +206,6 @@ def load_metrics(path: Path) -> tuple[str, dict[str, float]]:
             raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(METRICS)})")
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise ConfigError(f"{path}: {name} is not a number")
-    return str(data.get("channel")), {name: float(value) for name, value in values.items()}
+    numbers = {name: float(value) for name, value in values.items()}
+    provenance = Provenance.from_json(data.get("provenance"), path)
+    return GoldenMetrics(str(data.get("channel")), numbers, provenance)

@@ -31,9 +31,17 @@ from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
 from hiros_mcap.outputs import check_outputs
 from hiros_mcap.params import Params, explain
-from hiros_mcap.regression.differences import Divergence, compare_logs
+from hiros_mcap.regression.differences import Difference, Divergence, compare_logs
 from hiros_mcap.regression.golden import write_golden
-from hiros_mcap.regression.metrics import Threshold, load_metrics, metrics_of, save_metrics, worse
+from hiros_mcap.regression.metrics import (
+    GoldenMetrics,
+    Threshold,
+    load_metrics,
+    metrics_of,
+    save_metrics,
+    worse,
+)
+from hiros_mcap.regression.provenance import Provenance, changes
 from hiros_mcap.regression.tolerances import Tolerances, beside, validated
 from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, process
 from hiros_mcap.workers import run_tasks
@@ -113,12 +121,14 @@ class CaseResult:
 
     name: str
     status: Status
-    faults: tuple[str, ...] = ()
-    """What differs, one line each; for an error, what went wrong."""
+    error: str = ""
+    """Why it cannot be compared."""
+    differences: tuple[Difference, ...] = ()
+    """What differs; parameters, version and input that changed come first."""
     first: tuple[tuple[str, Divergence], ...] = ()
     """Channel and first diverging frame."""
     notes: tuple[str, ...] = ()
-    """Improvements, and what --bless accepted."""
+    """Which stages are equal, improvements, and what --bless accepted."""
     metrics: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -218,7 +228,7 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
             process(folder / case.input, out, config=config, options=options, force=True)
             result = _check_case(folder, case, out, bless=bless)
     except (HirosError, OSError) as error:
-        result = CaseResult(case.title, "error", (str(error),))
+        result = CaseResult(case.title, "error", str(error))
     return replace(result, seconds=time.perf_counter() - start)
 
 
@@ -240,10 +250,11 @@ def _check_case(folder: Path, case: Case, out: Path, *, bless: bool) -> CaseResu
             case.channels,
         )
         result = golden.check(result, out, topic, bless=bless)
-    unmet = tuple(f for text in case.require if (f := Threshold.parse(text).fault(metrics)))
+    required = (Threshold.parse(text) for text in case.require)
+    unmet = tuple(d for threshold in required if (d := threshold.difference(metrics)))
     if not unmet:
         return result
-    return replace(result, status="different", faults=(*unmet, *result.faults))
+    return replace(result, status="different", differences=(*result.differences, *unmet))
 
 
 def check_output(output: Path, golden: Golden, *, bless: bool = False) -> CaseResult:
@@ -272,48 +283,74 @@ class Golden:
 
     def check(self, result: CaseResult, output: Path, topic: str, *, bless: bool) -> CaseResult:
         """Return the result with what differs, or make the output the golden file."""
-        faults, gains, first = self._compare(result.metrics, output)
+        if not self.path.is_file():
+            if not bless:
+                fault = f"{self.path}: there is no golden file yet; --bless makes it"
+                return replace(result, status="error", error=fault)
+            self._replace(result.metrics, output, topic)
+            return replace(result, notes=("accepted: a new golden file",))
+        found = self._compare(result.metrics, output)
+        changed = changes(Provenance.of_log(output), found.provenance)
         if bless:
-            changes = [*faults, *gains] if self.path.is_file() else ["a new golden file"]
-            if not changes:
+            new = [*found.differences, *found.gains]
+            if not (new or changed or not found.provenance):
                 return replace(result, notes=("unchanged; the golden file is kept",))
             self._replace(result.metrics, output, topic)
-            return replace(result, notes=tuple(f"accepted: {change}" for change in changes))
+            accepted = [f"accepted: {change}" for change in (*changed, *new)]
+            return replace(result, notes=tuple(accepted or ["accepted: how the result was made"]))
         return replace(
             result,
-            status="different" if faults else "equal",
-            faults=tuple(faults),
-            first=tuple(first),
-            notes=tuple(f"better: {gain}" for gain in gains),
+            status="different" if found.differences else "equal",
+            differences=(*changed, *found.differences) if found.differences else (),
+            first=tuple(found.first),
+            notes=(*found.notes, *(f"better: {gain}" for gain in found.gains)),
         )
 
-    def _compare(
-        self, metrics: Mapping[str, float], output: Path
-    ) -> tuple[list[str], list[str], list[tuple[str, Divergence]]]:
-        """Return what is worse or differs, what is better, and where it begins."""
+    def _compare(self, metrics: Mapping[str, float], output: Path) -> _Found:
         tolerances = self.tolerances or beside(self.path)
-        if not self.path.is_file():
-            return [f"there is no golden file {self.path.name} yet; --bless makes it"], [], []
         if self.path.suffix == ".json":
-            _, before = load_metrics(self.path)
-            return *worse(metrics, before, tolerances.metrics), []
+            golden = load_metrics(self.path)
+            lost, gained = worse(metrics, golden.values, tolerances.metrics)
+            return _Found(golden.provenance, lost, gained)
         comparison = compare_logs(output, self.path, tolerances)
-        found = comparison.faults(tolerances)
-        faults = [f"{channel}: {line}" for channel, lines in found.items() for line in lines]
-        equal = [channel.topic for channel in comparison.channels if channel.topic not in found]
-        if found and equal:
-            stage = next(iter(found))
-            faults.insert(0, f"first stage that differs: {stage}; equal: {', '.join(equal)}")
-        first = [
-            (channel.topic, channel.first)
-            for channel in comparison.channels
-            if channel.topic in found and channel.first is not None
+        by_channel = comparison.differences(tolerances)
+        found = _Found(
+            Provenance.of_log(self.path), [d for own in by_channel.values() for d in own]
+        )
+        equal = [c.topic for c in comparison.channels if c.topic not in by_channel]
+        if by_channel and equal:
+            stage = next(iter(by_channel))
+            found.notes.append(f"first channel that differs: {stage}; equal: {', '.join(equal)}")
+        if by_channel and not found.provenance:
+            found.notes.append(
+                "the golden file does not say how it was made, since an older hiros wrote it; "
+                "--bless adds this"
+            )
+        found.first += [
+            (c.topic, c.first)
+            for c in comparison.channels
+            if c.topic in by_channel and c.first is not None
         ]
-        return faults, [], first
+        return found
 
     def _replace(self, metrics: Mapping[str, float], output: Path, topic: str) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.suffix == ".json":
-            save_metrics(self.path, topic, metrics)
+            golden = GoldenMetrics(topic, dict(metrics), Provenance.of_log(output))
+            save_metrics(self.path, golden)
         else:
             write_golden(output, self.path, self.channels)
+
+
+@dataclass(slots=True)
+class _Found:
+    """An output against its golden file."""
+
+    provenance: Provenance
+    """Of the golden file."""
+    differences: list[Difference]
+    gains: list[Difference] = field(default_factory=list)
+    """Metrics that are better."""
+    first: list[tuple[str, Divergence]] = field(default_factory=list)
+    """Where each channel begins to differ."""
+    notes: list[str] = field(default_factory=list)

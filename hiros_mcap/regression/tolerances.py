@@ -28,7 +28,16 @@ class Tolerances(Params):
         1e-4,
         description="deg, of every link in every frame (1e-6 m at the end of a limb of 0.5 m).",
     )
-    times: NonNegativeFloat = Field(1e-6, allow_inf_nan=False, description="s, of a frame.")
+    velocities: NonNegativeFloat = Field(1e-4, description="m/s, of every joint.")
+    angular_velocities: NonNegativeFloat = Field(1e-2, description="deg/s, of every link.")
+    accelerations: NonNegativeFloat = Field(1e-2, description="m/s2, of every joint.")
+    angular_accelerations: NonNegativeFloat = Field(1.0, description="deg/s2, of every link.")
+    confidences: NonNegativeFloat = Field(
+        1e-6, description="Of every skeleton, joint and link; 0 to 1."
+    )
+    times: NonNegativeFloat = Field(
+        1e-6, allow_inf_nan=False, description="s, of a frame, and of its source and log time."
+    )
     lengths: NonNegativeFloat = Field(1e-6, description="m, of a calibrated limb.")
     frames: NonNegativeFloat = Field(0.0, le=1, description="Share of frames that may be missing.")
     people: NonNegativeFloat = Field(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import partial
@@ -14,16 +14,19 @@ from hiros_mcap._version import __version__
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
     LIMBS_ATTACHMENT,
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
+    PROVENANCE,
     TF_TOPICS,
     TRUTH_PREFIX,
     add_skeleton_channel,
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
+from hiros_mcap.io.digest import Digest, digest_of
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.process_options import ProcessOptions
@@ -54,8 +57,11 @@ def open_output(
     if target is None:
         yield NoOutput()
         return
-    with McapWriter(target, inputs=[log.path], compression=options.compression) as writer:
-        yield LogOutput(writer, log, run, chain, options)
+    with (
+        McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
+        digest_of(log.path) as digest,
+    ):
+        yield LogOutput(writer, log, run, chain, options, digest)
 
 
 class LogOutput:
@@ -68,6 +74,7 @@ class LogOutput:
         run: Run,
         chain: Sequence[str],
         options: ProcessOptions,
+        digest: Digest,
     ) -> None:
         params = run.config.output
         self._writer, self._run, self._chain = writer, run, chain
@@ -85,6 +92,7 @@ class LogOutput:
             for name in chain
         }
         self._by_stamp = params.log_time == "stamp"
+        self._given, self._digest = _given(options), digest
         self._input_messages = log.reader.counts
         self._export = None
         if options.markers:
@@ -127,15 +135,28 @@ class LogOutput:
             "fixed_frame": run.fixed_frame,
             "config_sha256": hashlib.sha256(config).hexdigest(),
             "input_messages": str(sum(self._input_messages.values())),
+            "input_sha256": self._digest.result(),
+            **self._given,
         }
         if "merge" in sections and LETTERS["M"] in self._chain:
             provenance["merging"] = ",".join(merging_order(run.config.merge))
-        writer.add_metadata("hiros.provenance", provenance)
-        writer.add_attachment("hiros/config.toml", config, "application/toml")
+        writer.add_metadata(PROVENANCE, provenance)
+        writer.add_attachment(CONFIG_ATTACHMENT, config, "application/toml")
         writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
         writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")
         report = json.dumps(summary.reproducible(), indent=1, sort_keys=True)
         writer.add_attachment("hiros/report.json", report.encode(), "application/json")
+
+
+def _given(options: ProcessOptions) -> Mapping[str, str]:
+    """Return what a run was given besides its log and its parameters."""
+    files = {"extrinsics_sha256": options.extrinsics, "limbs_sha256": options.limbs_in}
+    given = {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for name, path in files.items()
+        if path is not None
+    }
+    return {**given, "topics": ",".join(options.topics)} if options.topics else given
 
 
 def kept_channels(log: Log, options: ProcessOptions) -> list[int]:

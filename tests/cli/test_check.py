@@ -19,6 +19,9 @@ from hiros_mcap.skeletons import Frame
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
+RECORDING = SAMPLES / "one_person_walking.mcap"
+
+
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("check") / "out.mcap"
@@ -60,7 +63,9 @@ def test_bless_check_and_differ(
     tolerances.write_text("positions = 0\n")
     strict = ["--golden", str(golden), "--tolerances", str(tolerances)]
     assert run(["check", str(output), *strict]) == 1
-    assert "positions: up to 0.0001" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "positions: was " in out
+    assert "up to 0.0001" in out
 
 
 def test_a_suite_with_reports(
@@ -75,7 +80,7 @@ def test_a_suite_with_reports(
     assert capsys.readouterr().out.split() == ["equal", "one_person_walking"]
     suite.write_text(suite.read_text().replace("people = 1", "people = 3"))
     assert run(["check", str(suite)]) == 1
-    assert "people = 3: is 1" in capsys.readouterr().out
+    assert "people: was required = 3, is 1" in capsys.readouterr().out
     (tmp_path / "one_person_walking.mcap").write_bytes(b"nothing")
     assert run(["check", str(suite)]) == 2
 
@@ -103,6 +108,8 @@ def test_quiet_leaves_the_exit_code_and_errors(
     [
         (["{output}"], "name the golden log with --golden"),
         (["{output}", "--golden", "/nowhere.mcap"], "no such golden file"),
+        (["{output}", "--golden", "{recording}"], "is no golden log"),
+        (["{recording}", "--golden", "{output}"], "run `hiros process` first"),
         (["{output}", "--golden", "/etc/passwd"], "ends in .mcap"),
         (["{output}", "--junit", "a.xml"], "--junit has no effect on an output"),
         (["{suite}", "--golden", "a.mcap"], "--golden has no effect on a suite"),
@@ -118,7 +125,15 @@ def test_faults_are_one_line(
     arguments: list[str],
     fault: str,
 ) -> None:
-    assert run(["check", *(a.format(output=output, suite=suite) for a in arguments)]) == 2
+    assert (
+        run(
+            [
+                "check",
+                *(a.format(output=output, suite=suite, recording=RECORDING) for a in arguments),
+            ]
+        )
+        == 2
+    )
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert fault in captured.err

@@ -57,8 +57,8 @@ def test_side_by_side_as_one_after_the_other(walking: Path) -> None:
     tasks = [Task(walking, Entry(name)) for name in ("raw", "hiros", "average")]
     together, alone = comparison(tasks, jobs=2), comparison(tasks, jobs=1)
     assert [o.name for o in together] == ["raw", "hiros", "average"]
-    assert [o.rank for o in together] == [o.rank for o in alone]
-    header, rows = comparison_tables.ranked(together)
+    assert [o.error for o in together] == [o.error for o in alone]
+    header, rows = comparison_tables.table_of(together)
     assert header[:2] == ("System", "Mean")
     assert [row[0] for row in rows] == ["hiros", "average", "raw"]
 
@@ -94,8 +94,8 @@ def test_the_realtime_preset_takes_part_as_a_system(crossing: Path, tmp_path: Pa
     ]
     outcomes = comparison([Task(crossing, Entry(name)) for name in DEFAULT[:2]], jobs=1)
     assert [o.name for o in outcomes] == ["hiros", "hiros-realtime"]
-    assert each[0] == each[1] == pytest.approx(outcomes[1].rank)
-    assert outcomes[0].rank < outcomes[1].rank
+    assert each[0] == each[1] == pytest.approx(outcomes[1].error)
+    assert outcomes[0].error < outcomes[1].error
 
 
 @pytest.mark.parametrize("name", ["hiros", "malaguti", "lee-a4"])
@@ -125,15 +125,55 @@ def test_from_outside(walking: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert {o["name"] for o in data["outcomes"]} == {"raw", "hiros:TM"}
 
 
-def test_without_a_truth_the_camera_left_out_ranks(
-    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.fixture
+def bare(walking: Path, tmp_path: Path) -> Path:
+    """A recording without a truth."""
+    path = tmp_path / "bare.mcap"
+    process(walking, path, options=ProcessOptions(stages="T", keep=("/camera_*", "/tf_static")))
+    return path
+
+
+def test_without_a_truth_nothing_is_ranked(
+    bare: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bare = tmp_path / "bare.mcap"
-    process(walking, bare, options=ProcessOptions(stages="T", keep=("/camera_*", "/tf_static")))
-    assert run(["compare", str(bare), "--system", "hiros", "--system", "raw", "--jobs", "1"]) == 0
-    assert "Left out" in capsys.readouterr().out
+    page = tmp_path / "a.html"
+    for first, second in (("hiros", "raw"), ("raw", "hiros")):
+        arguments = ["--system", first, "--system", second, "--jobs", "1", "--html", str(page)]
+        assert run(["compare", str(bare), *arguments]) == 0
+        text = capsys.readouterr().out
+        assert text.index(f"{first} ") < text.index(f"{second} ")
+        assert "Not ranked" in text
+        html = page.read_text(encoding="utf-8")
+        assert "Least error first" not in html
+        for said in (text, html):
+            assert "error" not in said.replace("neither the error nor", "").replace(
+                "misses errors that all", ""
+            )
     assert run(["compare", str(bare), "--study", "cameras"]) == 2
     assert "needs a truth" in capsys.readouterr().err
+
+
+def test_a_result_without_its_recording_cannot_be_compared(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process(walking, tmp_path / "result.mcap", options=ProcessOptions(keep=()))
+    process(walking, tmp_path / "truth.mcap", options=ProcessOptions(keep=("/truth/*",)))
+    for name in ("result.mcap", "truth.mcap"):
+        assert run(["compare", str(tmp_path / name), "--system", "hiros"]) == 2
+        line = capsys.readouterr().err
+        assert line.endswith("holds results or a truth, but no detections; name the recording\n")
+        assert line.count("\n") == 1
+
+
+def test_what_is_known_without_a_truth(bare: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    systems = ["--system", "raw", "--system", "hiros"]
+    assert run(["compare", str(bare), *systems, "--jobs", "1", "--json"]) == 0
+    raw, hiros = json.loads(capsys.readouterr().out)["outcomes"]
+    assert raw["scores"] is hiros["scores"] is None
+    assert not any("error" in key or "rank" in key for key in raw)
+    assert raw["jitter"] > 5 * hiros["jitter"]
+    assert 0.9 < hiros["coverage"] <= 1
+    assert (hiros["ids"], hiros["disagreement"] > 0) == (1, True)
 
 
 @pytest.mark.parametrize(

@@ -28,13 +28,19 @@ def compared(new: list[Frame], tolerances: Tolerances | None = None) -> ChannelC
     return compare_frames(new, frames(), MODEL, tolerances, "/hiros/filtered")
 
 
+def found(result: ChannelComparison, tolerances: Tolerances | None = None) -> list[str]:
+    """What was and is, without details."""
+    differences = result.differences(tolerances or Tolerances())
+    return [f"{d.what}: was {d.was}, is {d.now}" for d in differences]
+
+
 def faults(new: list[Frame]) -> list[str]:
-    return compared(new).faults(Tolerances())
+    return found(compared(new))
 
 
 def test_the_same_is_equal() -> None:
     result = compared(frames())
-    assert result.faults(Tolerances()) == []
+    assert found(result) == []
     assert result.first is None
     assert result.ids == {0: 0, 1: 1}
 
@@ -58,11 +64,15 @@ def test_one_joint_that_moved_is_named_with_its_frame() -> None:
     new[5].positions[1, 6] += [0, 0, 0.02]
     new[9].positions[0, 7] += [0, 0, 0.01]
     result = compared(new)
-    assert result.faults(Tolerances()) == [
-        "positions: up to 20 mm, RMS 1.25 mm; worst WRIST_LEFT 20 mm, WRIST_RIGHT 10 mm, "
-        "PELVIS 0 mm, NECK 0 mm, SHOULDER_LEFT 0 mm"
-    ]
-    assert result.position_rms == pytest.approx(math.sqrt((0.02**2 + 0.01**2) / (20 * 2 * 8)))
+    (difference,) = result.differences(Tolerances())
+    assert difference.what == "positions"
+    assert (difference.was, difference.now) == ("2.1, 0.4, 1 m", "2.1, 0.4, 1.02 m")
+    assert difference.detail == (
+        "WRIST_LEFT of person 1 at 0.167 s; up to 20 mm, RMS 1.25 mm; worst WRIST_LEFT 20 mm, "
+        "WRIST_RIGHT 10 mm"
+    )
+    rms = math.sqrt((0.02**2 + 0.01**2) / (20 * 2 * 8))
+    assert result.quantities["positions"].rms == pytest.approx(rms)
     assert result.first is not None
     assert result.first.frame == 5
     assert result.first.seconds == pytest.approx(5 / 30, abs=1e-6)
@@ -74,10 +84,12 @@ def test_a_turned_link() -> None:
     half = math.radians(0.5) / 2
     new[3].links[0, 2, 3:7] = [0, 0, math.sin(half), math.cos(half)]
     result = compared(new)
-    assert result.orientation_max == pytest.approx(0.5)
-    assert faults(new)[0].startswith("orientations: up to 0.5 deg; worst SHOULDER_RIGHT 0.5 deg")
+    assert result.quantities["orientations"].largest == pytest.approx(0.5)
+    (difference,) = result.differences(Tolerances())
+    assert difference.was == "0, 0, 0, 1 (x y z w)"
+    assert "link SHOULDER_RIGHT of person 0 at 0.100 s; up to 0.5 deg" in difference.detail
     assert result.first is not None
-    assert "link SHOULDER_RIGHT of person 0 is off by 0.5 deg" in result.first.what
+    assert "link SHOULDER_RIGHT (orientations) of person 0 is off by 0.5 deg" in result.first.what
 
 
 @pytest.mark.parametrize(("degrees", "equal"), [(9e-5, True), (1.1e-4, False)])
@@ -101,9 +113,9 @@ def test_orientations_that_vanish_and_appear() -> None:
     new[2].links[0, 1] = np.nan
     golden[3].links[1, 2] = np.nan
     result = compare_frames(new, golden, MODEL)
-    assert result.faults(Tolerances()) == [
-        "joints: absent in some frames: link SHOULDER_LEFT (1)",
-        "joints: new in some frames: link SHOULDER_RIGHT (1)",
+    assert [str(d) for d in result.differences(Tolerances())] == [
+        ": orientations: was there, is absent (skeletons: link SHOULDER_LEFT (1))",
+        ": orientations: was absent, is there (skeletons: link SHOULDER_RIGHT (1))",
     ]
     assert result.first is not None
     assert result.first.frame == 2
@@ -119,22 +131,22 @@ def limbs(**lengths: float) -> LimbTable:
     [
         (limbs(arm=0.3, leg=0.4), ""),
         (limbs(arm=0.3 + 9e-7, leg=0.4), ""),
-        (limbs(arm=0.3, leg=0.4 + 2e-6), "leg of person 0: off by 0.002 mm"),
-        (limbs(arm=0.3), "leg of person 0: calibrated in one log only"),
-        (limbs(arm=0.3, leg=0.4, foot=0.2), "foot of person 0: calibrated in one log only"),
-        (LimbTable(), "lengths: 2 limbs differ"),
+        (limbs(arm=0.3, leg=0.4 + 2e-6), "leg of person 0: was 0.4 m, is 0.400002 m"),
+        (limbs(arm=0.3), "leg of person 0: was 0.4 m, is not calibrated"),
+        (limbs(arm=0.3, leg=0.4, foot=0.2), "foot of person 0: was not calibrated, is 0.2 m"),
+        (LimbTable(), "2 limbs differ"),
     ],
 )
 def test_limb_lengths(now: LimbTable, fault: str) -> None:
     lengths = compare_limbs(now, limbs(arm=0.3, leg=0.4), {})
-    found = Comparison([], lengths=lengths).faults(Tolerances())
-    assert bool(found) == bool(fault)
-    assert fault in found.get("calibration", [""])[0]
+    differences = Comparison([], lengths=lengths).differences(Tolerances())
+    assert bool(differences) == bool(fault)
+    assert fault in "".join(map(str, differences.get("calibration", [])))
 
 
 def test_limb_lengths_belong_to_people_not_to_ids() -> None:
     now = LimbTable({7: limbs(arm=0.3).people[0], 0: limbs(arm=0.5).people[0]})
-    assert compare_limbs(now, limbs(arm=0.3), {0: 7}) == {(0, "arm"): 0.0}
+    assert compare_limbs(now, limbs(arm=0.3), {0: 7}) == {(0, "arm"): (0.3, 0.3)}
 
 
 def test_missing_and_extra_frames() -> None:
@@ -143,7 +155,7 @@ def test_missing_and_extra_frames() -> None:
     new.append(late.replace(stamp=at(30)))
     result = compared(new)
     assert (result.missing_frames, result.extra_frames) == (1, 1)
-    assert faults(new) == ["frames: 1 missing, 1 extra of 20"]
+    assert faults(new) == ["frames: was 20, is 20"]
     assert result.first is not None
     assert (result.first.frame, result.first.what) == (4, "the frame is missing")
 
@@ -154,14 +166,14 @@ def test_missing_and_extra_frames() -> None:
 def test_a_frame_within_a_microsecond_is_the_same_frame(late: int, equal: bool) -> None:
     new = frames()
     new[4] = new[4].replace(stamp=new[4].stamp + late)
-    assert faults(new) == ([] if equal else ["frames: 1 missing, 1 extra of 20"])
+    assert faults(new) == ([] if equal else ["frames: was 20, is 20"])
 
 
 def test_an_extra_frame_diverges_at_its_own_time() -> None:
     golden = frames()
     extra = golden.pop(6)
     result = compare_frames(frames(), golden, MODEL)
-    assert result.faults(Tolerances()) == ["frames: 0 missing, 1 extra of 19"]
+    assert found(result) == ["frames: was 19, is 20"]
     first = result.first
     assert first is not None
     assert (first.frame, first.stamp, first.what) == (5, extra.stamp, "an extra frame")
@@ -173,8 +185,8 @@ def test_a_missing_and_an_extra_person() -> None:
     new[8] = new[8].select([0])
     new[9] = seen([person(0.09), person(2), person(5)], at(9), ids=[0, 1, 4], turns=True)
     assert faults(new) == [
-        "people: person 1 is missing in 1 frames",
-        "people: id 4 is extra in 1 frames",
+        "person 1: was in 20 frames, is missing in 1 of them",
+        "id 4: was not there, is in 1 frames",
     ]
 
 
@@ -183,8 +195,8 @@ def test_a_switch_of_ids_is_told_from_somebody_missing() -> None:
         f if k < 12 else f.replace(ids=np.array([1, 0], np.int32)) for k, f in enumerate(frames())
     ]
     assert faults(new) == [
-        "identity: person 0, otherwise id 0, is id 1 in 8 frames",
-        "identity: person 1, otherwise id 1, is id 0 in 8 frames",
+        "identity of person 0: was id 0, is id 1",
+        "identity of person 1: was id 1, is id 0",
     ]
     assert compared(new).first is not None
     assert compared(new).first.what == "person 0 is now id 1"  # type: ignore[union-attr]
@@ -195,14 +207,17 @@ def test_joints_that_vanish_and_appear() -> None:
     new[2].markers[0, 6] = np.nan
     golden[3].markers[1, 7] = np.nan
     result = compare_frames(new, golden, MODEL)
-    assert result.faults(Tolerances()) == [
-        "joints: absent in some frames: WRIST_LEFT (1)",
-        "joints: new in some frames: WRIST_RIGHT (1)",
+    assert [str(d) for d in result.differences(Tolerances())] == [
+        ": positions: was there, is absent (skeletons: WRIST_LEFT (1))",
+        ": positions: was absent, is there (skeletons: WRIST_RIGHT (1))",
     ]
 
 
 def test_somebody_30_cm_off_is_somebody_else() -> None:
-    for offset, what in ((0.29, "positions: up to 290 mm"), (0.31, "people: person 1 is missing")):
+    for offset, what in (
+        (0.29, "positions: was 2, 0, 1 m, is 2, 0.29"),
+        (0.31, "person 1: was in 20 frames"),
+    ):
         new = frames()
         new[8].positions[1] += [0, offset, 0]
         assert faults(new)[0].startswith(what)
@@ -213,19 +228,19 @@ def test_the_share_of_wrong_people_is_of_all_skeletons() -> None:
     new = frames()
     new[8] = new[8].select([0])
     new[9] = seen([person(0.09), person(2), person(5)], at(9), ids=[0, 1, 4], turns=True)
-    assert compared(new).faults(Tolerances(people=0.05)) == []
-    assert len(compared(new).faults(Tolerances(people=0.049))) == 2
+    assert found(compared(new), Tolerances(people=0.05)) == []
+    assert len(found(compared(new), Tolerances(people=0.049))) == 2
 
 
 def test_tolerated_shares() -> None:
     new = frames()[1:]
     new[8] = new[8].select([0])
     loose = Tolerances(frames=0.05, people=0.05)
-    assert compared(new, loose).faults(loose) == []
-    assert len(compared(new).faults(Tolerances())) == 2
+    assert found(compared(new, loose), loose) == []
+    assert len(faults(new)) == 2
 
 
 def test_empty_channels() -> None:
-    assert compare_frames([], [], MODEL).faults(Tolerances()) == []
+    assert found(compare_frames([], [], MODEL)) == []
     assert compare_frames([], frames(), MODEL).missing_frames == 20
     assert compare_frames(frames(), [], MODEL).extra_frames == 20

@@ -22,18 +22,21 @@ from hiros_mcap.regression import check_report
 from hiros_mcap.regression.differences import (
     ChannelComparison,
     Comparison,
+    Difference,
     Divergence,
     compare_logs,
 )
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import (
     METRICS,
+    GoldenMetrics,
     Threshold,
     load_metrics,
     metrics_of,
     save_metrics,
     worse,
 )
+from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.regression.suite import CaseResult, Golden, SuiteOptions, load_suite, run_suite
 from hiros_mcap.regression.tolerances import Tolerances, beside
 from hiros_mcap.running.pipeline import ProcessOptions, process
@@ -54,7 +57,9 @@ require = ["mpjpe <= 25 mm", "id_switches = 0"]
 
 def test_the_sample_logs_give_what_they_gave() -> None:
     results = run_suite(load_suite(SAMPLES / "suite.toml"), SuiteOptions(jobs=1))
-    assert {r.name: r.faults for r in results} == {r.name: () for r in results}
+    assert {r.name: (r.error, r.differences) for r in results} == {
+        r.name: ("", ()) for r in results
+    }
     assert len(results) == 3
 
 
@@ -108,13 +113,11 @@ def test_a_broken_stage_is_caught_and_named(
     assert result.first[0][0] == f"/hiros/{stage}"
     assert "is off by 1 mm" in result.first[0][1].what
     if equal:
-        assert result.faults[0].startswith(f"first stage that differs: /hiros/{stage}; equal: ")
-        assert f"/hiros/{equal[-1]}" in result.faults[0]
+        assert result.notes[0].startswith(f"first channel that differs: /hiros/{stage}; equal: ")
+        assert f"/hiros/{equal[-1]}" in result.notes[0]
 
 
-def test_what_is_tolerated_is_no_first_difference(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_tolerated_is_no_first_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of ten frames, one is missing in the merger's channel, two in the filter's."""
     first = Divergence(3, 0, 0.1, "the frame is missing")
     channels = [
@@ -122,14 +125,13 @@ def test_what_is_tolerated_is_no_first_difference(
         for name, missing in (("merged", 1), ("filtered", 2))
     ]
     monkeypatch.setattr("hiros_mcap.regression.suite.compare_logs", lambda *_: Comparison(channels))
-    golden = Golden(tmp_path / "golden.mcap", Tolerances(frames=0.1))
-    golden.path.touch()
-    result = golden.check(CaseResult("walk", "equal"), tmp_path, "/hiros/filtered", bless=False)
+    golden = Golden(SAMPLES / "golden" / "one_person_walking.mcap", Tolerances(frames=0.1))
+    result = golden.check(CaseResult("walk", "equal"), golden.path, "/hiros/filtered", bless=False)
     assert result.status == "different"
-    assert result.faults == (
-        "first stage that differs: /hiros/filtered; equal: /hiros/merged",
-        "/hiros/filtered: frames: 2 missing, 0 extra of 10",
-    )
+    assert result.notes == ("first channel that differs: /hiros/filtered; equal: /hiros/merged",)
+    assert [str(d) for d in result.differences] == [
+        "/hiros/filtered: frames: was 10, is 8 (2 missing, 0 extra)"
+    ]
     assert result.first == (("/hiros/filtered", first),)
 
 
@@ -146,7 +148,7 @@ def test_a_harmless_change_is_not_reported(
 ) -> None:
     change_stage(monkeypatch, stage, wrap)
     (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
-    assert (result.status, result.faults) == ("equal", ())
+    assert (result.status, result.differences) == ("equal", ())
 
 
 def test_bless_accepts_and_says_what(suite: Path) -> None:
@@ -160,7 +162,8 @@ def test_bless_accepts_and_says_what(suite: Path) -> None:
     suite.write_text(text)
     assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "different"
     (blessed,) = run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))
-    assert any("accepted: /hiros/filtered: positions: up to" in note for note in blessed.notes)
+    assert blessed.notes[0] == "accepted: configuration: filter.cutoff: was 4.5, is 8.0"
+    assert any("accepted: /hiros/filtered: positions: was" in note for note in blessed.notes)
     assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "equal"
     assert golden.read_bytes() != before
 
@@ -168,24 +171,25 @@ def test_bless_accepts_and_says_what(suite: Path) -> None:
 def test_golden_metrics_forgive_numbers_but_not_quality(suite: Path) -> None:
     text = suite.read_text().replace("golden/walk.mcap", "golden/walk.json")
     suite.write_text(text)
-    assert (
-        run_suite(load_suite(suite), SuiteOptions(jobs=1))[0]
-        .faults[0]
-        .startswith("there is no golden file")
-    )
+    missing = run_suite(load_suite(suite), SuiteOptions(jobs=1))[0]
+    assert missing.status == "error"
+    assert "there is no golden file yet" in missing.error
     run_suite(load_suite(suite), SuiteOptions(bless=True, jobs=1))
     suite.write_text(text + 'set = ["filter.cutoff=4.6"]\n')
     assert run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].status == "equal"
     suite.write_text(text + 'set = ["filter.cutoff=12"]\n')
-    faults = run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].faults
-    assert any(fault.startswith("jitter: was 8.54") for fault in faults)
+    found = [str(d) for d in run_suite(load_suite(suite), SuiteOptions(jobs=1))[0].differences]
+    assert found[0].startswith("configuration: filter.cutoff: was ")
+    assert any(text.startswith("metrics: jitter: was 8.54") for text in found)
 
 
 def test_thresholds_that_are_not_met(suite: Path) -> None:
     suite.write_text(SUITE.replace("<= 25 mm", "<= 1 mm"))
     (result,) = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert result.status == "different"
-    assert result.faults[0].startswith("mpjpe <= 1 mm: is 2")
+    (difference,) = result.differences
+    assert (difference.what, difference.was) == ("mpjpe", "required <= 1 mm")
+    assert difference.now.startswith("2")
 
 
 def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
@@ -193,7 +197,7 @@ def test_a_log_that_cannot_be_read_is_an_error_of_its_own(suite: Path) -> None:
     suite.write_text(SUITE + '[[log]]\ninput = "bad.mcap"\nrequire = ["people = 1"]\n')
     good, bad = run_suite(load_suite(suite), SuiteOptions(jobs=1))
     assert (good.status, bad.status) == ("equal", "error")
-    assert "bad.mcap" in bad.faults[0]
+    assert "bad.mcap" in bad.error
 
 
 def test_in_parallel_as_one_after_the_other() -> None:
@@ -252,8 +256,8 @@ def test_a_golden_log_is_compact_and_equal_to_its_source(walking: Path, tmp_path
     write_golden(out, golden, ["/hiros/*"])
     comparison = compare_logs(out, golden)
     assert len(comparison.channels) == 4
-    assert comparison.faults(Tolerances()) == {}
-    assert 0 < max(c.position_max for c in comparison.channels) < 2e-7
+    assert comparison.differences(Tolerances()) == {}
+    assert 0 < max(c.quantities["positions"].largest for c in comparison.channels) < 2e-7
     process(walking, tmp_path / "full.mcap", config=FULL, options=ProcessOptions(keep=()))
     assert golden.stat().st_size < (tmp_path / "full.mcap").stat().st_size / 3
     first = golden.read_bytes()
@@ -270,8 +274,9 @@ def test_calibration_that_changed_is_told(walking: Path, tmp_path: Path) -> None
     start = text.index("length = ") + 9
     limbs.write_text(text[:start] + "0.5" + text[text.index("\n", start) :])
     process(walking, paths[1], options=ProcessOptions(keep=(), limbs_in=limbs))
-    found = compare_logs(paths[1], paths[0]).faults(Tolerances())
-    assert "lengths:" in found["calibration"][0]
+    (difference,) = compare_logs(paths[1], paths[0]).differences(Tolerances())["calibration"]
+    assert difference.what.startswith("length of ")
+    assert difference.now == "0.5 m"
 
 
 def test_logs_without_outputs_cannot_be_compared(walking: Path, tmp_path: Path) -> None:
@@ -293,20 +298,23 @@ def test_tolerances_beside_the_golden_file(tmp_path: Path) -> None:
 def test_metrics_that_got_worse_or_better() -> None:
     golden = {"mpjpe": 20.0, "pck_50": 90.0, "missing": 3.0, "people": 2.0, "jitter": 8.0}
     new = {"mpjpe": 22.0, "pck_50": 99.0, "missing": 2.0, "people": 3.0}
-    faults, gains = worse(new, golden, 0.05)
-    assert faults == [
-        "mpjpe: was 20 mm, is 22 mm",
-        "people: was 2, is 3",
-        "jitter: was 8 mm, is not known any more",
+    losses, gains = worse(new, golden, 0.05)
+    assert [str(d) for d in losses] == [
+        "metrics: mpjpe: was 20 mm, is 22 mm",
+        "metrics: people: was 2, is 3",
+        "metrics: jitter: was 8 mm, is not known any more",
     ]
-    assert gains == ["pck_50: was 90 %, is 99 %", "missing: was 3, is 2"]
+    assert [(d.what, d.was, d.now) for d in gains] == [
+        ("pck_50", "90 %", "99 %"),
+        ("missing", "3", "2"),
+    ]
     assert worse({"mpjpe": 20.9}, {"mpjpe": 20.0}, 0.05) == ([], [])
 
 
 @pytest.mark.parametrize("count", ["missing", "false", "id_switches", "people", "frames"])
 def test_golden_counts_may_not_grow_at_all(count: str) -> None:
-    faults, _ = worse({count: 101.0}, {count: 100.0}, 0.05)
-    assert faults == [f"{count}: was 100, is 101"]
+    losses, _ = worse({count: 101.0}, {count: 100.0}, 0.05)
+    assert [(d.what, d.was, d.now) for d in losses] == [(count, "100", "101")]
 
 
 @pytest.mark.parametrize(
@@ -338,10 +346,14 @@ def test_an_early_result_is_as_bad_as_a_late_one(walking: Path, tmp_path: Path) 
 
 def test_metrics_files(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    save_metrics(path, "/hiros/filtered", {"mpjpe": 1 / 3, "people": 2})
-    assert load_metrics(path) == ("/hiros/filtered", {"mpjpe": 0.333333, "people": 2})
+    provenance = Provenance({"version": "0.9"}, {"filter.cutoff": "6.0"})
+    save_metrics(path, GoldenMetrics("/hiros/filtered", {"mpjpe": 1 / 3, "people": 2}, provenance))
+    expected = GoldenMetrics("/hiros/filtered", {"mpjpe": 0.333333, "people": 2}, provenance)
+    assert load_metrics(path) == expected
     named = '{"hiros_golden_metrics": 1, "metrics": {%s}}'
-    for text in ("{", "[]", "{}", named % '"a": 1', named % '"mpjpe": "b"', named % '"mpjpe": NaN'):
+    wrong = '{"hiros_golden_metrics": 1, "metrics": {}, "provenance": {"run": 3}}'
+    values = ('"a": 1', '"mpjpe": "b"', '"mpjpe": NaN')
+    for text in ("{", "[]", "{}", *(named % value for value in values), wrong):
         path.write_text(text)
         with pytest.raises(ConfigError, match=r"m\.json"):
             load_metrics(path)
@@ -351,25 +363,33 @@ def test_metrics_files(tmp_path: Path) -> None:
     ("text", "values", "fault"),
     [
         ("mpjpe <= 25 mm", {"mpjpe": 25.0}, ""),
-        ("mpjpe < 25", {"mpjpe": 25.0}, "mpjpe < 25: is 25 mm"),
+        ("mpjpe < 25", {"mpjpe": 25.0}, "mpjpe: was required < 25 mm, is 25 mm"),
         ("people=2", {"people": 2.0}, ""),
-        ("people == 2", {"people": 3.0}, "people == 2: is 3"),
-        ("people != 2", {"people": 2.0}, "people != 2: is 2"),
-        ("mpjpe <= 25", {"mpjpe": 25.1}, "mpjpe <= 25: is 25.1 mm"),
-        ("mota > 0.5", {"mota": 0.5}, "mota > 0.5: is 0.5"),
+        ("people == 2", {"people": 3.0}, "people: was required == 2, is 3"),
+        ("people != 2", {"people": 2.0}, "people: was required != 2, is 2"),
+        ("mpjpe <= 25", {"mpjpe": 25.1}, "mpjpe: was required <= 25 mm, is 25.1 mm"),
+        ("mota > 0.5", {"mota": 0.5}, "mota: was required > 0.5, is 0.5"),
         ("hota >= 0.9", {"hota": 0.9}, ""),
-        ("hota >= 0.9", {"hota": 0.8}, "hota >= 0.9: is 0.8"),
-        ("mota > 0", {}, "mota > 0: mota is not known (no truth, or nothing to measure)"),
+        ("hota >= 0.9", {"hota": 0.8}, "hota: was required >= 0.9, is 0.8"),
+        ("mota > 0", {}, "is not known (no truth, or nothing to measure)"),
     ],
 )
 def test_thresholds(text: str, values: dict[str, float], fault: str) -> None:
-    assert Threshold.parse(text).fault(values) == fault
+    difference = Threshold.parse(text).difference(values)
+    assert (difference is None) == (fault == "")
+    assert fault in str(difference)
 
 
 RESULTS = [
     CaseResult("good | one", "equal", metrics={"mpjpe": 20.0}, seconds=1.0),
-    CaseResult("bad", "different", ("positions: <b>\x00 5 mm", "more"), metrics={}),
-    CaseResult("worst", "error", ("bad.mcap: not a log",)),
+    CaseResult(
+        *("bad", "different", ""),
+        (
+            Difference("configuration", "filter.cutoff", "6.0", "8.0"),
+            Difference("/hiros/filtered", "positions", "<b>\x00 1 m", "2 | m", "up to 1000 mm"),
+        ),
+    ),
+    CaseResult("worst", "error", "bad.mcap: not a log"),
 ]
 
 
@@ -378,17 +398,21 @@ def test_junit_is_xml_that_counts() -> None:
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "1")
     failure = suite[1].find("failure")
     assert failure is not None
-    assert failure.get("message") == "positions: <b>? 5 mm"
+    assert failure.get("message") == "configuration: filter.cutoff: was 6.0, is 8.0"
+    assert "positions: was <b>? 1 m, is 2 | m" in (failure.text or "")
     assert suite[2].find("error") is not None
 
 
-def test_markdown_keeps_to_its_table() -> None:
+def test_markdown_keeps_to_its_tables_and_has_no_empty_column() -> None:
     lines = check_report.markdown(RESULTS, "suite").splitlines()
-    assert lines[0] == "### hiros check: suite: 1 of 3 logs as expected"
-    table = lines[2:7]
-    assert all(line.replace("\\|", "").count("|") == 8 for line in table)
-    assert "&lt;b>" in lines[5]
-    assert "(and 1 more)" in lines[5]
+    assert lines[0].startswith("### hiros check: suite: 1 of 3 logs as expected, 1 different, 1 f")
+    table = [[c.strip() for c in line.replace("\\|", "").split("|")[1:-1]] for line in lines[2:7]]
+    assert table[0] == ["log", "result", "mpjpe"]
+    assert [row[2] for row in table[2:]] == ["20 mm", "-", "-"]
+    assert "| where | what | was | is |" in lines
+    assert "| configuration | filter.cutoff | 6.0 | 8.0 |" in lines
+    assert any("| positions | &lt;b>\x00 1 m | 2 \\| m |" in line for line in lines)
+    assert "bad.mcap: not a log" in lines
 
 
 def test_json_is_json() -> None:

@@ -72,6 +72,22 @@ def test_minus_3_db_at_the_cutoff_by_sine_sweep(method, order, lookahead, rate, 
     assert gains[0] > np.sqrt(0.5) > gains[1]
 
 
+@pytest.mark.parametrize(
+    ("method", "lookahead", "highest"),
+    [("state_space", 0.0, 1.14), ("butterworth", 0.0, 1.0), ("state_space", 0.3, 1.0)],
+)
+def test_no_lag_without_looking_ahead_costs_a_resonance(method, lookahead, highest):
+    """At 6 Hz, as in the preset paper: of a causal filter without lag, the peak is at 2.5 Hz."""
+    times = np.arange(180) / 30
+    middle, gains = slice(60, 150), {}
+    for f in (0.5, 1.5, 2.5, 3.5):
+        p = params(method, cutoff=6.0, lookahead=lookahead)
+        out = run(along(times, np.sin(2 * np.pi * f * times)), p)
+        gains[f] = amplitude(times[middle], out[middle], f)
+    assert max(gains.values()) == pytest.approx(highest, abs=0.01)
+    assert highest == 1.0 or max(gains, key=gains.get) == 2.5
+
+
 @pytest.mark.parametrize("lookahead", LOOKAHEADS)
 @pytest.mark.parametrize(("method", "order"), METHODS)
 def test_links_have_the_same_cutoff(method, order, lookahead):

@@ -13,8 +13,12 @@ from hiros_mcap.body.angles import flexions
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import read_channel
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import process
+from hiros_mcap.regression.golden import write_golden
+from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -222,6 +226,46 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
         for a, b in zip(ours, theirs, strict=True)
     ]
     assert np.allclose(mean, expected)
+
+
+@pytest.mark.parametrize("stage", [[], ["--stage", "merged"]])
+def test_a_result_is_overlaid_with_a_truth_and_its_distance(
+    tmp_path: Path, stage: list[str]
+) -> None:
+    result, truth = tmp_path / "result.mcap", tmp_path / "truth.mcap"
+    process(CROSSING, result, options=ProcessOptions(keep=()))
+    cut_to_truth(CROSSING, truth)
+    target = tmp_path / "both.rrd"
+    for logs in ([result, truth], [truth, result]):
+        arguments = [*map(str, logs), *stage, "--save", str(target), "-q"]
+        assert run(["view", *arguments]) == 0
+        mean = np.concatenate(list(rows(target, "/distance/mean", "Scalars:scalars").values()))
+        assert len(mean) > 100
+        assert 5 < np.mean(mean) < 40
+
+
+def cut_to_truth(log: Path, target: Path) -> None:
+    """Write the truth of a log to a file of its own, without some of its markers."""
+    frames, model, _ = read_channel(log, "/truth/skeletons")
+    with McapWriter(target) as writer:
+        channel, encoder = add_skeleton_channel(writer, "/truth/skeletons"), Encoder(model)
+        for frame in frames:
+            markers = frame.markers.copy()
+            markers[:, :3] = np.nan
+            unknown = np.full_like(frame.marker_confidences, np.nan)
+            cut = frame.replace(markers=markers, marker_confidences=unknown)
+            writer.write(channel, frame.log_time, encoder.encode(cut))
+        writer.commit()
+
+
+def test_logs_without_a_common_stage_are_refused_in_one_line(
+    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tracks, merged = tmp_path / "tracks.mcap", tmp_path / "merged.mcap"
+    process(CROSSING, tracks, options=ProcessOptions(keep=(), stages="T"))
+    write_golden(processed, merged, ["/hiros/merged"])
+    assert run(["view", str(tracks), str(merged), "--save", str(tmp_path / "a.rrd")]) == 2
+    assert "do not both hold a stage" in capsys.readouterr().err
 
 
 def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:

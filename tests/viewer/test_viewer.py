@@ -15,6 +15,7 @@ import pytest
 from viewers import (
     LOOPBACK,
     Browser,
+    fault_of_headless_viewer,
     headless,
     listeners,
     need_chromium,
@@ -256,3 +257,9 @@ def test_the_window_ends_with_one_line_where_there_is_no_screen(
     assert run(["view", str(processed), "-q"]) == 2
     assert "without a screen" in capsys.readouterr().err
     assert threading.active_count() < 20
+
+
+def test_without_a_driver_there_is_a_reason_to_skip(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    assert "mesa-vulkan-drivers" in fault_of_headless_viewer.__wrapped__()

@@ -7,14 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.comparison import Entry, Outcome, by_number_of_cameras
-from hiros_mcap.evaluate.comparison_tables import camera_table, ranked
+from hiros_mcap.evaluate.comparison_tables import (
+    WITHOUT_TRUTH,
+    best_first,
+    camera_table,
+    has_truth,
+    table_of,
+)
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_viewer.blueprint import blueprint
-from hiros_viewer.figures import SPREAD, TRUTH, new_axes
+from hiros_viewer.figures import SPREAD, TRUTH, new_axes, new_figure, tidy
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
 from hiros_viewer.scene import Scene
@@ -26,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
-    """Page with the ranked systems of every log, or their errors by number of cameras."""
+    """Page with the systems on every log, or their errors by number of cameras."""
     page = Page("Systems compared")
     if study == "cameras":
         errors = by_number_of_cameras(outcomes)
@@ -37,23 +45,42 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
     for log in dict.fromkeys(o.log for o in outcomes):
         own = [o for o in outcomes if o.log == log]
         page.heading(log)
-        page.table(*ranked(own), "Best first; mm, degrees, ms")
-        page.figure(_bars(own), "Error; the line is its standard deviation")
+        if has_truth(own):
+            page.table(*table_of(own), "Least error first; mm, degrees, ms")
+            page.figure(_error_bars(own), "Mean joint error; the line is its standard deviation")
+        else:
+            page.table(*table_of(own), "Disagreement and jitter in mm")
+            page.text(WITHOUT_TRUTH)
+            page.figure(_self_bars(own), "Systems in the order in which they were named")
     return page
 
 
-def _bars(outcomes: Sequence[Outcome]) -> Figure:
-    ordered = sorted(outcomes, key=lambda o: -o.rank)
+def _error_bars(outcomes: Sequence[Outcome]) -> Figure:
+    ordered = best_first(outcomes)
     figure, axes = new_axes(8, 0.32 * len(ordered) + 0.9)
-    deviations = [0.0 if o.scores is None else o.scores.deviation for o in ordered]
-    axes.barh(
-        [o.name for o in ordered],
-        [o.rank for o in ordered],
-        xerr=deviations if any(deviations) else None,
-        color=TRUTH,
-        ecolor=SPREAD,
-    )
+    deviations = [np.nan if o.scores is None else o.scores.deviation for o in ordered]
+    names, errors = [o.name for o in ordered], [o.error for o in ordered]
+    axes.barh(names, errors, xerr=deviations, color=TRUTH, ecolor=SPREAD)
     axes.set(xlabel="mm", xlim=(0, None))
+    axes.invert_yaxis()
+    return figure
+
+
+def _self_bars(outcomes: Sequence[Outcome]) -> Figure:
+    """Plot what each system does without a truth; none of it alone says who is best."""
+    figure = new_figure(10, 0.32 * len(outcomes) + 1.1)
+    shown = {
+        "disagreement with the camera left out, mm": [o.disagreement for o in outcomes],
+        "jitter, mm": [o.jitter for o in outcomes],
+        "limb-length variation, %": [100 * o.limb_variation for o in outcomes],
+    }
+    for axes, (label, values) in zip(
+        figure.subplots(1, len(shown), sharey=True), shown.items(), strict=True
+    ):
+        tidy(axes)
+        axes.barh([o.name for o in outcomes], values, color=TRUTH)
+        axes.set(xlabel=label, xlim=(0, None))
+    axes.invert_yaxis()
     return figure
 
 

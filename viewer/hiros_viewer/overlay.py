@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
 from hiros_viewer.scene import Scene
 
+TRUTH = "truth"
 SIMULTANEOUS_NS = 17_000_000
 """Frames of two logs at most half a period of 30 Hz apart are compared."""
 SAME_PERSON = 1.0
@@ -23,17 +24,24 @@ SAME_PERSON = 1.0
 def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -> None:
     """Draw the mean and the largest joint distance over time into the first scene.
 
-    ``stage`` is the one to compare; "" = the last one that both logs have.
+    ``stage`` is the one to compare; "" = the last one that both logs have. A log without results is
+    compared by its truth.
 
-    Raises ConfigError if the logs have no stage in common, or other skeletons.
+    Raises ConfigError if the logs cannot be compared, or the skeletons share no marker.
     """
-    common = [stage for stage in scenes[0].stages if stage in scenes[1].stages]
-    stage = stage or next((s for s in reversed(common) if s != "truth"), "")
-    if stage not in common:
-        raise ConfigError(f"{first} and {second} have no stage in common")
-    if scenes[0].model.marker_names != scenes[1].model.marker_names:
-        raise ConfigError(f"{first} and {second} have different markers")
-    for a, b in paired(_frames(first, stage), _frames(second, stage)):
+    stages = _compared_stages(scenes[0].stages, scenes[1].stages, stage)
+    if stages is None:
+        what = f"the stage {stage!r}" if stage else "a stage"
+        raise ConfigError(
+            f"{first} and {second} do not both hold {what}; view overlays two results, or a "
+            "result and a truth"
+        )
+    names = [scene.model.marker_names for scene in scenes]
+    common = [name for name in names[0] if name in names[1]]
+    if not common:
+        raise ConfigError(f"{first} and {second} share no marker")
+    rows = [[own.index(name) for name in common] for own in names]
+    for a, b in paired(_frames(first, stages[0], rows[0]), _frames(second, stages[1], rows[1])):
         distance = joint_distances(a, b)
         if distance.size:
             scenes[0].distance(a.stamp, "mean", 1000 * float(distance.mean()))
@@ -41,9 +49,29 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
     scenes[0].flush()
 
 
-def _frames(path: Path, stage: str) -> Iterator[Frame]:
-    with open_log(path, topics=[f"{OUTPUT_PREFIX}/{stage}"], output_prefix="/none") as log:
-        yield from log.frames()
+def _compared_stages(
+    first: Iterable[str], second: Iterable[str], stage: str
+) -> tuple[str, str] | None:
+    """Return the stage of each log that is compared, None if there is none."""
+    each = [[s for s in stages if not stage or s in (stage, TRUTH)] for stages in (first, second)]
+    own = [[s for s in stages if s != TRUTH] for stages in each]
+    common = [s for s in own[0] if s in own[1]]
+    if common:
+        return common[-1], common[-1]
+    # One log has results, the other one a truth alone.
+    if own[0] and TRUTH in each[1] and not own[1]:
+        return own[0][-1], TRUTH
+    if own[1] and TRUTH in each[0] and not own[0]:
+        return TRUTH, own[1][-1]
+    return None
+
+
+def _frames(path: Path, stage: str, markers: list[int]) -> Iterator[Frame]:
+    """Yield the frames of a stage with some of the markers."""
+    topic = f"{TRUTH_PREFIX}/*" if stage == TRUTH else f"{OUTPUT_PREFIX}/{stage}"
+    with open_log(path, topics=[topic], output_prefix="/none") as log:
+        for frame in log.frames():
+            yield frame.replace(markers=frame.markers[:, markers])
 
 
 def paired(first: Iterator[Frame], second: Iterator[Frame]) -> Iterator[tuple[Frame, Frame]]:

@@ -88,7 +88,8 @@ def _replay_one(
     with open_log(path, topics=["*"], output_prefix="/none", extrinsics=options.extrinsics) as log:
         source = describe(log)
         final = options.stage or (source.stages[-1] if source.stages else "")
-        if options.stage and options.stage not in (*source.stages, "truth"):
+        only_truth = not (source.stages or source.names)
+        if options.stage and not only_truth and options.stage not in (*source.stages, "truth"):
             raise LogError(f"holds no stage {options.stage!r}", path=path)
         scene = Scene(recording, source.model, final=final, prefix=prefix, is_second=is_second)
         scene.begin(source.cameras)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -163,7 +163,7 @@ def _run_suite(
     reports.check([*suite.files, *kept], force=options.force)
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
-    with bar(path.name, quiet=quiet) as progress:
+    with bar(f"{path.name}: {len(options.only) or len(suite.cases)} logs", quiet=quiet) as progress:
         results = run_suite(suite, options, progress)
     reports.write(results, path.stem)
     return results
@@ -207,9 +207,10 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     for result in results:
         head = Text(f"{result.status:9} ", style=styles[result.status])
         out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
-        lines: list[Any] = [*result.faults, *check_report.first_lines(result), *result.notes]
-        for line in lines:
+        for line in (*check_report.lines(result), *result.notes):
             say(out, line, before="  ")
+    if len(results) > 1:
+        say(out, check_report.totals(results), "bold")
 
 
 def _show_errors(results: list[CaseResult]) -> None:
@@ -218,5 +219,5 @@ def _show_errors(results: list[CaseResult]) -> None:
 
     for result in results:
         if result.status == "error":
-            fault = ConfigError(f"{result.name}: {result.faults[0]}")
+            fault = ConfigError(f"{result.name}: {result.error}")
             print(error_line(fault), file=sys.stderr)

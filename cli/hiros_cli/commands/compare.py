@@ -64,10 +64,10 @@ def compare(
     json: Json = False,
     quiet: QuietResult = False,
 ) -> None:
-    """Run several systems on the same logs and rank them.
+    """Run several systems on the same logs.
 
-    They are ranked by joint error. Without a truth, they are ranked by the distance between each
-    camera and the result of the others.
+    With a truth, they are ranked by joint error. Without one, they are not ranked: the table shows
+    how far each camera is from the result of the others, jitter, limb lengths and ids.
     """
     from hiros_cli.compiling import ALL, prepare
     from hiros_cli.output import check_outputs
@@ -79,6 +79,10 @@ def compare(
     check_outputs(
         (html, "HTML page"), (rrd, "Rerun recording"), inputs=(*paths, truth), force=force
     )
+    from hiros_mcap.evaluate.logs import check_recording
+
+    for path in paths:
+        check_recording(path)
     prepare(quiet=quiet or json, roots=ALL)
     from hiros_cli.progress import bar
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
@@ -137,16 +141,23 @@ def _simulated(folder: Path) -> list[Path]:
 
 
 def _show(outcomes: list[Outcome], study: str | None) -> None:
-    from hiros_cli.run_report import console, show_table
+    from hiros_cli.run_report import console, note, show_table
     from hiros_mcap.evaluate.comparison import by_number_of_cameras
-    from hiros_mcap.evaluate.comparison_tables import camera_table, ranked
+    from hiros_mcap.evaluate.comparison_tables import (
+        WITHOUT_TRUTH,
+        camera_table,
+        has_truth,
+        table_of,
+    )
 
     if study == "cameras":
         title = "Mean joint error (SD), mm, by number of cameras, over all subsets"
         tables = {title: camera_table(by_number_of_cameras(outcomes))}
     else:
         logs = dict.fromkeys(o.log for o in outcomes)
-        tables = {log: ranked([o for o in outcomes if o.log == log]) for log in logs}
+        tables = {log: table_of([o for o in outcomes if o.log == log]) for log in logs}
     out = console()
     for title, content in tables.items():
         show_table(out, title, content)
+    if not has_truth(outcomes):
+        note(out, WITHOUT_TRUTH)

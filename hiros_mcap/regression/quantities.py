@@ -1,0 +1,278 @@
+"""The numbers of a skeleton that a check compares, each with its distance, unit and tolerance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from math import floor, log10
+
+import numpy as np
+
+from hiros_mcap.body.rotations import angle
+from hiros_mcap.regression.tolerances import Tolerances
+from hiros_mcap.skeletons import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    ANGULAR_VELOCITY,
+    ORIENTATION,
+    POSITION,
+    STATE,
+    VELOCITY,
+    Flags,
+    Floats,
+    Frame,
+    SkeletonModel,
+)
+
+Read = Callable[[Frame, int], Floats]
+"""(frame, row of a person) -> (N, D) numbers of N named elements; NaN = absent."""
+Names = Callable[[SkeletonModel], Sequence[str]]
+"""Model -> what the N elements are called."""
+Distance = Callable[[Floats, Floats], Floats]
+"""(..., D), (..., D) -> (...) distance in the unit of the tolerance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One kind of number of a skeleton."""
+
+    name: str
+    read: Read
+    names: Names
+    distance: Distance
+    tolerance: str
+    """Field of :class:`Tolerances`."""
+    unit: str
+    """Of a distance as it is shown."""
+    scale: float = 1.0
+    """Unit of the tolerance -> unit of a distance as it is shown."""
+    values: str = ""
+    """Unit of the numbers themselves."""
+
+    def tolerated(self, tolerances: Tolerances) -> float:
+        """Return the largest distance that does not count."""
+        return float(getattr(tolerances, self.tolerance))
+
+    def shown(self, distance: float) -> str:
+        """Return a distance as text."""
+        return f"{self.scale * distance:.4g} {self.unit}".rstrip()
+
+    def value(self, numbers: Floats, decimals: int) -> str:
+        """Return the numbers of one element as text."""
+        rounded = (round(x, decimals) for x in numbers.tolist())
+        return f"{', '.join(f'{x:.12g}' for x in rounded)} {self.values}".rstrip()
+
+
+def _states(columns: slice) -> Read:
+    """Columns of the KinematicState of all markers, all links and the box."""
+
+    def read(frame: Frame, row: int) -> Floats:
+        box = frame.boxes[row : row + 1, :STATE]
+        return np.concatenate([frame.markers[row], frame.links[row], box])[:, columns]
+
+    return read
+
+
+def _state_names(model: SkeletonModel) -> Sequence[str]:
+    return (*model.marker_names, *(f"link {name}" for name in model.link_names), "box")
+
+
+def _confidences(frame: Frame, row: int) -> Floats:
+    own = frame.confidences[row : row + 1]
+    each = frame.marker_confidences[row], frame.link_confidences[row]
+    return np.concatenate([own, *each])[:, None]
+
+
+def _confidence_names(model: SkeletonModel) -> Sequence[str]:
+    return ("skeleton", *_state_names(model)[:-1])
+
+
+def _box_size(frame: Frame, row: int) -> Floats:
+    return frame.boxes[row : row + 1, STATE:]
+
+
+def _times(frame: Frame, row: int) -> Floats:
+    """(2, 1) Source time and log time after the frame's stamp, ns."""
+    own = int(frame.stamps[row])
+    source = own - frame.stamp if own else np.nan
+    return np.array([[source], [frame.log_time - frame.stamp]], np.float64)
+
+
+def _norm(was: Floats, now: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(now - was, axis=-1))
+
+
+def _degrees(was: Floats, now: Floats) -> Floats:
+    return np.degrees(angle(was, now))
+
+
+def _degree_rates(was: Floats, now: Floats) -> Floats:
+    return np.degrees(_norm(was, now))
+
+
+def _seconds(was: Floats, now: Floats) -> Floats:
+    return np.asarray(np.abs(now - was)[..., 0] / 1e9)
+
+
+def _kinematic(name: str, columns: slice, distance: Distance, units: tuple[str, str]) -> Quantity:
+    tolerance = name.replace(" ", "_")
+    return Quantity(
+        name, _states(columns), _state_names, distance, tolerance, units[0], values=units[1]
+    )
+
+
+QUANTITIES = (
+    Quantity(
+        *("positions", _states(POSITION), _state_names, _norm, "positions", "mm"), 1000.0, "m"
+    ),
+    _kinematic("orientations", ORIENTATION, _degrees, ("deg", "(x y z w)")),
+    _kinematic("velocities", VELOCITY, _norm, ("m/s", "m/s")),
+    _kinematic("angular velocities", ANGULAR_VELOCITY, _degree_rates, ("deg/s", "rad/s")),
+    _kinematic("accelerations", ACCELERATION, _norm, ("m/s2", "m/s2")),
+    _kinematic("angular accelerations", ANGULAR_ACCELERATION, _degree_rates, ("deg/s2", "rad/s2")),
+    Quantity("confidences", _confidences, _confidence_names, _norm, "confidences", ""),
+    Quantity("box sizes", _box_size, lambda _: ("box",), _norm, "positions", "mm", 1000.0, "m"),
+    Quantity(
+        *("times", _times, lambda _: ("source time", "log time"), _seconds, "times", "ms"),
+        *(1000.0, "ns after the frame's stamp"),
+    ),
+)
+"""In the order in which reports name them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The same person in a frame of the golden log and in the new one."""
+
+    index: int
+    """Of the golden frame."""
+    was: Frame
+    was_row: int
+    now: Frame
+    now_row: int
+
+    @property
+    def person(self) -> int:
+        """Id in the golden log."""
+        return int(self.was.ids[self.was_row])
+
+
+@dataclass(slots=True)
+class QuantityComparison:
+    """One quantity of a channel against its golden self; distances in the tolerance's unit."""
+
+    quantity: Quantity
+    largest: float = 0.0
+    worst: dict[str, float] = field(default_factory=dict)
+    """Element -> its largest distance."""
+    vanished: Counter[str] = field(default_factory=Counter)
+    """Element -> skeletons in which it is absent now."""
+    appeared: Counter[str] = field(default_factory=Counter)
+    """Element -> skeletons in which it was absent before."""
+    place: str = ""
+    """Where the distance is largest: element, person, time."""
+    was: str = ""
+    """The numbers there in the golden log."""
+    now: str = ""
+    """The numbers there in the new one."""
+    _squares: float = 0.0
+    _count: int = 0
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distances."""
+        return float(np.sqrt(self._squares / self._count)) if self._count else 0.0
+
+    def add(
+        self, pairs: Sequence[Pair], model: SkeletonModel, tolerances: Tolerances, start: int
+    ) -> tuple[Pair, str] | None:
+        """Compare some skeletons; return the first that differs, and how."""
+        names = self.quantity.names(model)
+        was = np.stack([self.quantity.read(pair.was, pair.was_row) for pair in pairs])
+        now = np.stack([self.quantity.read(pair.now, pair.now_row) for pair in pairs])
+        before, after = _known(was), _known(now)
+        self._count_absent(before, after, names)
+        both = before & after
+        distance = np.where(both, self.quantity.distance(was, now), 0.0)
+        self._squares += float((distance * distance).sum())
+        self._count += int(both.sum())
+        for k in np.nonzero(distance.any(axis=0))[0].tolist():
+            self.worst[names[k]] = max(float(distance[:, k].max()), self.worst.get(names[k], 0.0))
+        if distance.max(initial=0.0) > self.largest:
+            s, k = divmod(int(distance.argmax()), distance.shape[1])
+            self.largest = float(distance[s, k])
+            decimals = max(3, 2 - floor(log10(np.abs(was[s, k] - now[s, k]).max())))
+            self.was, self.now = (self.quantity.value(x[s, k], decimals) for x in (was, now))
+            seconds = (pairs[s].was.stamp - start) / 1e9
+            self.place = f"{names[k]} of person {pairs[s].person} at {seconds:.3f} s"
+        # What is absent or new has no distance, and tells more than one.
+        distance[before != after] = np.inf
+        wrong = distance > self.quantity.tolerated(tolerances)
+        if not wrong.any():
+            return None
+        s = int(wrong.any(axis=1).argmax())
+        k = int(distance[s].argmax())
+        what = f"{self._subject(names[k])} of person {pairs[s].person}"
+        if np.isfinite(distance[s, k]):
+            return pairs[s], f"{what} is off by {self.quantity.shown(float(distance[s, k]))}"
+        return pairs[s], f"{what} is {'absent' if before[s, k] else 'new'}"
+
+    def _count_absent(self, before: Flags, after: Flags, names: Sequence[str]) -> None:
+        for counts, mask in ((self.vanished, before & ~after), (self.appeared, after & ~before)):
+            for k in np.nonzero(mask.any(axis=0))[0].tolist():
+                counts[names[k]] += int(mask[:, k].sum())
+
+    def _subject(self, element: str) -> str:
+        if self.quantity.name == "positions":
+            return element
+        return f"{element} ({self.quantity.name})"
+
+
+def _known(numbers: Floats) -> Flags:
+    return np.asarray(~np.isnan(numbers).any(axis=-1))
+
+
+SHOWN = 5
+
+
+def worst(values: Mapping[str, float], shown: Callable[[float], str]) -> str:
+    """Return the largest values with their names, the largest first."""
+    ordered = sorted(values.items(), key=lambda item: -item[1])[:SHOWN]
+    return ", ".join(f"{name} {shown(value)}" for name, value in ordered)
+
+
+def most(counts: Counter[str]) -> str:
+    """Return the highest counts with their names."""
+    rest = f" and {len(counts) - SHOWN} more" if len(counts) > SHOWN else ""
+    return ", ".join(f"{name} ({n})" for name, n in counts.most_common(SHOWN)) + rest
+
+
+def union(old: SkeletonModel, new: SkeletonModel) -> SkeletonModel:
+    """Return a model with the markers and links of both, by name; the old ones come first."""
+    markers, links = (
+        tuple(dict.fromkeys(chain(*names)))
+        for names in (
+            (old.marker_names, new.marker_names),
+            (old.link_names, new.link_names),
+        )
+    )
+    return SkeletonModel.of(markers, [(name, -1, -1) for name in links])
+
+
+def spread(frame: Frame, own: SkeletonModel, model: SkeletonModel) -> Frame:
+    """Return a frame with the slots of another model that has at least its own names."""
+    markers = [model.marker_names.index(name) for name in own.marker_names]
+    links = [model.link_names.index(name) for name in own.link_names]
+    result = Frame.empty(frame.n_people, model)
+    result.markers[:, markers] = frame.markers
+    result.marker_confidences[:, markers] = frame.marker_confidences
+    result.links[:, links] = frame.links
+    result.link_confidences[:, links] = frame.link_confidences
+    return frame.replace(
+        **{
+            name: getattr(result, name)
+            for name in ("markers", "marker_confidences", "links", "link_confidences")
+        }
+    )

@@ -1,0 +1,108 @@
+"""The GitHub workflow of docs/evaluating.md, run step by step in a fresh checkout.
+
+Nothing is downloaded: the install step is left out, and ``hiros`` is the code under test. With
+``HIROS_WHEEL=FILE`` the install step runs, too, and ``hiros`` is what it installs; .ci/run does so.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+DOCUMENT = ROOT / "docs" / "evaluating.md"
+WHEEL = os.environ.get("HIROS_WHEEL", "")
+SUITE = """
+[[log]]
+name = "walk"
+input = "walk.mcap"
+golden = "golden/walk.mcap"
+"""
+
+
+def documented_job() -> dict[str, Any]:
+    from ruamel.yaml import YAML
+
+    blocks = re.findall(r"```yaml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    (workflow,) = (block for block in blocks if "jobs:" in block)
+    (job,) = YAML(typ="safe").load(workflow)["jobs"].values()
+    return dict(job)
+
+
+def shell(command: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run a command as a step of a workflow runs, with ``hiros`` on the path."""
+    path = f"{folder.parent / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", "-e", "-o", "pipefail", "-c", command],
+        cwd=folder,
+        env={**os.environ, "PATH": path, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def run_steps(checkout: Path) -> tuple[int, str]:
+    """Run the job's shell steps until one fails; return its exit code, and the summaries."""
+    job = documented_job()
+    variables = {**job["env"], "HIROS": WHEEL}
+    summaries = ""
+    for number, step in enumerate(step for step in job["steps"] if "run" in step):
+        if step["run"].startswith("pip install") and not WHEEL:
+            continue
+        summary = checkout.parent / f"summary-{number}.md"
+        summary.write_text("")  # GitHub makes an empty file for each step
+        done = shell(step["run"], checkout, GITHUB_STEP_SUMMARY=str(summary), **variables)
+        summaries += summary.read_text(encoding="utf-8")
+        if done.returncode:
+            return done.returncode, summaries or done.stderr
+    return 0, summaries
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clone of a repository with a recording, a suite and a golden log."""
+    folder = tmp_path_factory.mktemp("workflow")
+    (folder / "bin").mkdir()
+    if not WHEEL:
+        tool = folder / "bin" / "hiros"
+        tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m hiros_cli "$@"\n')
+        tool.chmod(0o755)
+    origin = folder / "origin"
+    (origin / "golden").mkdir(parents=True)
+    shutil.copy(ROOT / "sample_data" / "one_person_walking.mcap", origin / "walk.mcap")
+    (origin / "suite.toml").write_text(SUITE)
+    git = "git -c user.name=a -c user.email=a@b.invalid -c init.defaultBranch=main"
+    for command in (
+        "hiros check suite.toml --bless",
+        f"{git} init --quiet && git add . && {git} commit --quiet --message recordings",
+        "git clone --quiet . ../checkout",
+    ):
+        done = shell(command, origin)
+        assert done.returncode == 0, done.stderr
+    return folder / "checkout"
+
+
+def test_the_documented_workflow_runs_as_written(checkout: Path) -> None:
+    code, summary = run_steps(checkout)
+    assert code == 0, summary
+    assert "1 of 1 logs as expected" in summary
+    assert "| walk | ✅ equal |" in summary
+    (artifact,) = (s["with"]["path"] for s in documented_job()["steps"] if "if" in s)
+    assert (checkout / artifact).stat().st_size > 0
+
+
+def test_a_changed_parameter_fails_the_job_and_is_named_first(checkout: Path) -> None:
+    (checkout / "suite.toml").write_text(SUITE + 'set = ["merge.max_position_delta=0.02"]\n')
+    code, summary = run_steps(checkout)
+    assert code == 1
+    rows = summary[summary.index("| where | what | was | is |") :].splitlines()
+    assert rows[2] == "| configuration | merge.max_position_delta | 0.2 | 0.02 |"
+    assert rows[3].startswith("| /hiros/filtered | ")
