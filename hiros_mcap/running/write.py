@@ -105,8 +105,7 @@ class LogOutput:
         fill = partial(self._encoders[channel].encode_into, block)
         self._writer.write_into(self._channels[channel], times.tolist(), fill)
         if self._export is not None and channel == self._chain[-1]:
-            for frame in block.frames():
-                self._export.write(frame)
+            self._export.write(block)
 
     def commit(self, summary: Summary) -> None:
         """Copy the rest of the input, add the provenance, and let the file appear."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 
 from hiros_cli.app import run
-from hiros_mcap.body.angles import flexions
+from hiros_mcap.body.anatomy import MAIN_ANGLES
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.io.log import open_log
+from hiros_mcap.io.result import open_result
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import Floats
 
@@ -175,11 +177,13 @@ def test_residual_is_the_distance_to_the_nearest_person() -> None:
 
 
 def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
-    frames, model, _ = read_channel(processed, "/hiros/filtered")
+    frames, _, _ = read_channel(processed, "/hiros/filtered")
     angles = rows(recording, "/angles/0", "Scalars:scalars")
-    for frame in frames:
-        bends = np.degrees(flexions(model, frame.positions[frame.ids.tolist().index(0)]))
-        assert np.allclose(angles[frame.stamp], bends, atol=1e-6, equal_nan=True)
+    motion = replace(open_result(processed).motions[0], orientations=None, axes={})
+    by_markers = replace(open_result(processed), motions={0: motion}).angles()
+    assert list(angles) == [frame.stamp for frame in frames]
+    expected = by_markers[list(MAIN_ANGLES)].to_numpy()
+    assert np.allclose(np.stack(list(angles.values())), expected, atol=1e-5, equal_nan=True)
     limbs = np.stack(list(rows(recording, "/limbs/0", "Scalars:scalars").values()))
     assert limbs.shape == (len(frames), 8)
     assert limbs.std(axis=0).max() < 0.001
