@@ -25,6 +25,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.log import Log
+from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.summary import Summary
@@ -71,7 +72,11 @@ class LogOutput:
     ) -> None:
         params = run.config.output
         self._writer, self._run, self._chain = writer, run, chain
-        self._copier = ChunkCopier(log.reader, writer, kept_channels(log, options))
+        kept = kept_channels(log, options)
+        latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
+        unchanged = set(kept) - {info.id for info in latched}
+        self._copier = ChunkCopier(log.reader, writer, unchanged)
+        copy_latched(log.reader, writer, latched)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
         }
