@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import Force, Quiet
 from hiros_mcap.errors import ConfigError
 
@@ -32,7 +33,12 @@ def export(
         int | None, typer.Option(metavar="ID", help="One person. Default: everybody.")
     ] = None,
     channel: Annotated[
-        str, typer.Option(metavar="TOPIC", help="Channel to export. Default: the last stage.")
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            help="Channel to export. Default: the last stage.",
+            autocompletion=topics,
+        ),
     ] = "",
     rate: Annotated[
         float | None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import (
     Assignments,
     ConfigFile,
@@ -56,7 +57,11 @@ def process(
     ] = "",
     topic: Annotated[
         list[str] | None,
-        typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
+        typer.Option(
+            metavar="GLOB",
+            help="Cameras to read; may be repeated. Default: all.",
+            autocompletion=topics,
+        ),
     ] = None,
     keep: Annotated[
         list[str] | None,
@@ -64,6 +69,7 @@ def process(
             metavar="GLOB",
             help="Input channels to copy; may be repeated; '' copies none. Default: the cameras "
             "read, the transforms and /truth.",
+            autocompletion=topics,
         ),
     ] = None,
     preset: Preset = "default",
