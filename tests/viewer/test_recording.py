@@ -91,7 +91,7 @@ def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Pat
 
 
 def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -> None:
-    from hiros_viewer import show
+    from hiros_viewer import destinations
     from hiros_viewer.scene import Scene
 
     frames, model, _ = read_channel(processed, "/hiros/merged")
@@ -108,7 +108,7 @@ def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -
         scene.finish()
 
     target = tmp_path / "gaps.rrd"
-    show.save(target, "gaps", draw)
+    destinations.save(target, "gaps", draw)
     drawn = rows(target, "/merged/0/bones", "LineStrips3D:strips")
     ends = model.links[(model.links >= 0).all(axis=1)]
     for frame in frames:
@@ -236,9 +236,9 @@ def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
 
 
 def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
+    from hiros_viewer.destinations import new_recording
     from hiros_viewer.replay import describe, in_time_order
     from hiros_viewer.scene import Scene
-    from hiros_viewer.show import new_recording
 
     recording = new_recording("test")
     recording.memory_recording()
@@ -288,7 +288,7 @@ def test_a_file_that_is_no_recording_is_not_replaced(processed: Path, tmp_path: 
 
 
 def test_nothing_listens_where_it_should_connect() -> None:
-    from hiros_viewer.show import connect, free_port
+    from hiros_viewer.destinations import connect, free_port
 
     with pytest.raises(ConfigError, match="no viewer at"):
         connect(f"rerun+http://127.0.0.1:{free_port()}/proxy", "x", lambda recording: None)
