@@ -72,6 +72,7 @@ def show(result: Result, person: int | None = None) -> Picture:
         above.plot(way[:, 0], way[:, 1], color=colour, lw=2, label=f"person {who}")
         above.plot(*way[-1, :2], "o", color=colour)
     room.set_aspect("equal")
+    room.locator_params(nbins=5)
     room.set(xlabel="x, m", ylabel="y, m", title=result.path.name)
     above.set(xlabel="x, m", ylabel="y, m", title="from above; a dot is the end", aspect="equal")
     above.grid(alpha=0.3)
