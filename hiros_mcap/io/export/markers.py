@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 import hiros_schemas
-from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles, continued
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.events import Event, Events
 from hiros_mcap.frames import Block
 from hiros_mcap.io.cdr_writer import CdrWriter
@@ -64,11 +64,10 @@ class MarkerExport:
         """(P, A) angles, rad, that go on beyond 180 degrees where a person turns on."""
         angles = angles.copy()
         for row, person in frame.tracked():
-            before = self._last_angles.get(person)
-            angles[row] = continued(angles[row : row + 1], before)[0]
-            unknown = np.isnan(angles[row])
-            known = angles[row] if before is None else np.where(unknown, before, angles[row])
-            self._last_angles[person] = known
+            now = angles[row]
+            before = self._last_angles.get(person, now)
+            now += 2 * np.pi * np.round(np.nan_to_num(before - now) / (2 * np.pi))
+            self._last_angles[person] = np.where(np.isnan(now), before, now)
         return angles
 
     def _write(self, frame: Frame, angles: Floats) -> None:
