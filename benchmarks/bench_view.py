@@ -14,9 +14,9 @@ from pathlib import Path
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
+from hiros_viewer.destinations import new_recording
 from hiros_viewer.replay import replay
 from hiros_viewer.scene import Scene
-from hiros_viewer.show import new_recording
 
 
 def main() -> None:

@@ -8,16 +8,29 @@ from hiros_mcap._version import __version__
 if TYPE_CHECKING:
     from hiros_mcap.body.transforms import transform_to_fixed
     from hiros_mcap.config import Config, load_config
+    from hiros_mcap.errors import ConfigError, HirosError, LogError
+    from hiros_mcap.io.export.files import export
     from hiros_mcap.io.log import open_log
-    from hiros_mcap.io.result import open_result
+    from hiros_mcap.io.result import Motion, Result, open_result
     from hiros_mcap.running.pipeline import ProcessOptions, process
+    from hiros_mcap.skeletons import Frame, SkeletonModel
+    from hiros_mcap.summary import Summary
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 __all__ = [
     "Config",
+    "ConfigError",
+    "Frame",
+    "HirosError",
+    "LogError",
+    "Motion",
     "ProcessOptions",
+    "Result",
+    "SkeletonModel",
+    "Summary",
     "__version__",
+    "export",
     "load_config",
     "open_log",
     "open_result",
@@ -27,7 +40,16 @@ __all__ = [
 
 _HOMES = {
     "Config": "config",
+    "ConfigError": "errors",
+    "Frame": "skeletons",
+    "HirosError": "errors",
+    "LogError": "errors",
+    "Motion": "io.result",
     "ProcessOptions": "running.pipeline",
+    "Result": "io.result",
+    "SkeletonModel": "skeletons",
+    "Summary": "summary",
+    "export": "io.export.files",
     "load_config": "config",
     "open_log": "io.log",
     "open_result": "io.result",

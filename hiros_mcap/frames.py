@@ -32,6 +32,9 @@ class Block:
     """(N, 2) first row of each frame's people, and the row after the last."""
     people: People
 
+    def __repr__(self) -> str:
+        return f"<Block {len(self)} frames, {int(np.ptp(self.rows, axis=1).sum())} people>"
+
     def __len__(self) -> int:
         """N."""
         return len(self.stamps)

@@ -20,11 +20,14 @@ Kind = Literal[
     "limb table",
     "PNG picture",
     "export",
+    "rosbag2 folder",
+    "rosbag2 metadata",
 ]
 
 HTML_MARK = '<meta name="generator" content="hiros">'
 JUNIT_MARK = "<!-- hiros check -->"
 MARKDOWN_MARK = "### hiros check: "
+BAG_MARK = "# hiros rosbag2 metadata\n"
 LIMBS_MARK = "# hiros limb lengths\n"
 
 _HEAD = 1024  # bytes, within which every mark lies
@@ -58,9 +61,7 @@ def check_outputs(
     """
     read = [file for path in inputs if path is not None for file in _files(Path(path))]
     taken: list[Path] = []
-    for path, kind in outputs:
-        if path is None:
-            continue
+    for path, kind in _single_files(outputs, force=force, remedy=remedy):
         _check_place(path)
         if any(_same(path, other) for other in read):
             raise LogError("is an input; choose another output", path=path)
@@ -69,6 +70,40 @@ def check_outputs(
         if not (force or _may_replace(path, kind)):
             raise LogError(f"{_reason(kind)}; {remedy} overwrites it", path=path)
         taken.append(path)
+
+
+def target_kind(target: str | os.PathLike[str]) -> Kind:
+    """Return what a target asks for: a folder if it is one, or ends in a slash."""
+    text = os.fspath(target)
+    is_folder = text.endswith(("/", os.sep)) or Path(target).is_dir()
+    return "rosbag2 folder" if is_folder else "log"
+
+
+def bag_files(folder: Path) -> tuple[Path, Path]:
+    """Return the files of a rosbag2 folder: the recording and its metadata."""
+    return folder / f"{folder.resolve().name}_0.mcap", folder / "metadata.yaml"
+
+
+def _single_files(
+    outputs: Iterable[tuple[Path | None, Kind]], *, force: bool, remedy: str
+) -> Iterator[tuple[Path, Kind]]:
+    """Yield what is asked for, and instead of a rosbag2 folder that exists its two files.
+
+    Raises LogError if such a folder holds anything else.
+    """
+    for path, kind in outputs:
+        if path is None:
+            continue
+        if kind != "rosbag2 folder" or not path.exists():
+            yield path, kind
+            continue
+        if not path.is_dir():
+            raise LogError("is a file, not a folder for a ROS 2 bag", path=path)
+        recording, metadata = bag_files(path)
+        if not force and set(path.iterdir()) - {recording, metadata}:
+            raise LogError(f"holds other files; choose a new folder, or use {remedy}", path=path)
+        yield recording, "log"
+        yield metadata, "rosbag2 metadata"
 
 
 def _reason(kind: Kind) -> str:
@@ -124,6 +159,8 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "Markdown summary": lambda head: head.startswith(MARKDOWN_MARK.encode()),
     "limb table": lambda head: head.startswith(LIMBS_MARK.encode()),
     "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
+    "rosbag2 folder": lambda head: False,
+    "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),
     # Most formats have no place for a mark, so nobody knows who wrote the file.
     "export": lambda head: False,
 }

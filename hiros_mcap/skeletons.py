@@ -54,6 +54,9 @@ class SkeletonModel:
     max_markers: int
     max_links: int
 
+    def __repr__(self) -> str:
+        return f"<SkeletonModel {self.n_markers} markers, {self.n_links} links>"
+
     @property
     def n_markers(self) -> int:
         """Number of marker slots, M."""
@@ -112,6 +115,10 @@ class People(NamedTuple):
     """(P, L) 0..1, NaN = not given."""
     boxes: Floats
     """(P, 22) bounding box: KinematicState of its centre, then height, length, width."""
+
+    def __repr__(self) -> str:
+        n, m, links = len(self.ids), self.markers.shape[1], self.links.shape[1]
+        return f"<People {n} rows, {m} markers, {links} links>"
 
     @classmethod
     def allocate(cls, n_people: int, n_markers: int, n_links: int) -> People:
@@ -182,6 +189,13 @@ class Frame:
     links = _of_people("links", Floats)
     link_confidences = _of_people("link_confidences", Floats)
     boxes = _of_people("boxes", Floats)
+
+    def __repr__(self) -> str:
+        ids = ", ".join(str(i) if i != UNTRACKED else "?" for i in self.ids.tolist())
+        return (
+            f"<Frame {self.source} in {self.frame_id} at {self.stamp / 1e9:.3f} s: "
+            f"{self.n_people} people ({ids}), {self.markers.shape[1]} markers>"
+        )
 
     @property
     def n_people(self) -> int:

@@ -9,7 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.io.result import Result
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +108,25 @@ class Summary:
     """What makes the result doubtful or incomplete, with the remedy, one line each."""
     notes: tuple[str, ...] = ()
     """What else a user should know, one line each."""
+
+    def __repr__(self) -> str:
+        target = f" -> {self.target}" if self.target else ""
+        people = "1 person" if len(self.people) == 1 else f"{len(self.people)} people"
+        return (
+            f"<Summary {self.source}{target}: {people}, {self.log_s:.1f} s of log in "
+            f"{self.wall_s:.1f} s, {quantity(len(self.warnings), 'warning')}>"
+        )
+
+    def result(self, channel: str = "") -> Result:
+        """Open what was written, see :func:`hiros_mcap.open_result`.
+
+        Raises ConfigError if the run wrote nothing.
+        """
+        import hiros_mcap
+
+        if self.target is None:
+            raise ConfigError("the run wrote no log to open; give it a target")
+        return hiros_mcap.open_result(self.target, channel)
 
     @property
     def times_real_time(self) -> float:

@@ -8,11 +8,16 @@ from typing import Annotated
 
 import typer
 
+from hiros_cli.completing import parameters, presets, systems
 from hiros_mcap.errors import ConfigError
 
 Preset = Annotated[
     str,
-    typer.Option(metavar="NAME", help="Start from a preset: default, realtime, paper or upstream."),
+    typer.Option(
+        metavar="NAME",
+        help="Start from a preset: default, realtime, paper or upstream.",
+        autocompletion=presets,
+    ),
 ]
 ConfigFile = Annotated[
     Path | None,
@@ -22,12 +27,20 @@ ConfigFile = Annotated[
 ]
 SystemName = Annotated[
     str,
-    typer.Option("--system", metavar="NAME", help="System to run; `hiros systems` lists them."),
+    typer.Option(
+        "--system",
+        metavar="NAME",
+        help="System to run; `hiros systems` lists them.",
+        autocompletion=systems,
+    ),
 ]
 Assignments = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="STAGE.PARAM=VALUE", help="Change one parameter; may be repeated."
+        "--set",
+        metavar="STAGE.PARAM=VALUE",
+        help="Change one parameter; may be repeated.",
+        autocompletion=parameters,
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]

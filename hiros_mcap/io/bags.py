@@ -85,7 +85,7 @@ class BagReader(McapReader):
             topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
             raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
         texts = {connection.msgtype: connection.msgdef.data for connection in taken}
-        store = bag.typestore if bag.is2 else _ros2_types(texts)
+        store = bag.typestore if bag.is2 else ros2_types(texts)
         with McapWriter(mcap, compression="") as writer:
             channels: dict[tuple[str, str], int] = {}
             schemas: dict[str, int] = {}
@@ -113,7 +113,7 @@ def _readable(path: Path, kind: str) -> Iterator[Any]:
 
     # SQLite bags of before 2023 do not say what their messages look like.
     name = hiros_schemas.SKELETON_GROUP
-    types = _ros2_types({name: hiros_schemas.text(name)})
+    types = ros2_types({name: hiros_schemas.text(name)})
     try:
         with AnyReader([path], default_typestore=types) as bag:
             yield bag
@@ -124,7 +124,7 @@ def _readable(path: Path, kind: str) -> Iterator[Any]:
         raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
 
 
-def _ros2_types(texts: Mapping[str, str]) -> Typestore:
+def ros2_types(texts: Mapping[str, str]) -> Typestore:
     """Types of ``texts`` on top of ROS 2's standard ones, whose Header has no ``seq``."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -42,6 +42,8 @@ _QOS = """\
     sec: 9223372036
     nsec: 854775807
   avoid_ros_namespace_conventions: false"""
+LATCHED_QOS = _QOS.replace("depth: 10", "depth: 1").replace("durability: 2", "durability: 1")
+"""The same for /tf_static, which late subscribers need, too: transient local."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,6 +109,9 @@ class Log:
         self.accounts: dict[str, Account] = {}
         self._fixed_frame = fixed_frame
 
+    def __repr__(self) -> str:
+        return f"<Log {self.path}: {len(self.cameras)} skeleton channels, {self.model!r}>"
+
     def __enter__(self) -> Self:
         return self
 

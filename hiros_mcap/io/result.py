@@ -11,19 +11,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
+from hiros_mcap.body.segments import LinkAxes, link_axes
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_TOPICS, channels_of
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log, open_reader, span_of
-from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +38,7 @@ GAP_S = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """One person over T instants; M markers. NaN means absent."""
+    """One person over T instants; M markers, L links. NaN means absent."""
 
     person: int
     times: Floats
@@ -43,6 +47,16 @@ class Motion:
     """(T, M, 3) m, in the fixed frame."""
     confidences: Floats
     """(T, M) 0..1."""
+    orientations: Floats | None = None
+    """(T, L, 4) x y z w of the links; None if the channel has none."""
+    axes: LinkAxes = field(default_factory=dict)
+    """How the segments lie in their links, measured on the whole motion."""
+
+    def __repr__(self) -> str:
+        if not len(self.times):
+            return f"<Motion person {self.person}: nothing>"
+        span = f"{self.times[0]:.1f} to {self.times[-1]:.1f} s, {len(self.times)} instants"
+        return f"<Motion person {self.person}: {span}, {self.positions.shape[1]} markers>"
 
     @property
     def rate(self) -> float:
@@ -52,16 +66,45 @@ class Motion:
     def between(self, start: float, end: float) -> Motion:
         """Return the instants from ``start`` to ``end``, s from the log's first skeleton."""
         inside = (self.times >= start) & (self.times <= end)
-        return Motion(self.person, self.times[inside], self.positions[inside],
-                      self.confidences[inside])  # fmt: skip
+        return replace(
+            self,
+            times=self.times[inside],
+            positions=self.positions[inside],
+            confidences=self.confidences[inside],
+            orientations=None if self.orientations is None else self.orientations[inside],
+        )
 
     def at(self, times: Floats) -> Motion:
         """Interpolate by cubic splines to ``times``, s; NaN in pauses longer than GAP_S."""
-        flat = self.positions.reshape(len(self.times), -1)
-        columns = [_interpolated(times, self.times, column) for column in flat.T]
-        shares = [_interpolated(times, self.times, column) for column in self.confidences.T]
-        positions = np.stack(columns, axis=-1).reshape(len(times), *self.positions.shape[1:])
-        return Motion(self.person, times, positions, np.stack(shares, axis=-1))
+        turns = self.orientations
+        return replace(
+            self,
+            times=times,
+            positions=_interpolated_all(times, self.times, self.positions),
+            confidences=_interpolated_all(times, self.times, self.confidences),
+            orientations=None if turns is None else _interpolated_turns(times, self.times, turns),
+        )
+
+
+def _interpolated_all(times: Floats, known_times: Floats, values: Floats) -> Floats:
+    """(N, ...) each column of (T, ...) at N times."""
+    flat = values.reshape(len(values), -1)
+    columns = [_interpolated(times, known_times, column) for column in flat.T]
+    return np.stack(columns, axis=-1).reshape(len(times), *values.shape[1:])
+
+
+def _interpolated_turns(times: Floats, known_times: Floats, xyzw: Floats) -> Floats:
+    """(N, L, 4) unit quaternions at N times: their components interpolated, made of length 1.
+
+    q and -q are the same rotation; neighbours are given the same sign before.
+    """
+    turns = xyzw.copy()
+    for link in range(turns.shape[1]):
+        known = np.flatnonzero(~np.isnan(turns[:, link, 0]))
+        steps = np.sum(turns[known[1:], link] * turns[known[:-1], link], axis=-1)
+        turns[known[1:], link] *= np.cumprod(np.where(steps < 0, -1.0, 1.0))[:, None]
+    found = _interpolated_all(times, known_times, turns)
+    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
 
 
 def _interpolated(times: Floats, known_times: Floats, values: Floats) -> Floats:
@@ -86,14 +129,16 @@ class Result:
     model: SkeletonModel
     fixed_frame: str
     start: int
-    """ns since the epoch: log time of the log's first skeleton, from which times count."""
+    """ns since the epoch, from which times count: log time of the log's first detection. In a log
+    without detections, stamp of the channel's first message."""
     motions: Mapping[int, Motion]
     """By the person's id, ids increasing."""
     happened: tuple[Event, ...] = ()
 
     def __repr__(self) -> str:
+        people = f"{len(self.motions)} " + ("person" if len(self.motions) == 1 else "people")
         return (
-            f"<Result {self.path.name} {self.channel}: {len(self.motions)} people, "
+            f"<Result {self.path.name} {self.channel}: {people}, "
             f"{self.seconds:.1f} s, {self.model.n_markers} markers>"
         )
 
@@ -145,12 +190,13 @@ class Result:
     def angles(self) -> pd.DataFrame:
         """Signed joint angles, degrees: a row per person and time (s), columns by angle.
 
-        :mod:`hiros_mcap.body.anatomy` says what they mean.
+        NaN where an angle cannot be known. :mod:`hiros_mcap.body.anatomy` says what they mean.
         """
         import pandas as pd
 
         rows = [
-            np.degrees(anatomical_angles(self.model, m.positions)) for m in self.motions.values()
+            np.degrees(anatomical_angles(self.model, m.positions, m.orientations, m.axes))
+            for m in self.motions.values()
         ]
         return pd.DataFrame(_stacked(rows, len(ANGLE_NAMES)), self._index(), list(ANGLE_NAMES))
 
@@ -182,48 +228,99 @@ def grid(times: Floats, rate: float) -> Floats:
 
 
 def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
-    """Read what hiros wrote.
+    """Read what hiros wrote, or a truth.
 
     Parameters
     ----------
-    path : a log that ``hiros process`` wrote.
-    channel : topic of the skeletons; "" is the last stage, /hiros/filtered if it is there.
+    path : a log that ``hiros process`` wrote, a golden log, or a log with a /truth channel.
+    channel : topic of the skeletons; "" is the last stage, /hiros/filtered if it is there, or
+        the truth of a log that holds nothing else.
 
     Raises
     ------
     LogError
-        The file is damaged, or holds nothing that hiros wrote.
+        The file is damaged, or holds neither results nor a truth.
     ConfigError
         It has no such channel.
     """
     with open_reader(path) as reader:
-        topics = [info.topic for info in channels_of(reader) if info.count]
-        found = [topic for topic in OUTPUT_TOPICS if topic in topics]
-        if not (channel or found):
-            raise LogError("holds no results of hiros; run `hiros process` first", path=path)
-        if channel and channel not in topics:
-            raise ConfigError(f"{path}: no channel {channel!r} (there are: {_listed(topics)})")
-        chosen = channel or found[-1]
+        own = _own_channels(reader)
+        chosen = channel or _last_of(own, path)
+        topics = [info.topic for info in channels_of(reader)]
+        if chosen not in topics:
+            raise ConfigError(f"{path}: no channel {chosen!r} (there are: {_listed(topics)})")
         start = span_of(reader)[0]
         events = (reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()
-    with open_log(path, topics=[chosen], output_prefix="/none") as log:
+    with open_log(path, topics=[escape(chosen)], output_prefix="/none") as log:
         frames = list(log.frames())
         model = log.model
-    rows: dict[int, list[tuple[int, Floats, Floats]]] = {}
+    if own.detections == 0 and frames:
+        start = frames[0].stamp  # results are logged later than the data that they belong to
+    rows: dict[int, list[_Instant]] = {}
     for frame in frames:
         for k, person in frame.tracked():
-            row = frame.stamp, frame.positions[k], frame.marker_confidences[k]
+            row = _Instant(
+                frame.stamp,
+                frame.positions[k],
+                frame.marker_confidences[k],
+                frame.orientations[k],
+            )
             rows.setdefault(person, []).append(row)
-    motions = {person: _motion(person, rows[person], start) for person in sorted(rows)}
+    motions = {person: _motion(person, rows[person], start, model) for person in sorted(rows)}
     fixed = frames[0].frame_id if frames else ""
     return Result(Path(path), chosen, model, fixed, start, motions, tuple(events_from_json(events)))
 
 
-def _motion(person: int, rows: Sequence[tuple[int, Floats, Floats]], start: int) -> Motion:
-    stamps, positions, confidences = zip(*rows, strict=True)
-    times: Stamps = np.array(stamps, np.int64) - start
-    seconds: Floats = times / 1e9
-    return Motion(person, seconds, np.stack(positions), np.stack(confidences))
+class _OwnChannels(NamedTuple):
+    """Which channels of a log have messages."""
+
+    results: list[str]
+    """Topics, in the order of the stages."""
+    truths: list[str]
+    """Topics."""
+    detections: int
+    """Number of skeleton channels that are neither."""
+
+
+def _own_channels(reader: McapReader) -> _OwnChannels:
+    topics = {
+        info.topic
+        for info in channels_of(reader)
+        if info.count and info.has_type(hiros_schemas.SKELETON_GROUP)
+    }
+    results = [topic for topic in OUTPUT_TOPICS if topic in topics]
+    truths = sorted(topic for topic in topics if topic.startswith(f"{TRUTH_PREFIX}/"))
+    return _OwnChannels(results, truths, len(topics) - len(results) - len(truths))
+
+
+def _last_of(own: _OwnChannels, path: str | os.PathLike[str]) -> str:
+    """Return the last stage, or the truth of a log that holds nothing else.
+
+    Raises LogError if there is neither.
+    """
+    if own.results:
+        return own.results[-1]
+    if own.truths and not own.detections:
+        return own.truths[0]
+    raise LogError("holds no results of hiros; run `hiros process` first", path=path)
+
+
+class _Instant(NamedTuple):
+    """One person at one instant."""
+
+    stamp: int
+    positions: Floats
+    confidences: Floats
+    orientations: Floats
+
+
+def _motion(person: int, rows: Sequence[_Instant], start: int, model: SkeletonModel) -> Motion:
+    stamps, positions, confidences, turns = (np.stack(column) for column in zip(*rows, strict=True))
+    seconds: Floats = (stamps.astype(np.int64) - start) / 1e9
+    if np.isnan(turns).all():
+        return Motion(person, seconds, positions, confidences)
+    axes = link_axes(model, positions, turns)
+    return Motion(person, seconds, positions, confidences, turns, axes)
 
 
 def _stacked(rows: Sequence[Floats], columns: int) -> Floats:

@@ -19,12 +19,13 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.log import DAMAGED, Log, open_log
-from hiros_mcap.outputs import check_outputs
+from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
+from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent, Watcher
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
-from hiros_mcap.running.write import open_output, unmatched_globs
+from hiros_mcap.running.write import kept_channels, open_output, unmatched_globs
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
@@ -59,7 +60,8 @@ def process(
     Parameters
     ----------
     source : MCAP log with SkeletonGroup channels and the cameras' transforms.
-    target : output log; None runs without writing one.
+    target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
+        a ROS 2 bag.
     config : parameters of the stages. options : what is read, run and written.
     progress : follows how far the run is. watcher : sees every frame on the way.
     force : replace files that hiros did not write.
@@ -76,14 +78,17 @@ def process(
     config = config or load_config(system=options.system)
     chain = chain_of(options.system, options.stages)
     _check_limbs(options, chain)
-    path = None if target is None else Path(target)
+    kind = "log" if target is None else target_kind(target)
     check_outputs(
-        ((path, "log"), (options.limbs_out, "limb table")),
+        ((None if target is None else Path(target), kind), (options.limbs_out, "limb table")),
         (source, options.extrinsics, options.limbs_in),
         force=force,
     )
     watch = Stopwatch()
-    with open_input(source, config, options) as log:
+    with open_input(source, config, options) as log, output_file(target) as path:
+        if kind == "rosbag2 folder":
+            kept = kept_channels(log, options)
+            refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
         run = _set_up(log, config, options)
         _calibrate_first(log, run, chain)
         observer = Observer(chain)

@@ -28,6 +28,7 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.digest import Digest, digest_of
 from hiros_mcap.io.log import Log
+from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.summary import Summary
@@ -78,7 +79,11 @@ class LogOutput:
     ) -> None:
         params = run.config.output
         self._writer, self._run, self._chain = writer, run, chain
-        self._copier = ChunkCopier(log.reader, writer, kept_channels(log, options))
+        kept = kept_channels(log, options)
+        latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
+        unchanged = set(kept) - {info.id for info in latched}
+        self._copier = ChunkCopier(log.reader, writer, unchanged)
+        copy_latched(log.reader, writer, latched)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
         }
@@ -114,8 +119,7 @@ class LogOutput:
         fill = partial(self._encoders[channel].encode_into, block)
         self._writer.write_into(self._channels[channel], times.tolist(), fill)
         if self._export is not None and channel == self._chain[-1]:
-            for frame in block.frames():
-                self._export.write(frame)
+            self._export.write(block)
 
     def commit(self, summary: Summary) -> None:
         """Copy the rest of the input, add the provenance, and let the file appear."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.io.cdr_writer import CdrWriter
-from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.channels import LATCHED_QOS, add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate.settings import SimulateParams
@@ -17,8 +17,6 @@ from hiros_mcap.simulate.simulation import WORLD, simulate
 from hiros_mcap.skeletons import Frame
 
 TRUTH_TOPIC = "/truth/skeletons"
-# A latched channel: players send it to whoever subscribes late.
-_LATCHED = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
 
 
 def write_log(path: str | os.PathLike[str], params: SimulateParams) -> dict[str, int]:
@@ -38,7 +36,7 @@ def write_log(path: str | os.PathLike[str], params: SimulateParams) -> dict[str,
             writer.add_schema(
                 hiros_schemas.TF_MESSAGE, hiros_schemas.text(hiros_schemas.TF_MESSAGE).encode()
             ),
-            metadata={"offered_qos_profiles": _LATCHED},
+            metadata={"offered_qos_profiles": LATCHED_QOS},
         )
         writer.write(tf, params.start, encode_tf(simulation.transforms, WORLD, params.start))
         channels: dict[str, int] = {}

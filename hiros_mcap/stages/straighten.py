@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
-from hiros_mcap.body.anatomy import HEAD
+from hiros_mcap.body.segments import HEAD
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events

@@ -13,9 +13,15 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth_files import read_trc
+from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.export.files import FORMATS, export, files_of
+from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.result import Motion, Result, open_result
-from hiros_mcap.running.pipeline import process
+from hiros_mcap.regression.golden import write_golden
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.skeletons import SkeletonModel
 
 
 @pytest.fixture(scope="module")
@@ -207,3 +213,106 @@ def test_process_names_export_instead_of_writing_mcap_under_another_name(
     assert run(["process", str(walking), "-o", str(target)]) == 2
     assert "run hiros export on its result" in capsys.readouterr().err
     assert not target.exists()
+
+
+SET = 'SHOULDER_LEFT = "LSJC"\nKNEE_RIGHT = "RKJC"\n'
+
+
+@pytest.mark.parametrize("suffix", [".trc", ".c3d"])
+def test_markers_take_the_names_of_a_model(
+    suffix: str, log: Path, result: Result, tmp_path: Path
+) -> None:
+    (tmp_path / "set.toml").write_text(SET)
+    target = tmp_path / f"out{suffix}"
+    arguments = ["--person", "0", "--marker-set", str(tmp_path / "set.toml"), "-q"]
+    assert run(["export", str(log), "-o", str(target), *arguments]) == 0
+    if suffix == ".trc":
+        assert target.read_text().splitlines()[3].split() == ["Frame#", "Time", "LSJC", "RKJC"]
+        slot = result.model.marker_names.index("KNEE_RIGHT")
+        positions = read_trc(target).positions[:, 0, 1]
+        np.testing.assert_allclose(
+            positions[:, 1], result.motions[0].positions[:, slot, 2], atol=1e-6
+        )
+    else:
+        import ezc3d
+
+        assert ezc3d.c3d(str(target))["parameters"]["POINT"]["LABELS"]["value"] == ["LSJC", "RKJC"]
+
+
+@pytest.mark.parametrize(
+    "names", [("SHOULDER_LEFT", "ANKLE_RIGHT"), ("ShoulderLeft", "AnkleRight"), ("lshoulder", "x")]
+)
+def test_the_built_in_set_knows_the_names_of_any_detector(names: tuple[str, str]) -> None:
+    found = load_marker_set("rajagopal", SkeletonModel.of([*names, "Head"], ()))
+    expected = {names[0]: "LSJC", names[1]: "RAJC"}
+    assert found == {ours: expected[ours] for ours in found}
+    assert names[0] in found or "x" in names
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("KNIE_LEFT = 'LKJC'", "the log has no marker KNIE_LEFT"),
+        ("KNEE_LEFT = 'A'\nKNEE_RIGHT = 'A'", "gives two markers the same name"),
+        ("KNEE_LEFT = 3", "KNEE_LEFT has no name"),
+        ("", "names no marker"),
+        ("not toml", "is no marker set"),
+    ],
+)
+def test_wrong_marker_sets_in_one_line(
+    text: str, fault: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "set.toml").write_text(text)
+    arguments = ["-o", str(tmp_path / "out.trc"), "--marker-set", str(tmp_path / "set.toml")]
+    assert run(["export", str(log), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert fault in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out.trc").exists()
+
+
+def test_golden_logs_truths_and_results_without_input_are_results(
+    log: Path, crossing: Path, tmp_path: Path
+) -> None:
+    process(crossing, tmp_path / "bare.mcap", options=ProcessOptions(keep=()))
+    write_golden(log, tmp_path / "golden.mcap")
+    write_log(tmp_path / "sim.mcap", SimulateParams(seconds=0.5, cameras=1))
+    truth_only(tmp_path / "sim.mcap", tmp_path / "truth.mcap")
+    full = open_result(log)
+    for name in ("bare.mcap", "golden.mcap"):
+        part = open_result(tmp_path / name)
+        assert part.people == full.people
+        assert part.motions[0].times[0] == 0.0
+        assert part.seconds == pytest.approx(full.seconds, abs=0.1)
+    truth = open_result(tmp_path / "truth.mcap")
+    assert (truth.channel, truth.people) == ("/truth/skeletons", (0,))
+    with pytest.raises(LogError, match="run `hiros process` first"):
+        open_result(tmp_path / "sim.mcap")
+
+
+def truth_only(source: Path, target: Path) -> None:
+    with McapReader(source) as reader, McapWriter(target) as writer:
+        (truth,) = (i for i, c in reader.channels.items() if c.topic.startswith("/truth"))
+        ChunkCopier(reader, writer, [truth]).finish()
+        writer.commit()
+
+
+def test_resampling_turns_links_the_short_way() -> None:
+    times = np.arange(0, 1, 0.1)
+    half = np.pi * times / 2
+    turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)[:, None]
+    turns[::2] *= -1  # the same rotations
+    motion = Motion(0, times, np.zeros((10, 1, 3)), np.ones((10, 1)), turns)
+    fine = motion.at(np.linspace(0, 0.9, 19))
+    assert fine.orientations is not None
+    found = 2 * np.arctan2(*np.moveaxis(fine.orientations[:, 0, 2:], -1, 0))
+    np.testing.assert_allclose(np.unwrap(found) - found[0], np.pi * fine.times, atol=1e-3)
+
+
+def test_the_rate_and_the_part_do_not_change_the_angles(result: Result) -> None:
+    whole, part = result.angles(), result.select(person=0, start=1.0, end=2.0).angles()
+    pd.testing.assert_frame_equal(whole.loc[part.index], part)
+    fine = result.select(person=0, rate=200.0).angles()["left hip flexion"].loc[0]
+    coarse = whole.loc[0]["left hip flexion"]
+    between = np.interp(coarse.index, fine.index, fine)
+    np.testing.assert_allclose(between[:-1], coarse[:-1], atol=0.5)

@@ -10,15 +10,28 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from poses import posed
 from rosbags.typesys import Stores, get_typestore
 from stick_figures import MODEL, at, person, seen
 
 import hiros_schemas
-from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.evaluate.logs import read_channel
-from hiros_mcap.io.export.markers import JOINTS, LABELS, LOG, MARKERS, limb_chains, marker_array
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.export.markers import (
+    JOINTS,
+    LABELS,
+    LOG,
+    MARKERS,
+    MarkerExport,
+    limb_chains,
+    marker_array,
+)
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.simulate import body_model
+from hiros_mcap.skeletons import Frame, SkeletonModel
 
 Messages = dict[str, list[Any]]
 
@@ -71,13 +84,35 @@ def test_everybody_has_a_label_and_a_colour(messages: Messages) -> None:
         assert all(m.pose.position.z > 1.4 for m in array.markers)
 
 
-def test_joint_states_are_the_flexions(output: Path, messages: Messages) -> None:
+def test_joint_states_are_the_signed_angles(output: Path, messages: Messages) -> None:
     frames, model, _ = read_channel(output, "/hiros/filtered")
-    for frame, state in zip(frames, messages[JOINTS], strict=True):
-        bends = flexions(model, frame.positions)
-        assert np.allclose(list(state.position), bends.ravel(), atol=1e-4)
-        assert state.name[0] == f"person_{frame.ids[0]}/left_shoulder"
-        assert len(state.name) == len(ANGLES) * frame.n_people
+    poses = np.stack([frame.positions[frame.ids.tolist().index(1)] for frame in frames])
+    angles = anatomical_angles(model, poses)
+    for state, row in zip(messages[JOINTS], angles, strict=True):
+        named = dict(zip(state.name, state.position, strict=True))
+        for angle, value in zip(ANGLE_NAMES, row, strict=True):
+            name = f"person_1/{angle.replace(' ', '_')}"
+            assert (name in named) == (not np.isnan(value))
+            assert named.get(name, np.nan) == pytest.approx(value, abs=1e-4, nan_ok=True)
+
+
+def test_joint_states_go_on_beyond_half_a_turn(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "out.mcap") as writer:
+        export = MarkerExport(writer, body_model.MODEL, Events())
+        for k in range(18):
+            frame = Frame.empty(1, body_model.MODEL, stamp=at(k), frame_id="world")
+            frame.ids[:], frame.markers[0, :, :3] = 3, posed(pelvis=(0, 0, 20.0 * k))[0]
+            export.write(Block.of(frame))
+        writer.commit()
+    found = [dict(zip(s.name, s.position, strict=True)) for s in decoded(tmp_path / "out.mcap")]
+    turned = np.degrees([angles["person_3/pelvis_rotation"] for angles in found])
+    np.testing.assert_allclose(np.diff(turned), 20, atol=1e-6)
+
+
+def decoded(path: Path, topic: str = JOINTS) -> list[Any]:
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [message for *_, message in reader.iter_decoded_messages(topics=[topic])]
 
 
 def test_what_happened_is_logged(messages: Messages) -> None:

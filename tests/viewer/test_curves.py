@@ -34,11 +34,22 @@ def collected(path: Path, *, with_truth: bool = True) -> curves.Curves:
 
 def test_angles_are_drawn_beside_the_truth(processed: Path) -> None:
     figure = curves.figure_of(collected(processed), "angles", 1)
-    assert len(figure.axes) == 8
+    assert [axes.get_title(loc="left") for axes in figure.axes[:2]] == [
+        "left hip flexion, degrees",
+        "right hip flexion, degrees",
+    ]
+    assert len(figure.axes) == 14
     for axes in figure.axes:
-        true, result = (line.get_ydata() for line in axes.lines)
+        _, true, result = (line.get_ydata() for line in axes.lines)
         assert len(true) == len(result)
         assert np.nanmean(np.abs(np.asarray(true) - np.asarray(result))) < 12
+
+
+def test_hips_swing_through_zero(processed: Path) -> None:
+    axes = curves.figure_of(collected(processed), "angles", 1).axes[0]
+    hip = np.asarray(axes.lines[-1].get_ydata())
+    assert np.nanmin(hip) < -5
+    assert np.nanmax(hip) > 20
 
 
 def test_limbs_are_flat_and_errors_small(processed: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from hiros_cli.app import run
-from hiros_mcap.body.angles import flexions
+from hiros_mcap.body.anatomy import MAIN_ANGLES
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import read_channel
@@ -19,6 +20,7 @@ from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.io.result import open_result
 from hiros_mcap.skeletons import Floats
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -93,7 +95,7 @@ def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Pat
 
 
 def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -> None:
-    from hiros_viewer import show
+    from hiros_viewer import destinations
     from hiros_viewer.scene import Scene
 
     frames, model, _ = read_channel(processed, "/hiros/merged")
@@ -110,7 +112,7 @@ def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -
         scene.finish()
 
     target = tmp_path / "gaps.rrd"
-    show.save(target, "gaps", draw)
+    destinations.save(target, "gaps", draw)
     drawn = rows(target, "/merged/0/bones", "LineStrips3D:strips")
     ends = model.links[(model.links >= 0).all(axis=1)]
     for frame in frames:
@@ -179,11 +181,13 @@ def test_residual_is_the_distance_to_the_nearest_person() -> None:
 
 
 def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
-    frames, model, _ = read_channel(processed, "/hiros/filtered")
+    frames, _, _ = read_channel(processed, "/hiros/filtered")
     angles = rows(recording, "/angles/0", "Scalars:scalars")
-    for frame in frames:
-        bends = np.degrees(flexions(model, frame.positions[frame.ids.tolist().index(0)]))
-        assert np.allclose(angles[frame.stamp], bends, atol=1e-6, equal_nan=True)
+    motion = replace(open_result(processed).motions[0], orientations=None, axes={})
+    by_markers = replace(open_result(processed), motions={0: motion}).angles()
+    assert list(angles) == [frame.stamp for frame in frames]
+    expected = by_markers[list(MAIN_ANGLES)].to_numpy()
+    assert np.allclose(np.stack(list(angles.values())), expected, atol=1e-5, equal_nan=True)
     limbs = np.stack(list(rows(recording, "/limbs/0", "Scalars:scalars").values()))
     assert limbs.shape == (len(frames), 8)
     assert limbs.std(axis=0).max() < 0.001
@@ -276,9 +280,9 @@ def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
 
 
 def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
+    from hiros_viewer.destinations import new_recording
     from hiros_viewer.replay import describe, in_time_order
     from hiros_viewer.scene import Scene
-    from hiros_viewer.show import new_recording
 
     recording = new_recording("test")
     recording.memory_recording()
@@ -328,7 +332,7 @@ def test_a_file_that_is_no_recording_is_not_replaced(processed: Path, tmp_path: 
 
 
 def test_nothing_listens_where_it_should_connect() -> None:
-    from hiros_viewer.show import connect, free_port
+    from hiros_viewer.destinations import connect, free_port
 
     with pytest.raises(ConfigError, match="no viewer at"):
         connect(f"rerun+http://127.0.0.1:{free_port()}/proxy", "x", lambda recording: None)

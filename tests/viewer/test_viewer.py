@@ -144,8 +144,8 @@ def test_the_viewer_listens_on_the_loopback_address_alone() -> None:
 
 
 def test_live_view_shows_the_run_and_outlives_it(tmp_path: Path) -> None:
+    from hiros_viewer.destinations import new_recording
     from hiros_viewer.live import LiveView
-    from hiros_viewer.show import new_recording
 
     with headless() as (url, viewer):
         from rerun.experimental import ViewerClient
@@ -165,8 +165,8 @@ def test_live_view_shows_the_run_and_outlives_it(tmp_path: Path) -> None:
 
 
 def test_the_viewers_death_does_not_stop_the_processing(tmp_path: Path) -> None:
+    from hiros_viewer.destinations import new_recording
     from hiros_viewer.live import LiveView
-    from hiros_viewer.show import new_recording
 
     told = []
     with headless() as (url, viewer):

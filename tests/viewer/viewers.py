@@ -22,7 +22,7 @@ import pytest
 from matplotlib.image import imread
 
 from hiros_mcap.errors import HirosError
-from hiros_viewer.show import running_viewer
+from hiros_viewer.destinations import running_viewer
 
 REQUIRED = os.environ.get("HIROS_REQUIRE_VIEWER") == "1"
 """Set where a skipped viewer test is a failure, as in .ci/run."""

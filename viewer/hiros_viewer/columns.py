@@ -118,6 +118,8 @@ class PersonRows(Rows):
     last: int = 0
     last_root: tuple[int, Floats] | None = None
     """Stamp and place of the root in the last row that was sent."""
+    last_angles: Floats | None = None
+    """Joint angles, rad, in that row."""
 
     def add(self, stamp: int, place: int) -> None:
         """Append a row."""

@@ -18,7 +18,7 @@ from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number
-from hiros_viewer.figures import RESULT, angle_figure, new_axes, with_gaps
+from hiros_viewer.figures import RESULT, angle_figure, angles_of, new_axes, with_gaps
 from hiros_viewer.page import Page
 from hiros_viewer.scene import limb_links
 
@@ -36,8 +36,12 @@ class Body:
     """(T,) since the channel's first frame."""
     poses: Floats
     """(T, M, 3) m."""
+    orientations: Floats
+    """(T, L, 4) x y z w of the links; NaN where absent."""
     true_poses: Floats | None = None
     """(T, M, 3) m; None without a truth."""
+    true_orientations: Floats | None = None
+    """(T, L, 4) x y z w; None without a truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,26 +73,30 @@ def collect(
     """Collect everybody with an id; the truth, if there is one, at the frames' times."""
     start = frames[0].stamp if frames else 0
     true = {} if truth is None else _true_poses(match(frames, truth.seen_by(model)))
-    rows: dict[int, list[tuple[int, Floats]]] = {}
+    rows: dict[int, list[tuple[int, Floats, Floats]]] = {}
     for frame in frames:
         for row, person in frame.tracked():
-            rows.setdefault(person, []).append((frame.stamp, frame.positions[row]))
-    absent = np.full((model.n_markers, 3), np.nan)
+            pose = frame.stamp, frame.positions[row], frame.orientations[row]
+            rows.setdefault(person, []).append(pose)
+    absent = np.full((model.n_markers, 3), np.nan), np.full((model.n_links, 4), np.nan)
     people = {}
     for person, track in sorted(rows.items()):
-        stamps = np.array([stamp for stamp, _ in track])
-        known = [true.get((person, stamp), absent) for stamp, _ in track]
+        stamps = np.array([stamp for stamp, _, _ in track])
+        known = [true.get((person, stamp), absent) for stamp, _, _ in track]
         people[person] = Body(
             (stamps - start) / 1e9,
-            np.stack([pose for _, pose in track]),
-            np.stack(known) if true else None,
+            np.stack([pose for _, pose, _ in track]),
+            np.stack([turns for _, _, turns in track]),
+            np.stack([pose for pose, _ in known]) if true else None,
+            np.stack([turns for _, turns in known]) if true else None,
         )
     return Curves(title, model, people)
 
 
-def _true_poses(matches: Matches) -> dict[tuple[int, int], Floats]:
+def _true_poses(matches: Matches) -> dict[tuple[int, int], tuple[Floats, Floats]]:
     keys = zip(matches.ids, matches.stamps, strict=True)
-    return dict(zip(keys, matches.true_poses, strict=True))
+    poses = zip(matches.true_poses, matches.true_orientations, strict=True)
+    return dict(zip(keys, poses, strict=True))
 
 
 def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
@@ -96,9 +104,9 @@ def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
 
     Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
-    _, body = curves.body(person)
+    who, body = curves.body(person)
     if kind == "angles":
-        return angle_figure(curves.model, body.seconds, body.poses, body.true_poses)
+        return _angles(curves.model, body, f"{curves.title}, person {who}")
     if kind == "limbs":
         return _limbs(curves.model, body)
     if body.true_poses is None:
@@ -114,8 +122,8 @@ def page_of(curves: Curves) -> Page:
         page.heading(f"Person {person}, {span}")
         note = "" if body.true_poses is None else ": blue truth, orange result"
         page.figure(
-            angle_figure(curves.model, body.seconds, body.poses, body.true_poses),
-            f"Flexion angles, degrees{note}",
+            _angles(curves.model, body),
+            f"Joint angles, degrees{note}. docs/angles.md defines their signs.",
         )
         if limb_links(curves.model):
             page.figure(_limbs(curves.model, body), "Limb lengths, mm")
@@ -131,6 +139,14 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
         f"{len(own.people)} people, limb lengths vary by {number(own.limb_variation, 4)} (CV), "
         f"jitter {number(own.jitter, 1)} mm"
     )
+
+
+def _angles(model: SkeletonModel, body: Body, title: str = "") -> Figure:
+    angles = angles_of(model, body.poses, body.orientations)
+    true = None
+    if body.true_poses is not None:
+        true = angles_of(model, body.true_poses, body.true_orientations)
+    return angle_figure(body.seconds, angles, true, title)
 
 
 def _limbs(model: SkeletonModel, body: Body) -> Figure:

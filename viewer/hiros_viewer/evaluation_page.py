@@ -12,7 +12,7 @@ from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
-from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, new_axes, new_figure
+from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, angles_of, new_axes, new_figure
 from hiros_viewer.page import Page
 
 if TYPE_CHECKING:
@@ -27,13 +27,14 @@ def truth_page(title: str, truth: Truth, results: Mapping[str, ChannelResult]) -
     scores = {topic: result.scores for topic, result in results.items()}
     page.heading("Scores")
     page.table(*score_tables.error_table(scores), "Joint error, mm")
-    page.table(*score_tables.motion_table(scores), "Motion: RMSE (SD) of flexions; see the docs")
+    flexions = "Motion: RMSE (SD) of the eight unsigned flexions; see the docs"
+    page.table(*score_tables.motion_table(scores), flexions)
     page.table(*score_tables.people_table(scores), "People: missing and false summed over frames")
     page.figure(_pck(scores), "Share of joints within a distance of the truth")
     last, result = list(results.items())[-1]
     page.heading(f"Joints of {last}")
     page.figure(_joint_bars(result.scores.joints), "Mean error of each joint; the line is its SD")
-    page.heading(f"Flexion angles of {last}")
+    page.heading(f"Unsigned flexions of {last}")
     title = "Error in degrees, by marker positions and by link orientations (Hi-ROS eq. 21)"
     page.table(*score_tables.angle_table(result.scores), title)
     people = sorted(set(result.matches.people))
@@ -74,10 +75,14 @@ def _angle_curves(result: ChannelResult, person: int) -> Figure:
     matches = result.matches
     rows = [k for k, who in enumerate(matches.people) if who == person]
     times = np.array([matches.stamps[k] for k in rows])
-    poses, true_poses = (
-        np.stack([each[k] for k in rows]) for each in (matches.poses, matches.true_poses)
+    angles, true_angles = (
+        angles_of(result.model, *(np.stack([each[k] for k in rows]) for each in pair))
+        for pair in (
+            (matches.poses, matches.orientations),
+            (matches.true_poses, matches.true_orientations),
+        )
     )
-    return angle_figure(result.model, (times - times[0]) / 1e9, poses, true_poses)
+    return angle_figure((times - times[0]) / 1e9, angles, true_angles)
 
 
 def self_page(title: str, scores: SelfScores) -> Page:

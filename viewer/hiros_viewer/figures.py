@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
+from hiros_mcap.body.segments import SIDES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -46,35 +47,56 @@ def with_gaps(seconds: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.insert(seconds, pauses, np.nan), np.insert(values, pauses, np.nan, axis=0)
 
 
+SHOWN_ANGLES = (
+    *("hip flexion", "hip abduction", "knee flexion", "ankle dorsiflexion"),
+    *("shoulder flexion", "shoulder abduction", "elbow flexion"),
+)
+"""Of each side, from top to bottom."""
+
+
 def angle_figure(
-    model: SkeletonModel, seconds: Floats, poses: Floats, true_poses: Floats | None
+    seconds: Floats, angles: Floats, true_angles: Floats | None, title: str = ""
 ) -> Figure:
-    """Flexion angles, left beside right, truth and result, as in Fig. 5 of the Hi-ROS paper.
+    """Signed joint angles, left beside right, truth and result, as in Fig. 5 of the Hi-ROS paper.
 
     Parameters
     ----------
-    seconds : (T,). poses, true_poses : (T, M, 3) m; None without a truth.
+    seconds : (T,). angles, true_angles : (T, A) degrees, of
+        :data:`hiros_mcap.body.anatomy.ANGLE_NAMES`; None without a truth.
+    title : above all plots.
 
     Raises
     ------
     ConfigError
         The markers' names tell no joint.
     """
-    bends = np.degrees(flexions(model, poses))
-    true = None if true_poses is None else np.degrees(flexions(model, true_poses))
-    shown = [k for k in range(len(ANGLES)) if not np.isnan(bends[:, k]).all()]
+    column = {name: k for k, name in enumerate(ANGLE_NAMES)}
+    shown = [
+        joint
+        for joint in SHOWN_ANGLES
+        if not np.isnan(angles[:, [column[f"{side} {joint}"] for side in SIDES]]).all()
+    ]
     if not shown:
         raise ConfigError("the marker names reveal no joint with an angle")
-    rows = (len(shown) + 1) // 2
-    figure = new_figure(11, 1.6 * rows + 0.5)
-    grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
-    for axes, k in zip(grid.T.ravel(), shown, strict=False):
-        if true is not None:
-            axes.plot(*with_gaps(seconds, true[:, k]), color=TRUTH, lw=1.2)
-        axes.plot(*with_gaps(seconds, bends[:, k]), color=RESULT, lw=1.2)
-        axes.set_title(f"{ANGLES[k]} flexion, degrees", loc="left", fontsize=9)
-        axes.margins(x=0.01)
-        tidy(axes)
+    figure = new_figure(11, 1.6 * len(shown) + 0.5)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
+    for joint, row in zip(shown, grid, strict=True):
+        for side, axes in zip(SIDES, row, strict=True):
+            k = column[f"{side} {joint}"]
+            axes.axhline(0, color=SPREAD, lw=0.8)
+            if true_angles is not None:
+                axes.plot(*with_gaps(seconds, true_angles[:, k]), color=TRUTH, lw=1.2)
+            axes.plot(*with_gaps(seconds, angles[:, k]), color=RESULT, lw=1.2)
+            axes.set_title(f"{side} {joint}, degrees", loc="left", fontsize=9)
+            axes.margins(x=0.01)
+            tidy(axes)
     for axes in grid[-1]:
         axes.set_xlabel("s")
     return figure
+
+
+def angles_of(model: SkeletonModel, poses: Floats, orientations: Floats | None) -> Floats:
+    """(T, A) degrees of one person: poses (T, M, 3) m, orientations (T, L, 4) of the links."""
+    return np.degrees(anatomical_angles(model, poses, orientations))

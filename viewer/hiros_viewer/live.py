@@ -14,9 +14,9 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
+from hiros_viewer.destinations import new_recording, running_viewer
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
-from hiros_viewer.show import new_recording, running_viewer
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.evaluate.smoothness import lengths_of
@@ -333,8 +333,11 @@ class Scene:
 
     def _derive_curves(self, person: int, rows: PersonRows, stamps: Stamps, poses: Floats) -> None:
         """Angles, limb lengths and speed of the last stage."""
-        angles = np.degrees(flexions(self.model, poses))
-        self._extend(f"{self._prefix}/angles/{person}", ANGLES, stamps, angles)
+        main = [ANGLE_NAMES.index(name) for name in MAIN_ANGLES]
+        jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
+        angles = continued(jumping, rows.last_angles)
+        rows.last_angles = angles[-1]
+        self._extend(f"{self._prefix}/angles/{person}", MAIN_ANGLES, stamps, np.degrees(angles))
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
             self._extend(f"{self._prefix}/limbs/{person}", tuple(self._limbs), stamps, lengths)

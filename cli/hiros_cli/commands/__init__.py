@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from itertools import pairwise
 from typing import Annotated, Any, cast
 
 import typer
 
+from hiros_cli import completing
 from hiros_cli.commands import (
     calibrate,
     check,
     compare,
+    completion,
     evaluate,
     export,
     info,
@@ -75,6 +78,7 @@ app.command()(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
 app.command()(show_config.config)
 app.command()(warmup.warmup)
+app.command()(completion.completion)
 
 
 def dispatch(arguments: list[str]) -> int:
@@ -92,6 +96,8 @@ def dispatch(arguments: list[str]) -> int:
         if not argument and not before.startswith("-"):
             raise ConfigError("an argument is empty; is a variable not set?")
     command: Any = typer.main.get_command(app)
+    if completing.VARIABLE in os.environ:
+        return completing.answer(command)
     try:
         code = command.main(args=arguments, prog_name="hiros", standalone_mode=False)
     except CLICK_ERROR as error:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import Force, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
@@ -45,6 +46,7 @@ def check(
             metavar="GLOB",
             help="With OUT and --bless: channels to keep; may be repeated. Default: the last "
             "stage.",
+            autocompletion=topics,
         ),
     ] = None,
     bless: Annotated[

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, QuietResult
 from hiros_mcap.errors import ConfigError
 
@@ -36,7 +37,9 @@ def evaluate(
     channel: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="GLOB", help="Output channels to score; may be repeated. Default: all."
+            metavar="GLOB",
+            help="Output channels to score; may be repeated. Default: all.",
+            autocompletion=topics,
         ),
     ] = None,
     leave_one_out: Annotated[

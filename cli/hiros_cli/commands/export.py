@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import Force, Quiet
+from hiros_mcap.errors import ConfigError
 
 
 def export(
@@ -31,7 +33,12 @@ def export(
         int | None, typer.Option(metavar="ID", help="One person. Default: everybody.")
     ] = None,
     channel: Annotated[
-        str, typer.Option(metavar="TOPIC", help="Channel to export. Default: the last stage.")
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            help="Channel to export. Default: the last stage.",
+            autocompletion=topics,
+        ),
     ] = "",
     rate: Annotated[
         float | None,
@@ -51,6 +58,14 @@ def export(
             metavar="S", show_default=False, help="End, s from the log's start. Default: all."
         ),
     ] = float("inf"),
+    marker_set: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE",
+            help="For .trc and .c3d: TOML file of marker names, ours = theirs, or rajagopal for "
+            "the joint centres of that OpenSim model. Default: our names.",
+        ),
+    ] = "",
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -59,13 +74,18 @@ def export(
     from hiros_cli.output import check_outputs
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
+    from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
 
     log.stat()
     format_of(output)
+    if marker_set and (output.suffix.lower() not in SUFFIXES or what not in ("", "joints")):
+        raise ConfigError(f"{output}: --marker-set is for the joints of {' and '.join(SUFFIXES)}")
     prepare(quiet=quiet)
     from hiros_mcap.io.result import open_result
 
     result = open_result(log, channel).select(person, start, end, rate)
+    if marker_set:
+        result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
     targets = files_of(output, result.people)
     check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
     for path in write(result, output, what):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import Json
 
 if TYPE_CHECKING:
@@ -17,7 +18,11 @@ def info(
     source: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP file or ROS bag.")],
     topic: Annotated[
         list[str] | None,
-        typer.Option(metavar="GLOB", help="Cameras to look at; may be repeated. Default: all."),
+        typer.Option(
+            metavar="GLOB",
+            help="Cameras to look at; may be repeated. Default: all.",
+            autocompletion=topics,
+        ),
     ] = None,
     extrinsics: Annotated[
         Path | None,

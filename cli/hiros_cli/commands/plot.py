@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import Force, Quiet
 from hiros_mcap.errors import ConfigError
 
@@ -34,7 +35,10 @@ def plot(
         typer.Option(metavar="ID", help="Person in a PNG. Default: the one seen longest."),
     ] = None,
     channel: Annotated[
-        str | None, typer.Option(metavar="TOPIC", help="Channel to plot. Default: the last stage.")
+        str | None,
+        typer.Option(
+            metavar="TOPIC", help="Channel to plot. Default: the last stage.", autocompletion=topics
+        ),
     ] = None,
     truth: Annotated[
         str | None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hiros_cli.completing import topics
 from hiros_cli.options import (
     Assignments,
     ConfigFile,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from hiros_mcap.summary import Summary
 
 EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
+BAGS = frozenset({".db3", ".bag"})
 SUFFIX = ".hiros.mcap"
 
 
@@ -36,9 +38,12 @@ def process(
         Path, typer.Argument(metavar="IN", help="The recording: MCAP file or ROS bag.")
     ],
     output: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help=f"Output file. Default: IN's name with {SUFFIX}."
+            "--output",
+            "-o",
+            metavar="OUT",
+            help=f"Output file, or DIR/ for a ROS 2 bag. Default: IN's name with {SUFFIX}.",
         ),
     ] = None,
     system: SystemName = "hiros",
@@ -52,7 +57,11 @@ def process(
     ] = "",
     topic: Annotated[
         list[str] | None,
-        typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
+        typer.Option(
+            metavar="GLOB",
+            help="Cameras to read; may be repeated. Default: all.",
+            autocompletion=topics,
+        ),
     ] = None,
     keep: Annotated[
         list[str] | None,
@@ -60,6 +69,7 @@ def process(
             metavar="GLOB",
             help="Input channels to copy; may be repeated; '' copies none. Default: the cameras "
             "read, the transforms and /truth.",
+            autocompletion=topics,
         ),
     ] = None,
     preset: Preset = "default",
@@ -121,15 +131,15 @@ def process(
     from hiros_cli.compiling import RUN, prepare
     from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
+    from hiros_mcap.outputs import target_kind
 
     source.stat()  # reports a missing file before anything slow happens
-    target = beside(source, SUFFIX) if output is None else output
-    if target.suffix.lower() in EXPORTED:
-        raise ConfigError(
-            f"{target}: process writes MCAP; for {target.suffix}, run hiros export on its result"
-        )
+    wanted = str(beside(source, SUFFIX)) if output is None else output
+    kind, target = target_kind(wanted), Path(wanted)
+    if kind == "log":
+        _refuse_other_formats(target)
     check_outputs(
-        (target, "log"),
+        (target, kind),
         (save_limbs, "limb table"),
         inputs=(source, config, extrinsics, limbs),
         force=force,
@@ -169,7 +179,7 @@ def process(
         progress = stack.enter_context(bar(source.name, quiet=quiet))
         summary = run(
             source,
-            target,
+            wanted,
             config=effective,
             options=options,
             progress=progress,
@@ -177,6 +187,19 @@ def process(
             force=force,
         )
     _show(summary, json=json, quiet=quiet)
+
+
+def _refuse_other_formats(target: Path) -> None:
+    suffix = target.suffix.lower()
+    if suffix in EXPORTED:
+        raise ConfigError(
+            f"{target}: process writes MCAP; for {suffix}, run hiros export on its result"
+        )
+    if suffix in BAGS:
+        raise ConfigError(
+            f"{target}: process writes MCAP; for a ROS 2 bag, name a folder: "
+            f"-o {target.with_suffix('')}/"
+        )
 
 
 def _live(source: Path) -> AbstractContextManager[Watcher]:

@@ -57,7 +57,7 @@ def view(
     if sum((save is not None, web, connect is not None)) > 1:
         raise ConfigError("use only one of --save, --web and --connect")
     window = None if time_range is None else seconds_range("--time-range", time_range)
-    from hiros_viewer import show
+    from hiros_viewer import destinations
 
     check_outputs((save, "Rerun recording"), inputs=(*logs, extrinsics), force=force)
     prepare(quiet=quiet)
@@ -70,19 +70,25 @@ def view(
         replay(logs, recording, options)  # type: ignore[arg-type]
 
     if save is not None:
-        show.save(save, name, draw)
+        destinations.save(save, name, draw)
         if not quiet:
             print(f"wrote {save}; open it with: rerun {save}")
         return 0
     if connect is not None:
-        show.connect(connect, name, draw)
+        destinations.connect(connect, name, draw)
         return 0
     if web:
-        return show.web(name, draw, lambda url: print(f"open {url}\nstop with Ctrl-C", flush=True))
-    code = show.window(name, draw)
+        return destinations.web(
+            name, draw, lambda url: print(f"open {url}\nstop with Ctrl-C", flush=True)
+        )
+    code = destinations.window(name, draw)
     if code:
         raise ConfigError(
             f"the Rerun viewer ended with code {code}; without a screen, use --web (browser) or "
             "--save FILE"
         )
     return 0
+
+
+def _announce(url: str) -> None:
+    print(f"open {url}\nstop with Ctrl-C", flush=True)

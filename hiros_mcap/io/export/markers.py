@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 import hiros_schemas
-from hiros_mcap.body.angles import ANGLES, flexions
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.events import Event, Events
+from hiros_mcap.frames import Block
 from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX, add_ros_channel
 from hiros_mcap.io.container import McapWriter
@@ -46,18 +47,34 @@ class MarkerExport:
         self._events = events
         self._by_stamp = by_stamp
         self._logged = 0
+        self._last_angles: dict[int, Floats] = {}
         self._chains = limb_chains(model)
         self._markers = add_ros_channel(writer, MARKERS, hiros_schemas.MARKER_ARRAY)
         self._labels = add_ros_channel(writer, LABELS, hiros_schemas.MARKER_ARRAY)
         self._joints = add_ros_channel(writer, JOINTS, hiros_schemas.JOINT_STATE)
         self._log = add_ros_channel(writer, LOG, hiros_schemas.LOG)
 
-    def write(self, frame: Frame) -> None:
-        """Write a frame, and the events since the last one."""
+    def write(self, block: Block) -> None:
+        """Write frames, and the events since the last one."""
+        all_angles = anatomical_angles(self._model, block.people.markers[:, :, :3], unwrapped=False)
+        for frame, (begin, end) in zip(block.frames(), block.rows.tolist(), strict=True):
+            self._write(frame, self._continue(frame, all_angles[begin:end]))
+
+    def _continue(self, frame: Frame, angles: Floats) -> Floats:
+        """(P, A) angles, rad, that go on beyond 180 degrees where a person turns on."""
+        angles = angles.copy()
+        for row, person in frame.tracked():
+            now = angles[row]
+            before = self._last_angles.get(person, now)
+            now += 2 * np.pi * np.round(np.nan_to_num(before - now) / (2 * np.pi))
+            self._last_angles[person] = np.where(np.isnan(now), before, now)
+        return angles
+
+    def _write(self, frame: Frame, angles: Floats) -> None:
         time = frame.stamp if self._by_stamp else frame.log_time
         self._writer.write(self._markers, time, marker_array(frame, self._chains))
         self._writer.write(self._labels, time, label_array(frame))
-        self._writer.write(self._joints, time, joint_state(frame, self._model))
+        self._writer.write(self._joints, time, joint_state(frame, angles))
         for event in self._events.log[self._logged :]:
             self._writer.write(
                 self._log, event.stamp if self._by_stamp else time, log_message(event)
@@ -169,19 +186,18 @@ def _put(out: CdrWriter, frame: Frame, marker: _Marker) -> None:
     out.byte(0)  # mesh_use_embedded_materials
 
 
-def joint_state(frame: Frame, model: SkeletonModel) -> bytes:
-    """sensor_msgs/JointState: the eight flexions of everybody with an id, rad."""
+def joint_state(frame: Frame, angles: Floats) -> bytes:
+    """sensor_msgs/JointState: the known angles (P, A), rad, of everybody with an id."""
     names: list[str] = []
-    angles: list[float] = []
-    flexed = flexions(model, frame.positions)
+    values: list[float] = []
     for row, person in frame.tracked():
-        known = np.flatnonzero(~np.isnan(flexed[row])).tolist()
-        names += [f"person_{person}/{ANGLES[k].replace(' ', '_')}" for k in known]
-        angles += flexed[row, known].tolist()
+        known = np.flatnonzero(~np.isnan(angles[row])).tolist()
+        names += [f"person_{person}/{ANGLE_NAMES[k].replace(' ', '_')}" for k in known]
+        values += angles[row, known].tolist()
     out = CdrWriter()
     out.header(frame.stamp, frame.frame_id)
     out.strings(names)
-    out.sequence(np.array(angles))
+    out.sequence(np.array(values))
     out.sequence(np.zeros(0))  # velocity
     out.sequence(np.zeros(0))  # effort
     return out.finish()
