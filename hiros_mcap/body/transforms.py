@@ -86,7 +86,7 @@ class _Edge:
         return self.static and len(self._stamps) < 2
 
     def fix(self, child: str, log_time: int, numbers: tuple[float, ...]) -> str:
-        """Take note of a static pose, log times in order; return what it contradicts, "" if nothing.
+        """Take note of a static pose, log times in order; return its contradiction, "" if none.
 
         Publishers repeat themselves. A pose that comes back was never replaced: then two
         publishers contradict each other.
@@ -103,8 +103,8 @@ class _Edge:
                 then = "at one time" if log_time <= self._stamps[-1] else "in turns"
                 return (
                     f"has two static transforms in {self.parent!r} {then} that disagree by "
-                    f"{change.distance}: {_at(self._pose(-1))}; and {_at(new)}. Keep one publisher, "
-                    "or pass the camera poses with --extrinsics FILE"
+                    f"{change.distance}: {_at(self._pose(-1))}; and {_at(new)}. Keep one "
+                    "publisher, or pass the camera poses with --extrinsics FILE"
                 )
             self.changes.append(change)
         self.add(log_time, numbers)
@@ -274,7 +274,7 @@ class TransformTree:
         return self._fixed.get((frame, fixed))
 
     def changes_above(self, frames: Iterable[str]) -> list[PoseChange]:
-        """Changes of static poses between ``frames`` and their roots, in the order of time."""
+        """Return how static poses between ``frames`` and their roots change, in order of time."""
         above = dict.fromkeys(name for frame in frames for name in self._path(frame)[:-1])
         found = [change for name in above for change in self._edges[name].changes]
         return sorted(found, key=lambda change: (change.log_time, change.child))
@@ -462,7 +462,7 @@ def pose_arrays(poses: Sequence[Rigid]) -> PoseArrays:
 
 
 def same_place(poses: Mapping[str, Rigid]) -> list[list[str]]:
-    """Groups of names whose poses are the same to the rounding."""
+    """Return groups of names whose poses are the same to the rounding."""
     groups: list[list[str]] = []
     for name, pose in poses.items():
         for group in groups:

@@ -36,6 +36,7 @@ from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.bags import BagReader, kind_of
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
+    OUTPUT_TOPICS,
     TF_TOPICS,
     ChannelInfo,
     channels_of,
@@ -191,7 +192,16 @@ class Log:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
-        return tuple(filter(None, (self._nameless(), self._left_out())))
+        return tuple(filter(None, (self._nameless(), self._former(), self._left_out())))
+
+    def _former(self) -> str:
+        found = [info.topic for info in self.channels if info.topic in OUTPUT_TOPICS]
+        if not found:
+            return ""
+        return (
+            f"the log holds results of hiros already ({', '.join(found)}); a run reads the cameras "
+            "again and its results replace them"
+        )
 
     def _nameless(self) -> str:
         topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
