@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hiros_cli.printable import warning_line
@@ -30,9 +30,27 @@ def warn(text: str) -> None:
     print(warning_line(text), file=sys.stderr, flush=True)
 
 
-def print_json(data: object) -> None:
-    """Print data for machines."""
-    print(json.dumps(data, indent=2, allow_nan=False))
+SCHEMA_VERSIONS: Mapping[str, int] = {
+    "process": 1,
+    "info": 1,
+    "eval": 1,
+    "eval.self": 1,
+    "compare": 1,
+    "check": 1,
+    "calibrate.noise": 1,
+}
+"""What ``--json`` prints -> version of its fields, docs/json.md. A new field does not change the
+version; a field that goes, or means something else, does."""
+
+
+def print_json(schema: str, data: Mapping[str, object], warnings: Sequence[str] = ()) -> None:
+    """Print data for machines, headed by the name and version of its schema.
+
+    ``warnings`` go into the field of this name unless ``data`` has it.
+    """
+    head = {"schema": f"hiros.{schema}", "version": SCHEMA_VERSIONS[schema]}
+    content = {**head, "warnings": list(warnings), **data}
+    print(json.dumps(content, indent=2, allow_nan=False))
 
 
 def beside(source: Path, suffix: str) -> Path:

@@ -2,6 +2,11 @@
 
 ROS publishes a tree: every message on /tf_static and /tf gives the pose of a child frame in its
 parent. hiros walks it in both directions, so that cameras may hang anywhere in it.
+
+A static pose may change once in a while: somebody calibrates the cameras anew while the recorder
+runs. The new pose counts from its log time on, for detections with that log time or a later one.
+The stamp of a static transform would not do: most publishers write the time at which they started,
+or 0, and repeat it.
 """
 
 from __future__ import annotations
@@ -13,15 +18,15 @@ import tomllib
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.params import explain
@@ -30,6 +35,7 @@ from hiros_mcap.skeletons import Frame
 _DENORMALISED = 1e-3
 _ZERO = 1e-6
 _LISTED = 12
+_SAME_M, _SAME_RAD = 1e-4, math.radians(0.01)  # what rounding may change
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,34 +49,87 @@ class Transform:
     xyzw: tuple[float, float, float, float]
 
 
+class PoseChange(NamedTuple):
+    """Two poses of one frame in its parent, one after the other."""
+
+    child: str
+    parent: str
+    log_time: int
+    """From when on the new pose counts, ns."""
+    metres: float
+    radians: float
+
+    @property
+    def distance(self) -> str:
+        """How far apart the poses are, in words."""
+        return f"{100 * self.metres:.1f} cm and {math.degrees(self.radians):.1f} degrees"
+
+
 class _Edge:
-    """The pose of a frame in its parent: one if it stands still, else samples over time."""
+    """The pose of a frame in its parent.
+
+    Of a moving frame, samples at their stamps. Of a static one, the pose, and what it changed to
+    at which log times.
+    """
 
     def __init__(self, parent: str, *, static: bool) -> None:
         self.parent = parent
         self.static = static
+        self.changes: list[PoseChange] = []
         self._stamps = array("q")
         self._numbers = array("d")  # 7 per stamp: x y z w, x y z. An hour of /tf has millions.
         self._in_order = True
 
+    @property
+    def constant(self) -> bool:
+        """Whether the pose never changes."""
+        return self.static and len(self._stamps) < 2
+
+    def fix(self, child: str, log_time: int, numbers: tuple[float, ...]) -> str:
+        """Take note of a static pose, log times in order; return its contradiction, "" if none.
+
+        Publishers repeat themselves. A pose that comes back was never replaced: then two
+        publishers contradict each other.
+        """
+        new, known = Rigid(np.array(numbers[:4]), np.array(numbers[4:])), len(self._stamps)
+        apart = [_distance(new, self._pose(k)) for k in range(max(0, known - 2), known)]
+        same = [metres < _SAME_M and radians < _SAME_RAD for metres, radians in apart]
+        if same and same[-1]:
+            return ""
+        if apart:
+            now = max(log_time, self._stamps[-1])
+            change = PoseChange(child, self.parent, now, *apart[-1])
+            if log_time <= self._stamps[-1] or any(same):
+                then = "at one time" if log_time <= self._stamps[-1] else "in turns"
+                return (
+                    f"has two static transforms in {self.parent!r} {then} that disagree by "
+                    f"{change.distance}: {_at(self._pose(-1))}; and {_at(new)}. Keep one "
+                    "publisher, or pass the camera poses with --extrinsics FILE"
+                )
+            self.changes.append(change)
+        self.add(log_time, numbers)
+        return ""
+
     def add(self, stamp: int, numbers: tuple[float, ...]) -> None:
-        if self.static:
-            del self._stamps[:], self._numbers[:]
         self._in_order = self._in_order and (not self._stamps or stamp > self._stamps[-1])
         self._stamps.append(stamp)
         self._numbers.extend(numbers)
 
-    def at(self, stamp: int) -> Rigid:
-        """Pose at a time: linear and spherical between samples, the nearest one beyond them."""
+    def at(self, stamp: int, log_time: int) -> Rigid:
+        """Pose at a time: linear and spherical between samples, the nearest one beyond them.
+
+        A static pose holds until it changes.
+        """
         if not self._in_order:
             self._sort()
-        k = bisect_right(self._stamps, stamp)
+        k = bisect_right(self._stamps, log_time if self.static else stamp)
         if k == 0 or k == len(self._stamps) or self.static:
             return self._pose(max(k - 1, 0))
         before, after = self._stamps[k - 1], self._stamps[k]
         return self._pose(k - 1).towards(self._pose(k), (stamp - before) / (after - before))
 
     def _pose(self, k: int) -> Rigid:
+        k %= len(self._stamps)
         numbers = np.array(self._numbers[7 * k : 7 * k + 7])
         return Rigid(numbers[:4], numbers[4:])
 
@@ -84,14 +143,32 @@ class _Edge:
         self._in_order = True
 
 
+def _distance(one: Rigid, other: Rigid) -> tuple[float, float]:
+    """Distance and angle between two poses, m and rad."""
+    metres = float(np.linalg.norm(one.translation - other.translation))
+    return metres, float(angle(one.xyzw, other.xyzw))
+
+
+def _at(pose: Rigid) -> str:
+    translation, xyzw = (", ".join(f"{x:.3f}" for x in part) for part in reversed(pose))
+    return f"translation ({translation}), xyzw ({xyzw})"
+
+
 class TransformTree:
     """Poses of frames in one another.
 
-    A fault of one frame (two parents, no rotation, a loop) is an error only for those who need
-    that frame: a robot's tree may be full of frames that no camera hangs on.
+    A fault of one frame (two parents, no rotation, a loop, static poses that contradict each other)
+    is an error only for those who need that frame: a robot's tree may be full of frames that no
+    camera hangs on.
+
+    Parameters
+    ----------
+    begin : log time of the first detection, ns. Static transforms that are logged before it are
+        all meant to count from the start, so they must agree.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, begin: int = 0) -> None:
+        self._begin = begin
         self._edges: dict[str, _Edge] = {}
         self._faults: dict[str, str] = {}
         self._parents: set[str] = set()
@@ -107,8 +184,8 @@ class TransformTree:
         """Names of all frames."""
         return sorted(self._parents | self._edges.keys())
 
-    def add(self, transform: Transform, *, static: bool) -> None:
-        """Take note of a transform; of a static one, the last that is added counts."""
+    def add(self, transform: Transform, *, static: bool, log_time: int = 0) -> None:
+        """Take note of a transform; of static ones in the order of their log times, ns."""
         child, parent = transform.child.lstrip("/"), transform.parent.lstrip("/")
         numbers = self._checked(child, transform)
         edge = self._edges.get(child)
@@ -119,6 +196,9 @@ class TransformTree:
             self._faults[child] = f"has two parents, {edge.parent!r} and {parent!r}"
         elif edge.static != static:
             self._faults[child] = "is on /tf_static and on /tf"
+        elif numbers and static:
+            if fault := edge.fix(child, max(log_time, self._begin), numbers):
+                self._faults.setdefault(child, fault)
         elif numbers:
             edge.add(transform.stamp, numbers)
 
@@ -161,8 +241,8 @@ class TransformTree:
             "--extrinsics FILE, or choose cameras with --topic"
         )
 
-    def lookup(self, frame: str, fixed: str, stamp: int) -> Rigid:
-        """Return the pose of ``frame`` in ``fixed`` at ``stamp``, ns.
+    def lookup(self, frame: str, fixed: str, stamp: int, log_time: int | None = None) -> Rigid:
+        """Return the pose of ``frame`` in ``fixed`` at ``stamp``, ns, as logged by ``log_time``.
 
         Raises LogError when the frames are not joined, or by a faulty transform only.
         """
@@ -179,8 +259,9 @@ class TransformTree:
         while len(down) > 1 and len(up) > 1 and down[-2] == up[-2]:
             down.pop()
             up.pop()
-        pose = self._chain(up[:-1], stamp).inverse() @ self._chain(down[:-1], stamp)
-        if all(self._edges[name].static for name in down[:-1] + up[:-1]):
+        times = stamp, stamp if log_time is None else log_time
+        pose = self._chain(up[:-1], times).inverse() @ self._chain(down[:-1], times)
+        if all(self._edges[name].constant for name in down[:-1] + up[:-1]):
             self._fixed[key] = pose
         return pose
 
@@ -192,11 +273,17 @@ class TransformTree:
             return None
         return self._fixed.get((frame, fixed))
 
-    def _chain(self, names: list[str], stamp: int) -> Rigid:
-        """Pose of the first frame in the parent of the last."""
+    def changes_above(self, frames: Iterable[str]) -> list[PoseChange]:
+        """Return how static poses between ``frames`` and their roots change, in order of time."""
+        above = dict.fromkeys(name for frame in frames for name in self._path(frame)[:-1])
+        found = [change for name in above for change in self._edges[name].changes]
+        return sorted(found, key=lambda change: (change.log_time, change.child))
+
+    def _chain(self, names: list[str], times: tuple[int, int]) -> Rigid:
+        """Pose of the first frame in the parent of the last, at a stamp and a log time."""
         pose = Rigid.identity()
         for name in names:
-            pose = self._edges[name].at(stamp) @ pose
+            pose = self._edges[name].at(*times) @ pose
         return pose
 
     def _path(self, frame: str) -> list[str]:
@@ -332,7 +419,8 @@ def transform_to_fixed(
 ) -> Iterator[Frame]:
     """Express frames in the fixed frame (Hi-ROS eq. 5); those that already are pass unchanged.
 
-    Where a camera moves, its pose is that of the frame's stamp. Its own motion is not added to
+    Where a camera moves, its pose is that of the frame's stamp; where it was calibrated anew, that
+    of the frame's log time. A moving camera's own motion is not added to
     the velocities and accelerations that it measured: they stay relative to the camera, in the
     directions of the fixed frame.
 
@@ -356,7 +444,7 @@ class Mover:
         name = frame.frame_id
         if name == self._fixed:
             return frame
-        pose = self._tree.lookup(name, self._fixed, frame.stamp)
+        pose = self._tree.lookup(name, self._fixed, frame.stamp, frame.log_time)
         known = self._prepared.get(name)
         if known is None or known[0] is not pose:
             known = self._prepared[name] = (pose, pose_arrays([pose]))
@@ -371,3 +459,17 @@ def pose_arrays(poses: Sequence[Rigid]) -> PoseArrays:
     matrices = np.array([to_matrix(pose.xyzw) for pose in poses], np.float64).reshape(-1, 3, 3)
     shifts = np.array([pose.translation for pose in poses], np.float64).reshape(-1, 3)
     return PoseArrays(xyzw, matrices, shifts)
+
+
+def same_place(poses: Mapping[str, Rigid]) -> list[list[str]]:
+    """Return groups of names whose poses are the same to the rounding."""
+    groups: list[list[str]] = []
+    for name, pose in poses.items():
+        for group in groups:
+            metres, radians = _distance(poses[group[0]], pose)
+            if metres < _SAME_M and radians < _SAME_RAD:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return [group for group in groups if len(group) > 1]

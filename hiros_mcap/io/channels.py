@@ -93,9 +93,10 @@ def select_skeletons(
     Parameters
     ----------
     channels : all channels of the log.
-    topics : globs of the topics to take; None takes every SkeletonGroup channel that is neither
-        an output (below ``output_prefix``) nor a ground truth (below /truth).
-    output_prefix : first part of the topics that hiros writes.
+    topics : globs of the topics to take; None takes every SkeletonGroup channel but ground truths
+        (below /truth).
+    output_prefix : first part of the topics that hiros writes. They are never taken, or a person
+        would be processed twice.
 
     Raises
     ------
@@ -107,19 +108,25 @@ def select_skeletons(
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
     if not skeletons:
         raise LogError(f"has no SkeletonGroup channel; {_listing(channels)}")
+    others = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
     if topics is None:
-        own = [p.rstrip("/") for p in (output_prefix, TRUTH_PREFIX)]
-        chosen = [i for i in skeletons if not any(_is_below(i.topic, prefix) for prefix in own)]
+        chosen = [i for i in others if not _is_below(i.topic, TRUTH_PREFIX)]
         if not chosen:
             raise LogError(
-                f"has only skeletons below {' and '.join(own)}, which are not detections; choose "
-                f"channels with --topic; {_listing(channels)}"
+                f"has only results below {output_prefix} or truths below {TRUTH_PREFIX}, no "
+                f"detections of cameras; name the recording instead; {_listing(channels)}"
             )
     else:
         for glob in topics:
-            if not any(fnmatchcase(info.topic, glob) for info in skeletons):
-                raise LogError(f"no skeleton channel matches {glob!r}; {_listing(channels)}")
-        chosen = [i for i in skeletons if any(fnmatchcase(i.topic, glob) for glob in topics)]
+            if any(fnmatchcase(info.topic, glob) for info in others):
+                continue
+            if any(fnmatchcase(info.topic, glob) for info in skeletons):
+                raise LogError(
+                    f"{glob!r} names only results of hiros, which are not detections of cameras; "
+                    f"{_listing(channels)}"
+                )
+            raise LogError(f"no skeleton channel matches {glob!r}; {_listing(channels)}")
+        chosen = [i for i in others if any(fnmatchcase(i.topic, glob) for glob in topics)]
     for info in chosen:
         if info.encoding != "cdr":
             raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,12 +23,20 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.transforms import Mover, TransformTree, parse_tf, read_extrinsics
+from hiros_mcap.body.transforms import (
+    Mover,
+    PoseChange,
+    TransformTree,
+    parse_tf,
+    read_extrinsics,
+    same_place,
+)
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.bags import BagReader, kind_of
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
+    OUTPUT_TOPICS,
     TF_TOPICS,
     ChannelInfo,
     channels_of,
@@ -38,6 +47,7 @@ from hiros_mcap.io.container import Batch, LogOrder, McapReader, Message, Record
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, People, SkeletonModel
+from hiros_mcap.summary import quantity
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
@@ -130,10 +140,22 @@ class Log:
         """
         frames = [name for camera in self.cameras for name in camera.frames]
         with _named(self.path):
+            self._check_name({*frames, *self.transforms.frames})
             fixed = self._fixed_frame or self.transforms.common_root(frames)
             for name in frames:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
+
+    def _check_name(self, known: Collection[str]) -> None:
+        """Raise LogError for a fixed frame that was named and is not there."""
+        if self._fixed_frame and self._fixed_frame not in known and any(known):
+            names = sorted(filter(None, known))
+            near = difflib.get_close_matches(self._fixed_frame, names, n=1)
+            guess = f"; did you mean {near[0]!r}?" if near else ""
+            raise LogError(
+                f"has no frame {self._fixed_frame!r} for the results to be in{guess} (there are: "
+                f"{', '.join(names)})"
+            )
 
     def pose_of(self, camera: CameraChannel) -> Rigid | None:
         """Pose in the fixed frame at the start; None for no or several frames, or the fixed one."""
@@ -147,9 +169,42 @@ class Log:
         return span_of(self.reader)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the cameras' poses doubtful, with the remedy.
+
+        Raises LogError if the cameras' frames are not all joined to the fixed frame.
+        """
+        fixed = self.fixed_frame
+        frames = sorted({name for camera in self.cameras for name in camera.frames} - {fixed})
+        poses = {name: self.transforms.lookup(name, fixed, 0) for name in frames}
+        changes: dict[str, list[PoseChange]] = {}
+        for change in self.transforms.changes_above([*frames, fixed]):
+            changes.setdefault(change.child, []).append(change)
+        return (*map(self._changed, changes.values()), *map(_coincide, same_place(poses)))
+
+    def _changed(self, changes: Sequence[PoseChange]) -> str:
+        first = changes[0]
+        seconds = (first.log_time - self.span[0]) * 1e-9
+        more = f" and then {quantity(len(changes) - 1, 'time')} more" if len(changes) > 1 else ""
+        return (
+            f"the pose of {first.child} in {first.parent} changes by {first.distance} at "
+            f"{seconds:.1f} s{more}; hiros uses the new pose from then on. If nobody moved or "
+            "calibrated it, pass the right poses with --extrinsics FILE"
+        )
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
-        return tuple(filter(None, (self._nameless(), self._left_out())))
+        return tuple(filter(None, (self._nameless(), self._former(), self._left_out())))
+
+    def _former(self) -> str:
+        found = [info.topic for info in self.channels if info.topic in OUTPUT_TOPICS]
+        if not found:
+            return ""
+        return (
+            f"the log holds results of hiros already ({', '.join(found)}); a run reads the cameras "
+            "again and its results replace them"
+        )
 
     def _nameless(self) -> str:
         topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
@@ -390,7 +445,8 @@ def open_log(
                 _look(reader, info, decoder, layouts[info.id], first[info.id]) for info in chosen
             ]
             cameras = _name_cameras(seen)
-            transforms = _transforms(reader) if tree is None else tree
+            begin = min((message.log_time for message in first.values()), default=0)
+            transforms = _transforms(reader, begin) if tree is None else tree
         return Log(reader, cameras, model, transforms, fixed_frame)
     except BaseException:
         reader.close()
@@ -537,8 +593,11 @@ def _name_cameras(seen: Sequence[CameraChannel]) -> list[CameraChannel]:
     return named
 
 
-def _transforms(reader: McapReader) -> TransformTree:
-    """Gather every transform of the log; only the chunks that hold some are read."""
+def _transforms(reader: McapReader, begin: int) -> TransformTree:
+    """Gather every transform of the log; only the chunks that hold some are read.
+
+    ``begin`` is the log time of the first detection.
+    """
     wanted = {
         info.id: info.topic
         for info in channels_of(reader)
@@ -547,15 +606,22 @@ def _transforms(reader: McapReader) -> TransformTree:
         and info.encoding == "cdr"
         and info.count
     }
-    tree = TransformTree()
+    tree = TransformTree(begin)
     if wanted:
         for message in reader.messages(wanted.keys()):
             topic = wanted[message.channel_id]
             with _named(reader.path, topic):
                 transforms = parse_tf(message.data)
             for transform in transforms:
-                tree.add(transform, static=topic == "/tf_static")
+                tree.add(transform, static=topic == "/tf_static", log_time=message.log_time)
     return tree
+
+
+def _coincide(frames: Sequence[str]) -> str:
+    return (
+        f"{', '.join(frames[:-1])} and {frames[-1]} stand at the same place with the same "
+        "orientation; unless they are one camera, pass the camera poses with --extrinsics FILE"
+    )
 
 
 @contextmanager

@@ -1,20 +1,42 @@
-"""What a log holds, for somebody who sees it for the first time."""
+"""What a log holds, for somebody who sees it for the first time: any MCAP file, any bag."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+import struct
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
+
+import hiros_schemas
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.log import Log, open_log
+from hiros_mcap.io.channels import (
+    EVENTS_ATTACHMENT,
+    OUTPUT_TOPICS,
+    TRUTH_PREFIX,
+    ChannelInfo,
+    channels_of,
+)
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.container.reader import Table
+from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.io.log import Log, open_log, open_reader
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 
 _GAP_S = 1.0
+_HEADER = struct.Struct("<4siI")  # encapsulation of CDR, seconds, nanoseconds
+
+LogKind = Literal["recording", "result", "golden", "truth", "other"]
+"""recording: skeletons to process. result: what `hiros process` wrote. golden: what `hiros check`
+compares with. truth: true skeletons only. other: no skeletons that can be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +45,14 @@ class ChannelRow:
 
     topic: str
     type: str
+    """Name of the schema, "" if there is none."""
     encoding: str
     messages: int
+    rate_hz: float
+    """Messages per second between the first and the last; NaN below two."""
+    seconds: float
+    """Time between the first and the last message, s; NaN without messages. Of results it is the
+    time of the data, of all else the log time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,21 +77,68 @@ class CameraRow:
 
 
 @dataclass(frozen=True, slots=True)
+class PersonRow:
+    """A person of a result or a truth."""
+
+    topic: str
+    id: int
+    frames: int
+    seconds: float
+    """Time between the first and the last frame, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """A parameter that is not what the preset says."""
+
+    name: str
+    value: str
+    """As TOML."""
+    default: str
+    """As TOML, "" if this version of hiros has no such parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunRow:
+    """How a result came about, as far as the file tells."""
+
+    version: str
+    system: str
+    stages: tuple[str, ...]
+    preset: str
+    """The preset that explains most parameters, "" if the file does not hold them."""
+    changed: tuple[ParameterRow, ...]
+    """Parameters with other values than in that preset."""
+    fixed_frame: str
+    warnings: tuple[str, ...]
+    """What the run warned of."""
+
+
+@dataclass(frozen=True, slots=True)
 class Overview:
     """The whole log."""
 
     path: str
+    kind: LogKind
     seconds: float
-    """Time between the first and the last message, s."""
+    """Time between the first and the last message, of the skeletons if there are any, s."""
     megabytes: float
+    has_checksums: bool
+    """Whether a damaged message would be noticed."""
     channels: tuple[ChannelRow, ...]
     cameras: tuple[CameraRow, ...]
     markers: tuple[str, ...]
     links: tuple[str, ...]
+    people: tuple[PersonRow, ...]
+    """Of the last stage's channel, or of the truth in a file with nothing else."""
+    run: RunRow | None
+    """How the results came about; None where there are none."""
     fixed_frame: str
     """Frame that results would be in, "" if there is none."""
     fault: str
-    """Why there is no fixed frame, "" if there is."""
+    """Why the log cannot be processed, "" if it can."""
+    warnings: tuple[str, ...]
+    """What would make results doubtful, with the remedy."""
     remarks: tuple[str, ...]
     """Notes about the log."""
     skipped: Mapping[str, Mapping[str, int]]
@@ -110,33 +185,235 @@ def look(
 ) -> Overview:
     """Read a log from end to end and report what is in it.
 
-    Parameters are those of :func:`hiros_mcap.io.log.open_log`, and so are the errors: a log that
-    cannot be read, or that holds no skeletons, has no overview. Frames that do not resolve are
-    no error here but part of the answer.
+    Parameters are those of :func:`hiros_mcap.io.log.open_log`. A log without skeletons that can
+    be read has an overview, too: its ``fault`` says why. Frames that do not resolve are no error
+    here but part of the answer.
+
+    Raises
+    ------
+    LogError
+        The file is damaged, or ``topics`` fits no channel.
+    ConfigError
+        ``extrinsics`` is wrong.
     """
-    with open_log(path, topics=topics, extrinsics=extrinsics) as log:
-        fixed, fault = _fixed_frame(log)
-        counts = _counts(log)
-        start, end = log.span
-        return Overview(
-            path=str(path),
-            seconds=(end - start) / 1e9,
-            megabytes=Path(log.path).stat().st_size / 1e6,
-            channels=tuple(
-                ChannelRow(info.topic, info.schema, info.encoding, info.count)
-                for info in log.channels
-            ),
-            cameras=tuple(
-                count.row(name, _unresolved(log, count.frame, fixed))
-                for name, count in counts.items()
-            ),
-            markers=log.model.marker_names,
-            links=log.model.link_names,
-            fixed_frame=fixed,
-            fault=fault,
-            remarks=log.remarks,
-            skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
+    try:
+        log = open_log(path, topics=topics, extrinsics=extrinsics)
+    except LogError as error:
+        if topics is not None:
+            raise
+        with open_reader(path) as reader:
+            return _of_any(path, reader, error.fault)
+    with log:
+        return _of_recording(path, log)
+
+
+def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
+    """Report on a log whose skeletons can be read."""
+    fixed, fault = _fixed_frame(log)
+    counts = _counts(log)
+    start, end = log.span
+    kind = _kind(log.reader, log.channels)
+    return Overview(
+        path=str(path),
+        kind=kind,
+        seconds=(end - start) / 1e9,
+        megabytes=_size(log.path) / 1e6,
+        has_checksums=log.reader.has_checksums,
+        channels=_channel_rows(log.reader, _spans(log.reader)),
+        cameras=tuple(
+            count.row(name, _unresolved(log, count.frame, fixed)) for name, count in counts.items()
+        ),
+        markers=log.model.marker_names,
+        links=log.model.link_names,
+        people=_people(path, log.channels) if kind == "result" else (),
+        run=_run(log.reader) if kind == "result" else None,
+        fixed_frame=fixed,
+        fault=fault,
+        warnings=log.warnings if fixed else (),
+        remarks=log.remarks,
+        skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
+    )
+
+
+def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Overview:
+    """Report on a log without skeletons to process."""
+    channels, spans = channels_of(reader), _spans(reader)
+    kind = _kind(reader, channels)
+    start = min((begin for begin, _ in spans.values()), default=0)
+    end = max((end for _, end in spans.values()), default=0)
+    return Overview(
+        path=str(path),
+        kind=kind,
+        seconds=(end - start) / 1e9,
+        megabytes=_size(reader.path) / 1e6,
+        has_checksums=reader.has_checksums,
+        channels=_channel_rows(reader, spans),
+        cameras=(),
+        markers=(),
+        links=(),
+        people=() if kind == "other" else _people(path, channels),
+        run=_run(reader) if kind in ("result", "golden") else None,
+        fixed_frame="",
+        fault=fault,
+        warnings=(),
+        remarks=(),
+        skipped={},
+    )
+
+
+# The file
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of the files in a bag's folder."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _kind(reader: McapReader, channels: Iterable[ChannelInfo]) -> LogKind:
+    """Tell what a file is by where its skeletons are, and who wrote it."""
+    skeletons = [i.topic for i in channels if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    results = [topic for topic in skeletons if topic in OUTPUT_TOPICS]
+    true = [topic for topic in skeletons if topic.startswith(f"{TRUTH_PREFIX}/")]
+    if results:
+        ours = reader.contents.library.startswith("hiros")
+        complete = reader.attachment(EVENTS_ATTACHMENT) is not None
+        return "golden" if ours and not complete and len(results) == len(skeletons) else "result"
+    if true and len(true) == len(skeletons):
+        return "truth"
+    return "recording" if skeletons else "other"
+
+
+def _spans(reader: McapReader) -> dict[int, tuple[int, int]]:
+    """Time, ns, of the first and the last message of every channel with messages.
+
+    It is the log time, but for results that of the data: they are logged later, many at once.
+    """
+    spans: dict[int, tuple[int, int]] = {}
+    stamped = {
+        info.id
+        for info in channels_of(reader)
+        if info.topic in OUTPUT_TOPICS and info.has_type(hiros_schemas.SKELETON_GROUP)
+    }
+    for batch in reader.batches():
+        for records in batch.records:
+            ids = records.messages[:, CHANNEL]
+            for ident in np.unique(ids).tolist():
+                rows = records.messages[ids == ident]
+                times = _stamps(records.data, rows) if ident in stamped else rows[:, LOG_TIME]
+                first, last = int(min(times)), int(max(times))
+                before = spans.get(ident, (first, last))
+                spans[ident] = min(before[0], first), max(before[1], last)
+    return spans
+
+
+def _stamps(data: Bytes, rows: Table) -> list[int]:
+    """Return header.stamp, ns, of messages in little-endian CDR; the log time of shorter ones."""
+    times = []
+    for time, start, stop in rows[:, [LOG_TIME, START, STOP]].tolist():
+        if stop - start >= _HEADER.size:
+            _, seconds, nanoseconds = _HEADER.unpack_from(data, start)
+            time = seconds * 1_000_000_000 + nanoseconds
+        times.append(time)
+    return times
+
+
+def _channel_rows(
+    reader: McapReader, spans: Mapping[int, tuple[int, int]]
+) -> tuple[ChannelRow, ...]:
+    rows = []
+    for info in channels_of(reader):
+        begin, end = spans.get(info.id, (0, 0))
+        seconds = (end - begin) / 1e9 if info.id in spans else math.nan
+        rate = (info.count - 1) / seconds if info.count > 1 and seconds > 0 else math.nan
+        rows.append(ChannelRow(info.topic, info.schema, info.encoding, info.count, rate, seconds))
+    return tuple(rows)
+
+
+# Results and truths
+
+
+def _people(path: str | os.PathLike[str], channels: Iterable[ChannelInfo]) -> tuple[PersonRow, ...]:
+    """People of the last stage, else of the truths."""
+    topics = [i.topic for i in channels if i.count and i.has_type(hiros_schemas.SKELETON_GROUP)]
+    last = [topic for topic in OUTPUT_TOPICS if topic in topics][-1:]
+    rows = []
+    for topic in last or [topic for topic in topics if topic.startswith(f"{TRUTH_PREFIX}/")]:
+        stamps: dict[int, list[int]] = {}
+        with open_log(path, topics=[topic], output_prefix="/none") as log:
+            for frame in log.frames():
+                for _, person in frame.tracked():
+                    stamps.setdefault(person, []).append(frame.stamp)
+        rows += [
+            PersonRow(topic, person, len(times), (max(times) - min(times)) / 1e9)
+            for person, times in sorted(stamps.items())
+        ]
+    return tuple(rows)
+
+
+def _run(reader: McapReader) -> RunRow:
+    """Read what a result says about itself; whatever is missing or odd stays empty."""
+    facts = dict(reader.contents.metadata).get("hiros.provenance", {})
+    system = facts.get("system", "")
+    preset, changed = _changed(_flat(_table(reader)), system)
+    return RunRow(
+        version=facts.get("version", ""),
+        system=system,
+        stages=tuple(filter(None, facts.get("stages", "").split(","))),
+        preset=preset,
+        changed=changed,
+        fixed_frame=facts.get("fixed_frame", ""),
+        warnings=_stored_warnings(reader),
+    )
+
+
+def _table(reader: McapReader) -> Mapping[str, Any]:
+    text = (reader.attachment("hiros/config.toml") or b"").decode(errors="replace")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
+    try:
+        report = json.loads(reader.attachment("hiros/report.json") or b"{}")
+    except ValueError:
+        return ()
+    found = report.get("warnings") if isinstance(report, dict) else None
+    return tuple(map(str, found)) if isinstance(found, list) else ()
+
+
+def _flat(table: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        f"{section}.{name}": json.dumps(value)
+        for section, values in table.items()
+        if isinstance(values, Mapping)
+        for name, value in values.items()
+    }
+
+
+def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
+    """Find the preset that is nearest to the parameters of a run, and what differs from it."""
+    from hiros_mcap.config import PRESETS, load_config, to_toml
+    from hiros_mcap.systems import SYSTEMS, sections_of
+
+    if not values or system not in SYSTEMS:
+        return "", ()
+    found: dict[str, tuple[ParameterRow, ...]] = {}
+    for preset in PRESETS:
+        config = load_config(preset=preset, system=system)
+        usual = _flat(tomllib.loads(to_toml(config, sections_of(system))))
+        found[preset] = tuple(
+            ParameterRow(name, value, usual.get(name, ""))
+            for name, value in values.items()
+            if value != usual.get(name, "")
         )
+    nearest = min(found, key=lambda preset: len(found[preset]))
+    return nearest, found[nearest]
+
+
+# Cameras
 
 
 def _fixed_frame(log: Log) -> tuple[str, str]:

@@ -172,6 +172,8 @@ class TrackPairs(NamedTuple):
 class TrackWork(NamedTuple):
     """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
 
+    bounds: Floats
+    """(P, 6) least and greatest x y z of each detection's markers, m."""
     predicted: PredictedTracks
     weights: TrackWeights
     pairs: TrackPairs
@@ -184,6 +186,7 @@ class TrackWork(NamedTuple):
         """Arrays for at most that many tracks and detections."""
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         return cls(
+            np.empty((p, 6)),
             PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4))),
             TrackWeights._make(np.empty(shape) for shape in ((t, m), (t, n), (p, m), (p, n))),
             TrackPairs(
@@ -233,7 +236,7 @@ _SETTINGS = named_tuple(TrackSettings, *17 * [_F], *3 * [types.boolean])
 _PREDICTED = named_tuple(PredictedTracks, F3, F3)
 _WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
 _PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1)
-_WORK = named_tuple(TrackWork, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
+_WORK = named_tuple(TrackWork, F2, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
 _SLOTS = named_tuple(SlotOrders, J1, J1)
 _CONFIRMED = named_tuple(ConfirmedTracks, I1, J1, I1)
 _FOLLOWED = named_tuple(Followed, I1, F2)
@@ -336,6 +339,18 @@ def _weigh_by_confidence(confidences: Floats, settings: TrackSettings, out: Floa
 
 
 @inlined
+def _bound(states: Floats) -> tuple[float, float, float, float, float, float]:
+    """Least and greatest x y z of markers (M, >= 3); of none inf and -inf."""
+    x0 = y0 = z0 = np.inf
+    x1 = y1 = z1 = -np.inf
+    for m in range(len(states)):
+        x, y, z = states[m, 0], states[m, 1], states[m, 2]
+        x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+        x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+    return x0, y0, z0, x1, y1, z1
+
+
+@inlined
 def _compare(
     rows: Stamps,
     people: People,
@@ -344,14 +359,38 @@ def _compare(
     settings: TrackSettings,
     work: TrackWork,
 ) -> None:
-    """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance."""
-    _, weights, pairs, _, _ = work
+    """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance.
+
+    Where all markers of a detection are beyond the reach of all markers of the track, so is any
+    mean of their distances. Among many people most pairs need no more than that.
+    """
+    weights, pairs, bounds = work.weights, work.pairs, work.bounds
     _weigh_by_confidence(people.marker_confidences, settings, weights.marker_confidences)
     reach = max(settings.max_distance, settings.min_distance)
+    margin = 1.001 * reach  # rounding must not leave out a pair on the edge
+    for j in range(len(people.ids)):
+        low_high = _bound(people.markers[j])
+        for c in range(6):
+            bounds[j, c] = low_high[c]
     for i in range(len(rows)):
         pose, weight = work.predicted.positions[i], weights.marker_velocities[i]
-        _weigh_by_velocity(tracks.velocities[rows[i]], settings, weight)
+        x0, y0, z0, x1, y1, z1 = _bound(pose)
+        x0, y0, z0, x1, y1, z1 = (
+            x0 - margin, y0 - margin, z0 - margin, x1 + margin, y1 + margin, z1 + margin,
+        )  # fmt: skip
+        weighed = False
         for j in range(len(people.ids)):
+            pairs.mirrored[i, j], pairs.distances[i, j] = False, np.inf
+            low_high = bounds[j]
+            if not (
+                low_high[0] <= x1 and low_high[3] >= x0
+                and low_high[1] <= y1 and low_high[4] >= y0
+                and low_high[2] <= z1 and low_high[5] >= z0
+            ):  # fmt: skip
+                continue
+            if not weighed:
+                _weigh_by_velocity(tracks.velocities[rows[i]], settings, weight)
+                weighed = True
             seen, confidence = people.markers[j], weights.marker_confidences[j]
             # Beyond twice the reach a detection is mirrored if that brings it within the reach.
             distance = weighted_mean_distance(
@@ -416,18 +455,21 @@ def _fill_cost(
     rows: Stamps, people: People, tracks: Tracks, settings: TrackSettings, work: TrackWork
 ) -> None:
     """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
-    _, weights, pairs, _, _ = work
+    weights, pairs = work.weights, work.pairs
     _weigh_by_confidence(people.link_confidences, settings, weights.link_confidences)
     for i in range(len(rows)):
         velocities = tracks.velocities[rows[i]]
         angular_velocities = tracks.angular_velocities[rows[i]]
-        _weigh_by_velocity(angular_velocities, settings, weights.link_velocities[i])
+        weighed = False
         for j in range(len(people.ids)):
             if not pairs.wanted[j] or pairs.distances[i, j] > settings.max_distance:
                 pairs.cost[i, j] = np.inf
             elif pairs.mirrored[i, j]:
                 pairs.cost[i, j] = pairs.distances[i, j]
             else:
+                if not weighed:
+                    _weigh_by_velocity(angular_velocities, settings, weights.link_velocities[i])
+                    weighed = True
                 linear = _linear_distance(i, j, people, velocities, settings, work)
                 angular = _angular_distance(i, j, people, angular_velocities, settings, work)
                 pairs.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6

@@ -12,7 +12,7 @@ import numpy as np
 
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import Account, CameraChannel, Log
+from hiros_mcap.io.log import DAMAGED, Account, CameraChannel, Log
 from hiros_mcap.running.observe import Observer, Presence, clock_notes
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import (
@@ -55,6 +55,7 @@ class Report:
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
+            warnings=tuple(self._warnings()),
             notes=tuple(self._all_notes()),
         )
 
@@ -101,12 +102,33 @@ class Report:
                 return LimbSummary(0, math.nan, math.nan, "", accepted=False, reason=event.detail)
         return None
 
+    def _warnings(self) -> Iterator[str]:
+        """Yield what makes the result doubtful or incomplete, with the remedy."""
+        yield from self.log.warnings
+        if not self.observer.people:
+            yield from self._nobody()
+        for account in self.log.accounts.values():
+            if account.first_error:
+                n = account.skipped[DAMAGED]
+                yield (
+                    f"{account.topic}: {quantity(n, 'faulty message')} left out; the first: "
+                    f"{account.first_error}. Look for the fault at its source; --strict refuses it"
+                )
+
+    def _nobody(self) -> Iterator[str]:
+        """Yield why nobody was found in detections of somebody."""
+        reasons = list(self.observer.sample.reasons())
+        if not reasons and self.observer.sample.frames:
+            reasons = [
+                "nobody was found, though the cameras report people; `hiros info` shows whether "
+                "the cameras' poses and the skeletons make sense"
+            ]
+        yield from reasons
+
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""
         yield from self.notes
         yield from self.log.remarks
-        if not self.observer.people:
-            yield from self.observer.sample.reasons()
         for account in self.log.accounts.values():
             yield from _input_notes(account)
         totals: Counter[str] = Counter()
@@ -134,5 +156,3 @@ def _input_notes(account: Account) -> Iterator[str]:
             f"{topic}: {quantity(account.untimed, 'message')} without a time, or with one before "
             "1970; hiros uses the log time instead"
         )
-    if account.first_error:
-        yield f"{topic}: first faulty message: {account.first_error}"

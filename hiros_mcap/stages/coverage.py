@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,8 +73,11 @@ class Coverage:
         view.nearest = min(view.nearest, distance)
         view.farthest = max(view.farthest, distance)
 
-    def sees(self, source: str, place: Floats, others: list[Floats]) -> bool:
-        """Whether ``source`` covers ``place`` and none of ``others`` stands in between."""
+    def sees(self, source: str, place: Floats, others: Floats | Sequence[Floats]) -> bool:
+        """Whether ``source`` covers ``place`` and none of ``others`` (N, 3) stands in between.
+
+        Whoever is at the place himself may be among them.
+        """
         view = self._views.get(source)
         if view is None or view.people < _ENOUGH:
             return False
@@ -82,13 +85,10 @@ class Coverage:
         ray = place - origin
         distance = float(np.linalg.norm(ray))
         direction = ray / max(distance, 1e-9)
-        return view.contains(direction, distance, _MARGIN) and not any(
-            _blocks(other - origin, direction, distance) for other in others
-        )
-
-
-def _blocks(person: Floats, direction: Floats, distance: float) -> bool:
-    """Whether a person, relative to the camera, hides what lies at that distance behind."""
-    along = float(person @ direction)
-    beside = float(np.linalg.norm(person - along * direction))
-    return 0.0 < along < distance - _PERSON_RADIUS and beside < _PERSON_RADIUS
+        if not view.contains(direction, distance, _MARGIN):
+            return False
+        people = np.reshape(others, (-1, 3)) - origin
+        along = people @ direction
+        in_front = (along > 0.0) & (along < distance - _PERSON_RADIUS)
+        people = people[in_front] - along[in_front, None] * direction
+        return not bool((np.linalg.norm(people, axis=1) < _PERSON_RADIUS).any())

@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
-from hiros_mcap.body.segments import HEAD
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
+from hiros_mcap.body.segments import HEAD
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
 from hiros_mcap.params import Params, advanced

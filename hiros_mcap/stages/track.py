@@ -301,6 +301,28 @@ class _DetectionGroup:
         track.seen = max(track.seen, self.stamp)
 
 
+@dataclass(slots=True, eq=False)
+class _Scene:
+    """Who is there while a message is weighed."""
+
+    shown: set[_Track | None]
+    """Tracks that the message shows."""
+    persons: list[_Track]
+    """The confirmed tracks."""
+    centres: Floats | None = None
+    """(N, 3) mean marker position of each person, m, once somebody has asked for it."""
+
+    def admit(self, track: _Track) -> None:
+        """Note that a track was confirmed."""
+        self.persons.append(track)
+        self.centres = None
+
+    def dismiss(self, track: _Track) -> None:
+        """Note that a track is not confirmed any more."""
+        self.persons.remove(track)
+        self.centres = None
+
+
 _Message = tuple[Block, int, int]
 """A message that is done: its block, its place there, its log time, ns."""
 
@@ -440,13 +462,16 @@ class _Tracker:
 
     def _delete_unseen(self, stamp: int) -> None:
         """Delete tracks that nobody saw for t_m; tentative ones sooner."""
-        for track in list(self.tracks):
+        gone: set[_Track] = set()
+        for track in self.tracks:
             gap = self.params.max_gap if track.confirmed else self.params.tentative_gap
             if (stamp - track.seen) * 1e-9 > gap:
-                self.tracks.remove(track)
+                gone.add(track)
                 self.bank.forget(track.number)
                 if track.confirmed:
                     self.events.note(track.seen, "track lost", person=track.id)
+        if gone:
+            self.tracks = [track for track in self.tracks if track not in gone]
 
     def _screen(self, group: _DetectionGroup) -> None:
         """Leave out markers and detections of too little confidence."""
@@ -485,26 +510,31 @@ class _Tracker:
 
     def _drop_duplicates(self, tracks: list[_Track], group: _DetectionGroup) -> None:
         """Leave out detections on top of a person whom this message already shows."""
+        present = set(group.tracks)
+        shown = [i for i, track in enumerate(tracks) if track.confirmed and track in present]
         for j in group.unmatched:
-            near = self.work.pairs.distances[: len(tracks), j] < self.params.min_distance
-            if any(tracks[i].confirmed and tracks[i] in group.tracks for i in np.flatnonzero(near)):
+            if (self.work.pairs.distances[shown, j] < self.params.min_distance).any():
                 group.reasons[j] = "duplicate"
 
     def _start(self, group: _DetectionGroup) -> None:
         """Start a tentative track for each detection that is of nobody known."""
+        unmatched, pairs = group.unmatched, self.work.pairs
+        if not unmatched:
+            return
         new: list[_Track] = []
-        pairs = self.work.pairs
         pairs.match.fill(UNTRACKED)
-        for j in group.unmatched:
-            here = group.people.markers[j, :, POSITION]
-            if np.count_nonzero(~np.isnan(here[:, 0])) < self.params.min_markers:
+        here = group.people.markers[unmatched, :, POSITION]
+        enough = np.count_nonzero(~np.isnan(here[..., 0]), axis=1) >= self.params.min_markers
+        origins = np.nanmean(here, axis=1)
+        for j, origin, is_whole in zip(unmatched, origins, enough.tolist(), strict=True):
+            if not is_whole:
                 group.reasons[j] = "too few markers"
                 continue
             turned = ~np.isnan(group.people.links[j, :, ORIENTATION.start])
             if np.count_nonzero(turned) < self.params.min_links:
                 group.reasons[j] = "too few links"
                 continue
-            support = _Support(group.stamp, np.nanmean(here, axis=0))
+            support = _Support(group.stamp, origin)
             pairs.match[j] = len(new)
             new.append(self._new_track(group.stamp, support))
             group.give(j, new[-1])
@@ -522,50 +552,55 @@ class _Tracker:
     def _confirm(self, group: _DetectionGroup) -> None:
         """Weigh what the message says about every track that is not certain yet."""
         due = self.coverage.is_due(group.source, group.stamp)
+        scene = _Scene(set(group.tracks), self._confirmed())
         for track in self.tracks:
             if not track.certain:
-                self._weigh(track, group)
-                self._decide(track, group)
-            elif due and track in group.tracks:
+                self._weigh(track, group.source, scene)
+                self._decide(track, group, scene)
+            elif due and track in scene.shown:
                 self.coverage.learn(group.source, self._centre(track), group.stamp)
 
-    def _weigh(self, track: _Track, group: _DetectionGroup) -> None:
-        """Add the support, or the contradiction, of a message."""
-        support, source = track.support, group.source
-        if track in group.tracks:
+    def _weigh(self, track: _Track, source: str, scene: _Scene) -> None:
+        """Add the support, or the contradiction, of a camera's message."""
+        support = track.support
+        if track in scene.shown:
             support.reports[source] = support.reports.get(source, 0) + 1
             moved = float(np.linalg.norm(self._centre(track) - support.origin))
             support.travelled = max(support.travelled, moved)
-        elif source not in support.reports and self._ought_to_see(source, track):
+        elif source not in support.reports and self._ought_to_see(source, track, scene):
             support.misses += 1
 
-    def _decide(self, track: _Track, group: _DetectionGroup) -> None:
+    def _decide(self, track: _Track, group: _DetectionGroup, scene: _Scene) -> None:
         """Confirm a track, or withdraw its id."""
         support = track.support
         if track.confirmed and support.refuted(self.params):
             self.events.note(group.stamp, "track withdrawn", person=track.id)
             track.former_id, track.id = track.id, UNTRACKED
+            scene.dismiss(track)
         elif (
             not track.confirmed
             and support.confirms(track.seen, self.params)
-            and not self._is_duplicate(track)
+            and not self._is_duplicate(track, scene)
         ):
             track.id = next(self.ids) if track.former_id == UNTRACKED else track.former_id
+            scene.admit(track)
             self.events.note(
                 group.stamp, "track born", person=track.id, source=group.source,
                 detail=f"seen by {', '.join(sorted(support.reports))}",
             )  # fmt: skip
 
-    def _is_duplicate(self, track: _Track) -> bool:
+    def _is_duplicate(self, track: _Track, scene: _Scene) -> bool:
         """Whether a tentative track lies on a person: a second view, nobody new."""
-        others = [other.row for other in self._confirmed() if other is not track]
+        others = [person.row for person in scene.persons]
         positions, distances = self.bank.past.positions, np.empty((1, len(others)))
         mean_distances(positions[[track.row]], positions[others], distances)
         return bool((distances < self.params.min_distance).any())
 
-    def _ought_to_see(self, source: str, track: _Track) -> bool:
-        others = [self._centre(other) for other in self._confirmed() if other is not track]
-        return self.coverage.sees(source, self._centre(track), others)
+    def _ought_to_see(self, source: str, track: _Track, scene: _Scene) -> bool:
+        if scene.centres is None:
+            centres = [self._centre(person) for person in scene.persons]
+            scene.centres = np.reshape(centres, (-1, 3))
+        return self.coverage.sees(source, self._centre(track), scene.centres)
 
     def _centre(self, track: _Track) -> Floats:
         centre = np.empty(3)

@@ -146,10 +146,44 @@ def test_a_moving_frame_is_interpolated_and_held_at_the_ends():
     assert tree.lookup("camera", "world", 999).translation[0] == 10
 
 
-def test_the_last_of_two_transforms_counts():
-    for static, stamps in ((True, (5, 9)), (False, (5, 5))):
-        rows = [("c", "w", (k, 0, 0), NONE, stamp) for k, stamp in enumerate(stamps)]
-        assert tree_of(*rows, static=static).lookup("c", "w", 7).translation[0] == 1
+def test_the_last_of_two_samples_of_a_moving_frame_counts():
+    rows = [("c", "w", (k, 0, 0), NONE, 5) for k in range(2)]
+    assert tree_of(*rows, static=False).lookup("c", "w", 7).translation[0] == 1
+
+
+def static_tree(*poses, begin=0):
+    """Poses are (log time, x[, xyzw])."""
+    tree = TransformTree(begin)
+    for log_time, x, *xyzw in poses:
+        row = Transform(0, "w", "c", (x, 0.0, 0.0), *(xyzw or [NONE]))
+        tree.add(row, static=True, log_time=log_time)
+    return tree
+
+
+@pytest.mark.parametrize("times", [(7, 7), (3, 9), (0, 0)])
+def test_static_transforms_that_disagree_before_the_first_detection_are_refused(times):
+    tree = static_tree((times[0], 1.0), (times[1], 1.2, QUARTER), begin=10)
+    with pytest.raises(LogError, match=r"20.0 cm and 90.0 degrees.*1\.000.*1\.200.*--extrinsics"):
+        tree.lookup("c", "w", 50)
+
+
+def test_static_transforms_that_alternate_are_refused():
+    with pytest.raises(LogError, match="in turns that disagree by 100.0 cm"):
+        static_tree((10, 1.0), (20, 2.0), (30, 1.0)).lookup("c", "w", 5)
+
+
+def test_repeated_static_transforms_are_one_to_the_rounding():
+    tree = static_tree((10, 1.0), (20, 1.00005), (20, 1.0, (1e-5, 0, 0, 1)), (30, 1.0))
+    assert tree.at_rest("c", "w") is not None
+    assert tree.changes_above(["c"]) == []
+
+
+def test_a_changed_static_pose_counts_from_its_log_time_on():
+    tree = static_tree((3, 1.0), (5, 1.0), (20, 2.0), (25, 2.0), (30, 4.0), begin=10)
+    places = [tree.lookup("c", "w", 0, now).translation[0] for now in (0, 19, 20, 29, 30, 99)]
+    assert places == [1, 1, 2, 2, 4, 4]
+    assert tree.at_rest("c", "w") is None
+    assert [(c.log_time, c.metres) for c in tree.changes_above(["c"])] == [(20, 1), (30, 2)]
 
 
 def test_the_fixed_frame_is_the_root_of_all_cameras():

@@ -272,4 +272,4 @@ def test_calibrate_noise_warns_beside_its_output_when_people_walk(
     assert run(["calibrate", "noise", str(walking), *options]) == 0
     captured = capsys.readouterr()
     assert "hiros: warning: joints scatter by 55 cm about their mean" in captured.err
-    assert "warning" not in captured.out
+    assert "hiros: warning" not in captured.out

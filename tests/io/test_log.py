@@ -491,7 +491,7 @@ def test_a_glob_that_fits_no_channel_is_an_error_that_lists_the_channels(results
 def test_a_log_of_results_only_is_an_error(path):
     with Maker(path) as log:
         log.add(seen(0), "/truth/skeletons")
-    with pytest.raises(LogError, match="only skeletons below /hiros and /truth"):
+    with pytest.raises(LogError, match="only results below /hiros or truths below /truth"):
         open_log(path)
 
 

@@ -29,6 +29,10 @@ def noted(summary: Summary, pattern: str) -> list[str]:
     return [note for note in summary.notes if re.search(pattern, note)]
 
 
+def warned(summary: Summary, pattern: str) -> list[str]:
+    return [text for text in summary.warnings if re.search(pattern, text)]
+
+
 def plain(frame: Frame, _: int) -> Frame:
     return frame
 
@@ -112,14 +116,14 @@ def test_negative_confidences_are_not_given_and_large_ones_are_1(
 def test_nobody_is_found_because_of_the_confidences(crossing: Path, tmp_path: Path) -> None:
     summary = run(crossing, tmp_path, lambda f, _: believed(f, 0.0))
     assert summary.people == ()
-    assert noted(summary, "every marker has confidence 0")
+    assert warned(summary, "every marker has confidence 0")
     assert noted(summary, r"\d+ detections ignored: seen too briefly or by too few cameras")
 
 
 def test_nobody_is_found_because_of_the_unit(crossing: Path, tmp_path: Path) -> None:
     summary = run(crossing, tmp_path, lambda f, _: scaled(f, 1000.0))
     assert summary.people == ()
-    assert noted(summary, "looks like millimetres")
+    assert warned(summary, "looks like millimetres")
     assert not noted(summary, "confidence 0")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -166,6 +167,45 @@ def test_assignment_is_optimal() -> None:
         total = sum(cost[i, j] for j, i in enumerate(match) if i >= 0)
         assert total == pytest.approx(cost[linear_sum_assignment(cost)].sum())
         assert len(set(match[match >= 0])) == min(cost.shape)
+
+
+def test_assignment_among_many_is_that_of_scipy() -> None:
+    rng = np.random.default_rng(3)
+    for size in ((40, 90), (90, 40), (60, 60)):
+        places = [rng.uniform(0, 4, (n, 2)) for n in size]
+        cost = np.linalg.norm(places[0][:, None] - places[1], axis=-1)
+        padded = np.where(cost > 0.5, 1e4, cost)  # far apart: groups of all sizes
+        match = assign(np.where(cost > 0.5, np.inf, cost))
+        taken = [cost[i, j] for j, i in enumerate(match) if i >= 0]
+        best = padded[linear_sum_assignment(padded)]
+        assert len(taken) == np.count_nonzero(best < 1e4)
+        assert sum(taken) == pytest.approx(best[best < 1e4].sum())
+
+
+def test_people_who_are_apart_are_assigned_in_no_time() -> None:
+    cost = np.full((4000, 400), np.inf)
+    cost[np.arange(400) * 10, np.arange(400)] = cost[np.arange(400) * 10 + 1, np.arange(400)] = 0.1
+    start = time.perf_counter()
+    assert (assign(cost) // 10).tolist() == list(range(400))
+    assert time.perf_counter() - start < 2.0  # 0.01 s; all at once would take minutes
+
+
+def test_pairs_beyond_the_gate_are_infinitely_far_and_the_others_exact() -> None:
+    rng = np.random.default_rng(4)
+    poses, seen_at = rng.normal(size=(30, 12, 3)), rng.normal(size=(40, 12, 3))
+    poses[:, :, :2] *= 0.1
+    seen_at[:, :, :2] *= 0.1
+    poses[:, :, 0] += rng.uniform(0, 3, (30, 1))
+    seen_at[:, :, 0] += rng.uniform(0, 3, (40, 1))
+    poses[rng.random((30, 12)) < 0.3] = np.nan
+    seen_at[rng.random((40, 12)) < 0.3] = np.nan
+    pairs = compared(
+        tracks_at(poses, np.empty((30, 0, 4))), seen_at, np.empty((40, 0, 4)), max_distance=1.5
+    )
+    expected = np.nanmean(np.linalg.norm(poses[:, None] - seen_at, axis=-1), axis=-1)
+    near = expected <= 1.5
+    assert pairs.distances[near] == pytest.approx(expected[near])
+    assert (pairs.distances[~near] > 1.5).all() and 20 < near.sum() < 1100
 
 
 def test_assignment_never_takes_a_forbidden_pair() -> None:

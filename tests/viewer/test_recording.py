@@ -18,9 +18,9 @@ from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
+from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.io.result import open_result
 from hiros_mcap.skeletons import Floats
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

@@ -22,8 +22,8 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_viewer.blueprint import blueprint
-from hiros_viewer.figures import SPREAD, TRUTH, new_axes, new_figure, tidy
 from hiros_viewer.destinations import save
+from hiros_viewer.figures import SPREAD, TRUTH, new_axes, new_figure, tidy
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
 from hiros_viewer.scene import Scene

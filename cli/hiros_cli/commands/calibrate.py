@@ -58,15 +58,18 @@ def noise(
         found = measure_noise(frames, opened.model)
     if not found.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
+    warnings = []
     if found.deviation > STILL_M:
-        warn(
+        warnings.append(
             f"joints scatter by {number(100 * found.deviation, 0)} cm about their "
             "mean, so somebody moved; choose a part without motion with --window START:END"
         )
+    for text in warnings:
+        warn(text)
     if json:
         from hiros_mcap.summary import plain
 
-        print_json(plain(found))
+        print_json("calibrate.noise", plain(found), warnings)
         return
     print(f"# {found.detections} detections; SD per axis of a joint about its mean, mm")
     for kind, table in (("camera", found.cameras), ("joint", found.joints)):

@@ -193,7 +193,7 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
         from hiros_cli.output import print_json
         from hiros_mcap.regression import check_report
 
-        print_json(check_report.as_dict(results))
+        print_json("check", check_report.as_dict(results))
         return
     if quiet:
         _show_errors(results)

@@ -109,7 +109,7 @@ def compare(
         from hiros_cli.output import print_json
         from hiros_mcap.summary import plain
 
-        print_json({"outcomes": [plain(o) for o in outcomes]})
+        print_json("compare", {"outcomes": [plain(o) for o in outcomes]})
     elif not quiet:
         _show(outcomes, study)
 

@@ -152,7 +152,8 @@ def _show_truth(output: _Output, truth: Truth, results: dict[str, ChannelResult]
 
         channels = {topic: plain(result.scores) for topic, result in results.items()}
         people = list(truth.people)
-        print_json({"log": str(output.log), "true_people": people, "channels": channels})
+        data = {"log": str(output.log), "true_people": people, "channels": channels}
+        print_json("eval", data)
     elif not output.quiet:
         from hiros_cli.evaluation import show_truth
 
@@ -173,7 +174,7 @@ def _show_self(output: _Output, config: Config) -> None:
 
         pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
         data = {"log": str(output.log), **plain(scores), "disagreement": plain_value(pairs)}
-        print_json(data)
+        print_json("eval.self", data)
     elif not output.quiet:
         from hiros_cli.evaluation import show_self
 

@@ -30,18 +30,24 @@ def info(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show channels, cameras, frames, people, rates and gaps."""
+    """Show what any MCAP file or bag holds: channels, cameras, people, rates and gaps.
+
+    Of what hiros wrote it shows the version, the system and the changed parameters.
+    """
     from hiros_cli.compiling import prepare
+    from hiros_cli.output import warn
 
     source.stat()
     prepare(quiet=json)
     from hiros_mcap.io.overview import look
 
     overview = look(source, topics=topic, extrinsics=extrinsics)
+    for text in overview.warnings:
+        warn(text)
     if json:
         from hiros_cli.output import print_json
 
-        print_json(overview.to_dict())
+        print_json("info", overview.to_dict())
     else:
         _show(overview)
 
@@ -54,27 +60,90 @@ def _show(overview: Overview) -> None:
     from hiros_mcap.summary import number
 
     out = console()
+    kind = "log" if overview.kind == "other" else overview.kind
     out.print(
         Text(
-            f"{printable(overview.path, 500)}: {number(overview.seconds, 1)} s, "
-            f"{overview.megabytes:.1f} MB",
+            f"{printable(overview.path, 500)}: {kind}, {number(overview.seconds, 1)} s, "
+            f"{_size(overview.megabytes)}",
             style="bold",
         ),
         soft_wrap=True,
     )
-    for part in (_channels(overview), _cameras(overview)):
-        out.print()
-        out.print(part)
+    tables = (
+        (overview.channels, _channels),
+        (overview.cameras, _cameras),
+        (overview.people, _people),
+    )
+    for rows, make in tables:
+        if rows:
+            out.print()
+            out.print(make(overview))
     out.print()
-    for line in _facts(overview):
+    for line in (*_run(overview), *_facts(overview)):
         say(out, line)
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes:.1f} MB" if megabytes >= 0.1 else f"{1000 * megabytes:.1f} kB"
 
 
 def _channels(overview: Overview) -> Any:
     from hiros_cli.run_report import table
+    from hiros_mcap.summary import number
 
-    rows = [(row.topic, str(row.messages), row.type or "-") for row in overview.channels]
-    return table("Channel", ">Messages", "Type", rows=rows)
+    return table(
+        "Channel",
+        ">Messages",
+        ">Rate",
+        ">Seconds",
+        "Type",
+        "Encoding",
+        rows=[
+            (
+                row.topic,
+                str(row.messages),
+                number(row.rate_hz, 1, " Hz"),
+                number(row.seconds, 1),
+                row.type or "-",
+                row.encoding or "-",
+            )
+            for row in overview.channels
+        ],
+    )
+
+
+def _people(overview: Overview) -> Any:
+    from hiros_cli.run_report import table
+    from hiros_mcap.summary import number
+
+    return table(
+        "Channel",
+        ">Person",
+        ">Seconds",
+        ">Frames",
+        rows=[
+            (row.topic, str(row.id), number(row.seconds, 1), str(row.frames))
+            for row in overview.people
+        ],
+    )
+
+
+def _run(overview: Overview) -> list[str]:
+    """Return how a result came about, as far as the file tells."""
+    run = overview.run
+    if run is None:
+        return []
+    if not run.version:
+        return ["how it was made: the file does not say"]
+    preset = f", preset {run.preset}" if run.preset else ""
+    lines = [f"made by hiros {run.version}: system {run.system}{preset}"]
+    lines.append(f"stages: {', '.join(run.stages)}; results in the frame {run.fixed_frame}")
+    lines += [
+        f"changed: {row.name} = {row.value}"
+        + (f" (preset: {row.default})" if row.default else " (not in this version of hiros)")
+        for row in run.changed
+    ]
+    return lines + [f"warning of that run: {text}" for text in run.warnings]
 
 
 def _cameras(overview: Overview) -> Any:
@@ -109,12 +178,19 @@ def _frame(row: CameraRow) -> str:
 
 
 def _facts(overview: Overview) -> list[str]:
-    lines = [f"skeleton: {len(overview.markers)} markers, {len(overview.links)} links"]
-    lines.append(f"markers: {', '.join(overview.markers)}")
+    lines = []
+    if overview.markers:
+        lines.append(f"skeleton: {len(overview.markers)} markers, {len(overview.links)} links")
+        lines.append(f"markers: {', '.join(overview.markers)}")
     if overview.fixed_frame:
         lines.append(f"fixed frame: {overview.fixed_frame}")
-    elif overview.fault:
+    elif overview.cameras:
         lines.append(f"fixed frame: none; {overview.fault}")
+    else:
+        fault, _, _ = overview.fault.partition("; its channels:")  # the table has them
+        lines.append(f"nothing to process: {fault}")
+    if not overview.has_checksums:
+        lines.append("no checksums: nobody would notice a damaged message")
     lines += overview.remarks
     for topic, reasons in overview.skipped.items():
         lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]

@@ -261,7 +261,7 @@ def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
     for text in summary.warnings:
         warn(text)
     if json:
-        print_json(summary.to_dict())
+        print_json("process", summary.to_dict())
     elif not quiet:
         from hiros_cli.run_report import show
 

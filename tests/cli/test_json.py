@@ -1,0 +1,125 @@
+"""``--json`` against docs/json.md: every field that is printed is documented, and the reverse."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import pytest
+
+from hiros_cli.app import run
+from hiros_cli.output import SCHEMA_VERSIONS
+from hiros_mcap.evaluate import comparison
+
+ROOT = Path(__file__).parents[2]
+COMMON = {"schema", "version", "warnings"}
+
+
+def documented() -> dict[str, set[str]]:
+    """Schema -> its fields; a field that holds others counts with them."""
+    fields: dict[str, set[str]] = {}
+    schema = ""
+    for line in (ROOT / "docs/json.md").read_text().splitlines():
+        if line.startswith("## "):
+            schema = line[4:-1]
+        elif schema and (found := re.match(r"\| `([^`]+)` \|", line)):
+            fields.setdefault(schema, set()).add(found[1])
+    return fields
+
+
+def paths(value: object, path: str = "") -> Iterator[str]:
+    """Yield the path of every field of some JSON."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            here = f"{path}.{name}" if path else name
+            yield here
+            yield from paths(part, here)
+    elif isinstance(value, list):
+        for part in value:
+            yield from paths(part, f"{path}[]")
+
+
+def fits(path: str, field: str) -> bool:
+    """Whether a path is what a row of the page describes; ``*`` is a key, ``**`` any path."""
+    if field.endswith(".**"):
+        return any(fnmatchcase(path, glob) for glob in (_glob(field[:-3]), _glob(field[:-3]) + "*"))
+    return fnmatchcase(path, _glob(field))
+
+
+def _glob(field: str) -> str:
+    return field.replace("[]", "[[]]")
+
+
+def is_inside(path: str, field: str) -> bool:
+    """Whether a path is a container of what a row describes."""
+    parts = [m.end() for m in re.finditer(r"\[\]|[^.\[]+", field)]
+    return any(fnmatchcase(path, _glob(field[:end])) for end in parts)
+
+
+def printed(command: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    assert run([*command, "--json"]) in (0, 1), command
+    data: dict[str, object] = json.loads(capsys.readouterr().out)
+    return data
+
+
+def assert_as_documented(data: list[dict[str, object]]) -> None:
+    """Compare the fields of some outputs of one schema with the page."""
+    (schema,) = {str(each["schema"]) for each in data}
+    assert {each["version"] for each in data} == {SCHEMA_VERSIONS[schema.removeprefix("hiros.")]}
+    assert all(isinstance(each["warnings"], list) for each in data)
+    real = {path for each in data for path in paths(each)} - COMMON
+    fields = documented()[schema]
+    unknown = [p for p in real if not any(fits(p, f) or is_inside(p, f) for f in fields)]
+    assert not sorted(unknown), f"{schema}: docs/json.md lacks these fields"
+    missing = [f for f in fields if "*" not in f and not any(fits(p, f) for p in real)]
+    assert not sorted(missing), f"{schema}: docs/json.md has fields that are not printed"
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("json") / "out.mcap"
+    source = ROOT / "sample_data/one_person_walking.mcap"
+    assert run(["process", str(source), "-o", str(out), "-q", "--set", "track.max_gap=2.0"]) == 0
+    return out
+
+
+def test_process_and_info(
+    walking: Path, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "out.mcap")
+    assert_as_documented([printed(["process", str(walking), "-o", out], capsys)])
+    assert_as_documented([printed(["info", str(log)], capsys) for log in (walking, result)])
+
+
+def test_eval(walking: Path, result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert_as_documented([printed(["eval", str(result)], capsys)])
+    assert_as_documented([printed(["eval", str(walking), "--leave-one-out"], capsys)])
+
+
+def test_check(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    golden = ROOT / "sample_data/golden/one_person_walking.mcap"
+    assert_as_documented([printed(["check", str(result), "--golden", str(golden)], capsys)])
+
+
+def test_calibrate(walking: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = printed(["calibrate", "noise", str(walking)], capsys)
+    assert_as_documented([data])
+    (warning,) = data["warnings"]  # type: ignore[misc]
+    assert "somebody moved" in str(warning)
+
+
+def test_compare(
+    walking: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(  # a process of its own takes seconds to start
+        comparison, "run_tasks", lambda do, tasks, _: enumerate(do(*task) for task in tasks)
+    )
+    command = ["compare", str(walking), "--system", "raw", "--jobs", "1"]
+    assert_as_documented([printed(command, capsys)])
+
+
+def test_every_schema_is_documented() -> None:
+    assert set(documented()) == {f"hiros.{name}" for name in SCHEMA_VERSIONS}

@@ -1,0 +1,118 @@
+"""Logs whose camera poses change, contradict each other, coincide or are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap_logs import tf_bytes
+
+from hiros_cli.app import run as command
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import process
+
+SECOND = 1_000_000_000
+NONE = (0.0, 0.0, 0.0, 1.0)
+Pose = tuple[int, str, tuple[float, ...], tuple[float, ...]]
+"""Log time, child frame, translation, xyzw; the parent is the world."""
+
+
+def start(source: Path) -> int:
+    with open_log(source) as log:
+        return log.span[0]
+
+
+def with_poses(source: Path, target: Path, poses: Sequence[Pose], *, own: bool = True) -> Path:
+    """Copy a log with more static transforms; without its own ones if not ``own``."""
+    with open_log(source) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        tf = next(i.id for i in log.channels if i.topic == "/tf_static")
+        rows = [
+            (m.log_time, m.channel_id, bytes(m.data))
+            for m in log.reader.messages()
+            if own or m.channel_id != tf
+        ]
+        for time, child, translation, xyzw in poses:
+            rows.append((time, tf, tf_bytes((0, "world", child, translation, xyzw))))
+        for time, channel, data in sorted(rows):
+            writer.write(channel, time, data)
+        writer.commit()
+    return target
+
+
+def pose(source: Path, camera: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    with open_log(source) as log:
+        found = log.transforms.lookup(camera, "world", 0)
+    return tuple(found.translation.tolist()), tuple(found.xyzw.tolist())
+
+
+def test_a_camera_calibrated_anew_in_the_middle_counts_from_then_on(
+    crossing: Path, tmp_path: Path
+) -> None:
+    now, ((x, y, z), xyzw) = start(crossing) + 2 * SECOND, pose(crossing, "camera_1")
+    moved = with_poses(
+        crossing, tmp_path / "moved.mcap", [(now, "camera_1", (x + 0.5, y, z), xyzw)]
+    )
+    with open_log(crossing) as before, open_log(moved) as after:
+        for one, other in zip(before.detections(), after.detections(), strict=True):
+            expected = 0.5 if one.source == "camera_1" and one.log_time >= now else 0.0
+            shift = (other.positions - one.positions)[..., 0]
+            np.testing.assert_allclose(shift[~np.isnan(shift)], expected, atol=1e-9)
+        (warning,) = after.warnings
+    assert "the pose of camera_1 in world changes by 50.0 cm and 0.0 degrees at 2.0 s" in warning
+    assert "--extrinsics" in warning
+    assert process(moved).warnings == (warning,)
+
+
+def test_the_same_pose_over_and_over_is_no_change(crossing: Path, tmp_path: Path) -> None:
+    times = range(start(crossing), start(crossing) + 4 * SECOND, SECOND)
+    rows = [(time, "camera_1", *pose(crossing, "camera_1")) for time in times]
+    with open_log(with_poses(crossing, tmp_path / "same.mcap", rows)) as log:
+        assert log.warnings == ()
+
+
+def test_contradicting_poses_are_refused(
+    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [(start(crossing), "camera_1", (9.0, 0.0, 2.0), NONE)]
+    log, out = with_poses(crossing, tmp_path / "two.mcap", rows), tmp_path / "out.mcap"
+    assert command(["process", str(log), "-o", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'camera_1' has two static transforms in 'world'" in line
+    assert "--extrinsics" in line
+    assert not out.exists()
+
+
+def test_cameras_at_one_place_are_noticed(
+    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [(0, f"camera_{k}", (0.0, 0.0, 0.0), NONE) for k in range(3)]
+    log = with_poses(crossing, tmp_path / "identity.mcap", rows, own=False)
+    for arguments in (["info"], ["process", "-q", "-o", str(tmp_path / "out.mcap")]):
+        assert command([*arguments, str(log)]) == 0
+        assert (
+            "hiros: warning: camera_0, camera_1 and camera_2 stand at the same place"
+            in capsys.readouterr().err
+        )
+
+
+def test_a_log_without_transforms_says_what_to_do(
+    crossing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = with_poses(crossing, tmp_path / "none.mcap", [], own=False)
+    assert command(["process", str(log)]) == 2
+    text = capsys.readouterr().err
+    assert "no /tf or /tf_static, so the camera poses are unknown; record /tf_static" in text
+    assert "pass --extrinsics cameras.toml" in text
+
+
+def test_a_typo_in_the_fixed_frame_is_answered_with_the_frames(crossing: Path) -> None:
+    with (
+        open_log(crossing, fixed_frame="wrld") as log,
+        pytest.raises(LogError, match=r"'wrld'.*mean 'world'\? \(there are: camera_0, camera_1"),
+    ):
+        _ = log.fixed_frame
