@@ -64,7 +64,7 @@ def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
         assert channels[topic]["deviation"] == pytest.approx(result.scores.deviation)
     outcome = run_task(Task(walking, Entry("hiros"), truth=reference))
     assert outcome.cameras == ("camera_0", "camera_1")
-    assert outcome.rank == pytest.approx(expected["/hiros/filtered"].scores.mean)
+    assert outcome.error == pytest.approx(expected["/hiros/filtered"].scores.mean)
     process(walking, tmp_path / "one.mcap", options=ProcessOptions(stages="T", keep=capture[:1]))
     with pytest.raises(ConfigError, match="no camera is left besides"):
         fused_topics(tmp_path / "one.mcap", "/camera_0/skeletons")
