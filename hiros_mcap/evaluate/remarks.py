@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.evaluate.match import explain_no_match
 from hiros_mcap.evaluate.scores import SINGULAR_DEG
-from hiros_mcap.evaluate.truth import Truth, shared_markers
+from hiros_mcap.evaluate.truth import Truth, shared_links, shared_markers
 
 _MANY_FALSE = 0.1
 """False people per frame that may be people whom the truth lacks."""
@@ -46,6 +46,9 @@ def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
         unknown = [n for k, n in enumerate(truth.model.marker_names) if k not in shared]
         if unknown:
             notes.append(f"joints of the truth that the result lacks: {', '.join(unknown)}")
+        lost = truth.model.n_links - len(shared_links(truth.model, result.model, shared))
+        if lost:
+            notes.append(f"{lost} links of the truth join no two joints that the result links")
     if hint := explain_no_match(result.matches, truth):
         notes.append(hint)
     if singular := sum(a.singular for a in scores.link_angles.values()):

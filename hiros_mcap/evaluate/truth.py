@@ -121,7 +121,7 @@ class Truth:
                 "the truth and the result share no marker: "
                 f"{_list(self.model.marker_names)} against {_list(model.marker_names)}"
             )
-        links = _same_ends(self.model, model, slots)
+        links = shared_links(self.model, model, slots)
         positions = np.full((*self.positions.shape[:2], model.n_markers, 3), np.nan)
         orientations = np.full((*self.orientations.shape[:2], model.n_links, 4), np.nan)
         for theirs, ours in slots.items():
@@ -143,7 +143,7 @@ def _name(name: str) -> tuple[str, str]:
     return "".join(c for c in part if c.isalnum()), side
 
 
-def _same_ends(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
+def shared_links(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
     ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
     found = {}
@@ -154,5 +154,5 @@ def _same_ends(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dic
     return found
 
 
-def _list(names: tuple[str, ...], most: int = 5) -> str:
+def _list(names: tuple[str, ...], most: int = 40) -> str:
     return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

@@ -206,20 +206,45 @@ def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "Mirrored" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("scale", "wrong"), [(1.0, False), (1000.0, True)])
-def test_a_truth_that_nobody_is_near_to_may_have_another_unit(
+@pytest.mark.parametrize(("away", "wrong"), [(0.0, False), (800.0, True)])
+def test_a_truth_that_nobody_is_near_to_may_have_another_frame(
     processed: Path,
     walking: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    scale: float,
+    away: float,
     wrong: bool,
 ) -> None:
-    table = write_csv(tmp_path / "truth.csv", load_truth(walking), scale)
+    truth = load_truth(walking)
+    table = write_csv(
+        tmp_path / "truth.csv", replace(truth, positions=truth.positions + np.array([0, 0, away]))
+    )
     assert run(["eval", str(processed), "--truth", str(table)]) == 0
     out = capsys.readouterr().out
     assert ("Is the truth in metres, in the log's fixed frame" in out) == wrong
-    assert not wrong or re.search(r"truth \(.*, 8\d\d\.\d\), result \(.*, 0\.8\d*\)", out)
+    assert not wrong or re.search(r"truth \(.*, 80\d\.\d\), result \(.*, 0\.8\d*\)", out)
+
+
+def test_a_truth_in_millimetres_is_refused(
+    processed: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = write_csv(tmp_path / "truth.csv", load_truth(walking), scale=1000.0)
+    assert run(["eval", str(processed), "--truth", str(table)]) == 2
+    assert "the coordinates look like millimetres" in capsys.readouterr().err
+
+
+def test_joints_that_the_result_lacks_are_listed(
+    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "truth.csv"
+    names = ("PELVIS", "C7", "jRightT4")
+    rows = [f"{t},0,{name},0,0,1" for t in np.arange(0, 3.6, 0.4) for name in names]
+    table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
+    data = json_of(processed, capsys, "--truth", str(table))
+    assert any(text.endswith("that the result lacks: C7, jRightT4") for text in data["notes"])
+    table.write_text("\n".join(["time,person,marker,x,y,z", *rows[1::3], *rows[2::3]]))
+    assert run(["eval", str(processed), "--truth", str(table)]) == 2
+    assert "share no marker: C7, jRightT4 against PELVIS" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
