@@ -33,6 +33,8 @@ def show_truth(
     title = f"{score_tables.BENDING} of {last}, degrees: error"
     show_table(out, title, score_tables.angle_table(result.scores))
     if joints:
+        title = f"Signed joint angles of {last}, degrees: error"
+        show_table(out, title, score_tables.signed_angle_table(result.scores))
         show_table(out, f"Joints of {last}, mm", score_tables.joint_table(result.scores.joints))
     for text in notes:
         note(out, text)

@@ -89,6 +89,15 @@ def angle_table(scores: Scores) -> Table:
     return header, rows
 
 
+def signed_angle_table(scores: Scores) -> Table:
+    """Errors of the signed joint angles (docs/angles.md), degrees."""
+    rows: Rows = [
+        (name, *(number(v, 2) for v in (s.rmse, s.deviation, s.bias)), str(s.singular))
+        for name, s in scores.signed_angles.items()
+    ]
+    return ("Angle", "RMSE", "SD", "Bias", "Left out"), rows
+
+
 def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
     """Error of every joint, mm."""
     rows: Rows = [(name, *_millimetres(joint)) for name, joint in joints.items()]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.body.anatomy import ANGLE_NAMES, SIDES, anatomical_angles
 from hiros_mcap.body.angles import ANGLES, flexions, link_angles, wrapped
 from hiros_mcap.body.rotations import angle
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
@@ -75,7 +76,10 @@ class Scores:
     pck: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """Share of true joints within each of :data:`PCK_MM`; for all joints and by part."""
     angles: Mapping[str, AngleStats] = field(default_factory=dict)
+    """Of the eight unsigned bending angles, by joint."""
     link_angles: Mapping[str, AngleStats] = field(default_factory=dict)
+    signed_angles: Mapping[str, AngleStats] = field(default_factory=dict)
+    """Of the signed joint angles of body.anatomy, those that the markers give."""
 
     def pck_at(self, threshold_mm: int, part: str = "all") -> float:
         """Share of joints within a threshold of :data:`PCK_MM`."""
@@ -149,6 +153,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         pck=pck_curves(errors, model, _unplaced(matches, poses, true_poses)),
         angles=angles,
         link_angles=by_links,
+        signed_angles=_signed_angle_stats(model, poses, true_poses),
     )
 
 
@@ -165,6 +170,27 @@ def _link_angle_stats(
     errors[singular] = np.nan
     left_out = singular.sum(axis=0).tolist()
     return {name: AngleStats.of(errors[:, k], left_out[k]) for k, name in enumerate(ANGLES)}
+
+
+def _signed_angle_stats(
+    model: SkeletonModel, poses: Floats, true_poses: Floats
+) -> dict[str, AngleStats]:
+    """Errors of the signed angles, without those that are near-singular.
+
+    These are flexion and rotation of a limb that is held sideways (docs/angles.md).
+    """
+    found, true = (anatomical_angles(model, p, unwrapped=False) for p in (poses, true_poses))
+    errors = np.degrees(wrapped(found - true))
+    left_out = np.zeros(len(ANGLE_NAMES), int)
+    for joint in (f"{side} {limb}" for side in SIDES for limb in ("hip", "shoulder")):
+        abduction = np.degrees(true[:, ANGLE_NAMES.index(f"{joint} abduction")])
+        for k in (ANGLE_NAMES.index(f"{joint} {name}") for name in ("flexion", "rotation")):
+            singular = (np.abs(abduction) > SINGULAR_DEG) & ~np.isnan(errors[:, k])
+            errors[singular, k] = np.nan
+            left_out[k] = singular.sum()
+    columns = zip(ANGLE_NAMES, errors.T, left_out.tolist(), strict=True)
+    stats = {name: AngleStats.of(column, n) for name, column, n in columns}
+    return {name: own for name, own in stats.items() if own.count or own.singular}
 
 
 def _pooled_rmse(angles: Mapping[str, AngleStats]) -> float:

@@ -232,6 +232,42 @@ def test_near_singular_link_angles_are_left_out_and_counted(
     assert elbow.count == 20 - left_out
 
 
+def lifted(flexion: float, abduction: float) -> list[Frame]:
+    """A straight right arm, lifted forwards and sideways by degrees; somebody who faces x."""
+    model = ARM_AND_TRUNK
+    turn = Rotation.from_euler("YXZ", [-flexion, -abduction, 0], degrees=True)
+    shoulder = np.array([0, -0.2, 1.4])
+    arm = [shoulder, *(shoulder + turn.apply([0, 0, -length]) for length in (0.3, 0.55))]
+    pose = np.array([[0, 0, 1.5], [0, 0, 1], [0, 0.2, 1.4], *arm])
+    frames = []
+    for k in range(20):
+        frame = Frame.empty(1, model, stamp=at(k), source="a")
+        frame.ids[:], frame.positions[0] = 0, pose
+        frames.append(frame)
+    return frames
+
+
+ARM_AND_TRUNK = SkeletonModel.of(
+    ["Neck", "Pelvis", "LShoulder", "RShoulder", "RElbow", "RWrist"], []
+)
+
+
+def test_signed_angles_tell_forwards_from_sideways() -> None:
+    """Both arms bend by 40 degrees from the trunk; one is lifted forwards, one backwards."""
+    scores = evaluate(lifted(40, 0), Truth.of(lifted(-40, 0)), ARM_AND_TRUNK)
+    assert scores.angles["right shoulder"].rmse == pytest.approx(0, abs=1e-6)
+    assert scores.signed_angles["right shoulder flexion"].bias == pytest.approx(80)
+    assert scores.signed_angles["right shoulder abduction"].bias == pytest.approx(0, abs=1e-6)
+    assert "left knee flexion" not in scores.signed_angles
+
+
+def test_the_flexion_of_an_arm_held_sideways_is_left_out_and_counted() -> None:
+    scores = evaluate(lifted(0, 85), Truth.of(lifted(3, 85)), ARM_AND_TRUNK)
+    flexion = scores.signed_angles["right shoulder flexion"]
+    assert (flexion.count, flexion.singular) == (0, 20)
+    assert scores.signed_angles["right shoulder elevation"].count == 20
+
+
 @pytest.mark.parametrize("degrees", [0, 45, 90, 179])
 def test_flexion_of_an_elbow(degrees: float) -> None:
     assert np.degrees(flexions(ARM, bent(math.radians(degrees)))[1]) == pytest.approx(degrees)

@@ -41,6 +41,8 @@ def truth_page(
     page.heading(f"{score_tables.BENDING} of {last}")
     title = "Error in degrees, by marker positions and by link orientations (Hi-ROS eq. 21)"
     page.table(*score_tables.angle_table(result.scores), title)
+    signed = score_tables.signed_angle_table(result.scores)
+    page.table(*signed, "Signed joint angles by marker positions (docs/angles.md): error, degrees")
     people = sorted(set(result.matches.people))
     for person in people[:_MOST_PEOPLE]:
         caption = f"Person {truth.people[person] if truth.people else person}"

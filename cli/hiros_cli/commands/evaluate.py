@@ -71,7 +71,9 @@ def evaluate(
     up: Annotated[
         str, typer.Option(metavar="AXIS", help="Axis of the truth that points up: z or y.")
     ] = "z",
-    joints: Annotated[bool, typer.Option("--joints", help="Also show every joint.")] = False,
+    joints: Annotated[
+        bool, typer.Option("--joints", help="Also show every joint and the signed angles.")
+    ] = False,
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
