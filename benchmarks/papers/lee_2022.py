@@ -212,7 +212,8 @@ def simulated(
     """Write a log for each scene; return the action of each log."""
     logs = {}
     for scene in scenes:
-        log = folder / (" ".join(f"{key} {value}" for key, value in scene.items()) + ".mcap")
+        named = (f"{key} {value}" for key, value in scene.items() if key != "rig")
+        log = folder / (" ".join(named) + ".mcap")
         write_log(log, SimulateParams.model_validate({"seconds": seconds, **scene}))
         logs[log] = str(scene.get("action", "walk"))
     return logs

@@ -24,10 +24,12 @@ Errors = Mapping[tuple[str, str], Mapping[str, Pair]]
 
 
 def gesture_scenes() -> Iterator[dict[str, object]]:
-    """Parameters of the 24 simulations; everybody performs each gesture in every direction."""
+    """Parameters of the 24 simulations: each gesture in every direction, synchronised cameras."""
+    rig = {"synchronised": True}
     for gesture in LEE_GESTURES:
         for facing in DIRECTIONS:
-            yield {"people": 1, "cameras": 4, "action": gesture, "facing": facing, "seed": 3}
+            scene: dict[str, object] = {"people": 1, "cameras": 4, "seed": 3, "rig": rig}
+            yield {**scene, "action": gesture, "facing": facing}
 
 
 def entry_of(column: str) -> Entry:
