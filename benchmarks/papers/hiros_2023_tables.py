@@ -15,6 +15,11 @@ from hiros_mcap.summary import number
 
 CONFIGURATIONS = ("T", "TMF", "TMOF")
 STEPS = ("tracked", "merged", "optimized", "filtered")
+LINK_NOTE = (
+    "Tables 6 and 7 score the orientations of links (eq. 21). The optimizer does not change them "
+    "unless optimize.align_links is set: TMOF equals TMF. It moves the joints, so the tables by "
+    "markers and positions show what it does"
+)
 TIME_NOTE = (
     "Frames/s is what hiros process reaches; side by side, each step has a core of its own, as in "
     "the paper, and the slowest step sets the pace"
@@ -59,7 +64,18 @@ def angle_table(title: str, runs: Sequence[ActionRun]) -> Table:
         means = np.mean(list(published.values()), axis=0).tolist()
         rows.append(("", "paper", *_with_gains([(m, sd) for m, sd in means])))
     header = ("People", "Action", *CONFIGURATIONS, "T-TMF", "T-TMOF")
-    return Table(f"{title}. Flexion angles by links, RMSE (SD), degrees", header, rows)
+    return Table(f"{title}. Bending angles by links, RMSE (SD), degrees", header, rows)
+
+
+def marker_angle_table(runs: Sequence[ActionRun]) -> Table:
+    """The same angles from marker positions, which the optimizer moves; the paper has none."""
+    rows: Rows = []
+    for run in runs:
+        scores = [run.scores[c] for c in CONFIGURATIONS]
+        pairs = [(s.angle_rmse, s.angle_deviation) for s in scores]
+        rows.append((str(run.people), run.action, *_with_gains(pairs)))
+    header = ("People", "Action", *CONFIGURATIONS, "T-TMF", "T-TMOF")
+    return Table("The same bending angles by marker positions, RMSE (SD), degrees", header, rows)
 
 
 def _with_gains(pairs: Sequence[Pair]) -> list[str]:

@@ -1,23 +1,31 @@
 """The ablations of Lee et al. (2022, section 3) against a truth.
 
-    python benchmarks/papers/lee_2022.py [variants|radius|cameras|choices] [LOG ...]
+    python benchmarks/papers/lee_2022.py [variants|radius|cameras|choices|gestures] [LOG ...]
 
-variants : A1 to A5 (section 3.1). radius : four radii of A4 (3.2). cameras : every subset of the
-cameras (3.3). choices : what the paper leaves open, and other ways to do it. Without LOG, simulated
-logs of people who walk and of slow gestures. Mean error and standard deviation, mm, by parts of the
-body; the paper's numbers stand in [ ]. They come from other data: Azure Kinects, the camera in
-front as reference.
+variants : A1 to A5 (section 3.1). radius : four radii of A5 (3.2). cameras : every subset of the
+cameras (3.3). choices : what the paper leaves open, and other ways to do it. gestures : Tables A1
+to A4, the six gestures in four directions, always simulated. Without LOG, simulated logs of people
+who walk and of slow gestures. Mean error and standard deviation, mm, by parts of the body; the
+paper's numbers stand in [ ]. They come from other data: Azure Kinects, the camera in front as
+reference.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+from lee_2022_gestures import (
+    appendix_tables,
+    check_gestures,
+    gesture_errors,
+    gesture_scenes,
+    gesture_table,
+)
 from paper_report import Claim, PaperReport, Rows, Table, arguments, check_order, mean
-from published import LEE, LEE_CAMERAS, LEE_RADII, Pair
+from published import LEE, LEE_CAMERAS, LEE_RADII, Pair, lee_appendix, lee_mean
 
 from hiros_mcap.evaluate import ErrorStats
 from hiros_mcap.evaluate.comparison import (
@@ -28,14 +36,14 @@ from hiros_mcap.evaluate.comparison import (
     camera_subsets,
     comparison,
 )
-from hiros_mcap.evaluate.parts import PARTS
+from hiros_mcap.evaluate.parts import PARTS, part_of
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.summary import number
 
 ENTRIES = {
     "variants": ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee-a5"),
-    "radius": tuple(f"lee-a4,cluster.radius={radius:g}" for radius in LEE_RADII),
+    "radius": tuple(f"lee-a5,cluster.radius={radius:g}" for radius in LEE_RADII),
     "cameras": ("lee",),
     "choices": (
         "hiros",
@@ -64,10 +72,7 @@ def part_table(title: str, outcomes: Sequence[Outcome]) -> Table:
     rows: Rows = []
     for name in dict.fromkeys(o.name for o in outcomes):
         scores = [o.scores for o in outcomes if o.name == name and o.scores is not None]
-        published = LEE.get(name) or next(
-            (pairs for r, pairs in LEE_RADII.items() if name.endswith(f",cluster.radius={r:g}")),
-            (None, None, None),
-        )
+        published = _published(name)
         cells = [
             _cell(_mean_pair([s.parts[part] for s in scores if part in s.parts]), paper)
             for part, paper in zip(PARTS, published, strict=True)
@@ -77,6 +82,20 @@ def part_table(title: str, outcomes: Sequence[Outcome]) -> Table:
         rows.append((name, _cell(whole), *cells, *(number(value, 1) for value in motion)))
     header = ("Variant", "All", *(part.capitalize() for part in PARTS), "Jitter", "Lag, ms")
     return Table(title, header, rows)
+
+
+def _published(name: str) -> tuple[Pair | None, ...]:
+    """What the paper has for a system, by part; section 3.2 gives the radii of A5."""
+    if name in LEE:
+        return LEE[name]
+    for radius, pairs in LEE_RADII.items():
+        if name == f"lee-a5,cluster.radius={radius:g}":
+            return pairs
+        if name == f"lee-a4,cluster.radius={radius:g}":
+            column, joints = f"A4_{100 * radius:.0f}", {joint for _, joint in lee_appendix()}
+            groups = [tuple(joint for joint in joints if part_of(joint) == p) for p in PARTS]
+            return tuple(lee_mean(column, group) for group in groups)
+    return (None,) * len(PARTS)
 
 
 def joint_table(outcomes: Sequence[Outcome]) -> Table:
@@ -134,7 +153,7 @@ def check_claims(outcomes: Sequence[Outcome]) -> Iterator[Claim]:
     radii = {
         radius: mean(s.mean for s in by_name[name])
         for radius in LEE_RADII
-        if (name := f"lee-a4,cluster.radius={radius:g}") in by_name
+        if (name := f"lee-a5,cluster.radius={radius:g}") in by_name
     }
     if len(radii) > 2:
         yield Claim(
@@ -158,7 +177,7 @@ def check_cameras(errors: Mapping[str, Mapping[int, Pair]]) -> Iterator[Claim]:
 
 
 def report(study: str, logs: Sequence[Path], jobs: int) -> PaperReport:
-    """Run a study on logs."""
+    """Run a study of :data:`ENTRIES` on logs."""
     tasks = [Task(log, Entry.parse(text)) for log in logs for text in ENTRIES[study]]
     note = "the paper's numbers come from other data: Azure Kinects, the camera in front as truth"
     if study == "cameras":
@@ -177,24 +196,44 @@ def report(study: str, logs: Sequence[Path], jobs: int) -> PaperReport:
     return PaperReport(f"Lee et al. 2022: {study}", note, tables, list(check_claims(outcomes)))
 
 
-def simulated(folder: Path) -> list[Path]:
-    """Write a log of 20 s for each of :data:`SCENES`."""
-    logs = []
-    for scene in SCENES:
-        log = folder / (" ".join(f"{key} {value}" for key, value in scene.items()) + ".mcap")
-        write_log(log, SimulateParams.model_validate({"seconds": 20.0, **scene}))
-        logs.append(log)
+def gesture_report(logs: Mapping[Path, str], jobs: int) -> PaperReport:
+    """Run the six gestures; ``logs`` gives the gesture of each log."""
+    errors = gesture_errors(logs, jobs)
+    note = (
+        "truth: the simulated people. Paper: the camera in front; its A3 is the same for all radii"
+    )
+    tables = [gesture_table(errors), *appendix_tables(errors)]
+    return PaperReport("Lee et al. 2022: gestures", note, tables, list(check_gestures(errors)))
+
+
+def simulated(
+    folder: Path, scenes: Iterable[Mapping[str, object]], seconds: float
+) -> dict[Path, str]:
+    """Write a log for each scene; return the action of each log."""
+    logs = {}
+    for scene in scenes:
+        named = (f"{key} {value}" for key, value in scene.items() if key != "rig")
+        log = folder / (" ".join(named) + ".mcap")
+        write_log(log, SimulateParams.model_validate({"seconds": seconds, **scene}))
+        logs[log] = str(scene.get("action", "walk"))
     return logs
 
 
 def main() -> None:
     parser = arguments(__doc__)
-    parser.add_argument("study", nargs="?", choices=list(ENTRIES), default="variants")
+    parser.add_argument("study", nargs="?", choices=[*ENTRIES, "gestures"], default="variants")
     parser.add_argument("logs", nargs="*", type=Path, metavar="LOG")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of simulated logs")
     given = parser.parse_args()
+    if given.study == "gestures" and given.logs:
+        parser.error("gestures takes no LOG: it simulates each gesture in four directions")
     with tempfile.TemporaryDirectory() as folder:
-        logs = given.logs or simulated(Path(folder))
-        report(given.study, logs, given.jobs).present(given.html)
+        if given.study == "gestures":
+            logs = simulated(Path(folder), gesture_scenes(), given.seconds)
+            gesture_report(logs, given.jobs).present(given.html)
+            return
+        found = given.logs or list(simulated(Path(folder), SCENES, given.seconds))
+        report(given.study, found, given.jobs).present(given.html)
 
 
 if __name__ == "__main__":

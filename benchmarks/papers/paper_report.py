@@ -16,7 +16,7 @@ from hiros_cli.run_report import table as text_table
 from hiros_viewer.page import Page
 
 Rows = list[tuple[str, ...]]
-TEXT_COLUMNS = ("Action",)
+TEXT_COLUMNS = ("Action", "Joint", "Variant")
 """Aligned to the left, as the first column; all others are numbers."""
 
 

@@ -2,10 +2,17 @@
 
 They come from other data. Hi-ROS (Guidolin et al. 2023): real people, Azure Kinects, inertial suits
 as reference. Malaguti et al. (2019): Kinects v2 and a marker-based system. Lee et al. (2022): Azure
-Kinects, the camera in front as reference.
+Kinects, the camera in front as reference. Lee's Tables A1 to A6 are in ``lee_2022_appendix.csv``
+(CC BY 4.0). What its text says by parts of the body are their means, with digits cut off.
 """
 
 from __future__ import annotations
+
+import csv
+from functools import cache
+from pathlib import Path
+
+import numpy as np
 
 Pair = tuple[float, float]
 """RMSE and SD of the eight flexion angles, degrees."""
@@ -95,8 +102,47 @@ LEE_RADII: dict[float, tuple[Pair, Pair, Pair]] = {
 """Radius, m -> the same for A5 (section 3.2)."""
 LEE_CAMERAS: dict[int, tuple[Pair, Pair, Pair]] = {
     1: ((63.3, 15.8), (125.6, 64.2), (60.2, 28.6)),
-    2: ((50.9, 13.6), (103.5, 57.5), (46.8, 20.5)),
+    2: ((50.9, 13.6), (103.5, 57.5), (46.8, 20.3)),
     3: ((43.4, 12.2), (66.3, 37.1), (38.3, 14.5)),
     4: ((39.6, 9.8), (51.8, 26.0), (35.8, 13.2)),
 }
 """Number of cameras -> the same, mean over all subsets (section 3.3)."""
+
+LEE_GESTURES = ("hands_up_down", "jump", "squat", "lunge", "walk_in_place", "free_static")
+"""Actions of the simulator for gestures 1 to 6 (section 2.3)."""
+LEE_COLUMNS = ("A1", *(f"A{k}_{cm}" for k in (3, 4, 5) for cm in (5, 10, 15, 20)))
+"""Variants and search radii, cm, of Tables A1 to A4; in the paper, A3 does not depend on it."""
+
+
+@cache
+def lee_appendix() -> dict[tuple[str, str], dict[str, Pair]]:
+    """(gesture, joint) -> column of Tables A1 to A6 -> mean error and SD, mm.
+
+    Joints are named as markers; TNOS_1 to TNOS_4 are the columns of 1 to 4 cameras.
+    """
+    table: dict[tuple[str, str], dict[str, Pair]] = {}
+    path = Path(__file__).with_name("lee_2022_appendix.csv")
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    for errors, deviations in zip(rows[::2], rows[1::2], strict=True):
+        key = LEE_GESTURES[int(errors["gesture"]) - 1], _marker(errors["joint"])
+        columns = [c for c in errors if c not in ("gesture", "joint", "measure")]
+        table[key] = {c: (float(errors[c]), float(deviations[c])) for c in columns}
+    return table
+
+
+def _marker(joint: str) -> str:
+    """Return the marker of a joint: SHOULDER_LEFT of "L Shoulder"."""
+    sides = {"L": "_LEFT", "R": "_RIGHT"}
+    side, _, name = joint.partition(" ")
+    return name.upper() + sides[side] if side in sides else joint.upper().replace(" ", "_")
+
+
+def lee_mean(column: str, joints: tuple[str, ...], gestures: tuple[str, ...] = ()) -> Pair:
+    """Mean error and SD of some joints in a column of the appendix, mm; over all gestures."""
+    chosen = [
+        row[column]
+        for (gesture, joint), row in lee_appendix().items()
+        if joint in joints and gesture in (gestures or LEE_GESTURES)
+    ]
+    error, deviation = np.mean(chosen, axis=0).tolist()
+    return error, deviation

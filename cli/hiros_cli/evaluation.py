@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from hiros_cli.run_report import console, note, say, show_table, table
 from hiros_mcap.evaluate import Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
-from hiros_mcap.evaluate.match import explain_no_match
 from hiros_mcap.summary import number
 
 
 def show_truth(
-    log: Path, truth: Truth, results: Mapping[str, ChannelResult], *, joints: bool
+    log: Path,
+    truth: Truth,
+    results: Mapping[str, ChannelResult],
+    notes: Iterable[str],
+    *,
+    joints: bool,
 ) -> None:
     """Print the scores of every channel, and the angles of the last one."""
     out = console()
     seconds = number((truth.stamps[-1] - truth.stamps[0]) / 1e9, 1)
-    say(out, f"{log}: against the truth, {len(truth.people)} people, {seconds} s", "bold")
+    people = f"{len(truth.people)} {'of the people' if truth.partial else 'people'}"
+    say(out, f"{log}: against the truth, {people}, {seconds} s", "bold")
     scores = {topic: result.scores for topic, result in results.items()}
     show_table(out, "Joint error, mm", score_tables.error_table(scores))
     show_table(out, "Motion", score_tables.motion_table(scores))
     show_table(out, "People", score_tables.people_table(scores))
     last, result = list(results.items())[-1]
-    title = f"Flexion angles of {last}, degrees: error"
+    title = f"{score_tables.BENDING} of {last}, degrees: error"
     show_table(out, title, score_tables.angle_table(result.scores))
     if joints:
+        title = f"Signed joint angles of {last}, degrees: error"
+        show_table(out, title, score_tables.signed_angle_table(result.scores))
         show_table(out, f"Joints of {last}, mm", score_tables.joint_table(result.scores.joints))
-    absent = [name for name in result.model.marker_names if name not in result.scores.joints]
-    if absent:
-        note(out, f"no truth for {len(absent)} markers: {', '.join(absent)}")
-    if hint := explain_no_match(result.matches, truth):
-        note(out, hint)
-    for topic, result in results.items():
-        for reason, count in result.skipped.items():
-            note(out, f"{topic}: {count} messages skipped: {reason}")
+    for text in notes:
+        note(out, text)
 
 
 def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:

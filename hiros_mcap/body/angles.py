@@ -108,18 +108,23 @@ def joint_links(model: SkeletonModel) -> tuple[tuple[int, int], ...]:
     return tuple(pairs)
 
 
-def link_flexions(model: SkeletonModel, orientations: Floats) -> Floats:
-    """(..., 8) Flexion angles, rad, of link ``orientations`` (..., L, 4) x y z w.
+def link_angles(model: SkeletonModel, orientations: Floats) -> Floats:
+    """(..., 8, 3) Angles z, x, y, rad, of link ``orientations`` (..., L, 4) x y z w, by joint.
 
-    Hi-ROS eq 21: the z angle of the distal link in the frame of the proximal one. It depends on a
-    detector's convention of link frames. NaN where a link or its orientation is missing.
+    Hi-ROS eq 21: the distal link in the frame of the proximal one, by :func:`euler_zxy`. They
+    depend on a detector's convention of link frames. NaN where a link or its orientation is
+    missing.
     """
     angles = []
     for proximal, distal in joint_links(model):
         if min(proximal, distal) < 0:
-            angles.append(np.full(orientations.shape[:-2], np.nan))
+            angles.append(np.full((*orientations.shape[:-2], 3), np.nan))
             continue
         back = conjugate(orientations[..., proximal, :])
-        relative = multiply(back, orientations[..., distal, :])  # eq 21
-        angles.append(euler_zxy(relative)[..., 0])
-    return np.stack(angles, axis=-1)
+        angles.append(euler_zxy(multiply(back, orientations[..., distal, :])))  # eq 21
+    return np.stack(angles, axis=-2)
+
+
+def link_flexions(model: SkeletonModel, orientations: Floats) -> Floats:
+    """(..., 8) Flexion angles, rad, of link ``orientations``: the z of :func:`link_angles`."""
+    return np.asarray(link_angles(model, orientations)[..., 0])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import glob
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +16,18 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
+from hiros_mcap.evaluate.partial_truth import people_without_truth
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.smoothness import jitter, limb_variations
 from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
-from hiros_mcap.io.log import open_log, open_reader
+from hiros_mcap.io.log import open_log, open_reader, span_of
 from hiros_mcap.skeletons import Frame, SkeletonModel
+
+_FIRST_MESSAGES = 100
+"""Cameras of a channel that take turns are all among them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +63,45 @@ def has_outputs(path: str | os.PathLike[str]) -> bool:
 
 def check_recording(path: str | os.PathLike[str]) -> None:
     """Raise LogError if a log holds results of hiros or a truth, but no detections."""
-    with open_reader(path) as reader:
-        groups = [c for c in channels_of(reader) if c.has_type(hiros_schemas.SKELETON_GROUP)]
-    own = tuple(f"{prefix}/" for prefix in (OUTPUT_PREFIX, TRUTH_PREFIX))
-    if groups and all(c.topic.startswith(own) for c in groups):
+    topics = _skeletons(path)
+    if topics and all(map(_is_ours, topics)):
         fault = "holds results or a truth, but no detections; name the recording"
         raise LogError(fault, path=path)
+
+
+def has_cameras(path: str | os.PathLike[str]) -> bool:
+    """Whether a log holds skeletons of cameras, which can be processed."""
+    return any(not _is_ours(topic) for topic, count in _skeletons(path).items() if count)
+
+
+def start_of(path: str | os.PathLike[str]) -> int:
+    """Time, ns, from which times of motion capture files count.
+
+    It is the log time of the first skeleton of a camera. A result without its cameras is logged
+    later than it was seen, so there it is the stamp of its first frame.
+    """
+    with open_reader(path) as reader:
+        start = span_of(reader)[0]
+    if has_cameras(path) or not has_outputs(path):
+        return start
+    stamps = [_first_stamp(path, topic) for topic in output_channels(path)]
+    return min(stamps, default=start)
+
+
+def _first_stamp(path: str | os.PathLike[str], topic: str) -> int:
+    with open_log(path, topics=[topic], output_prefix="/none") as log:
+        return min(frame.stamp for frame in islice(log.frames(), _FIRST_MESSAGES))
+
+
+def _skeletons(path: str | os.PathLike[str], globs: Sequence[str] = ("*",)) -> dict[str, int]:
+    """Topic -> number of messages of the log's skeleton channels that a glob matches."""
+    with open_reader(path) as reader:
+        channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    return {i.topic: i.count for i in channels if any(fnmatchcase(i.topic, g) for g in globs)}
+
+
+def _is_ours(topic: str) -> bool:
+    return topic.startswith((f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"))
 
 
 def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:
@@ -73,9 +112,19 @@ def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> 
     if not globs and not has_outputs(path):
         raise LogError("holds no results of hiros; run `hiros process` first", path=path)
     with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
-        topics = [camera.channel.topic for camera in log.cameras]
+        return _in_order(camera.channel.topic for camera in log.cameras)
+
+
+def _in_order(topics: Iterable[str]) -> list[str]:
     order = {topic: k for k, topic in enumerate(OUTPUT_TOPICS)}
     return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
+
+
+def _scored_channels(path: str | os.PathLike[str], globs: Sequence[str]) -> list[str]:
+    """Topics to score, also of channels without any message: those miss everybody."""
+    counts = _skeletons(path, list(globs) or [f"{OUTPUT_PREFIX}/*"])
+    heard = output_channels(path, globs) if any(counts.values()) or not counts else []
+    return _in_order({*heard, *(topic for topic, count in counts.items() if not count)})
 
 
 def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth | None:
@@ -153,17 +202,49 @@ def evaluate_log(
     time or marker with the truth.
     """
     results = {}
-    for topic in output_channels(path, globs):
-        frames, model, skipped = read_channel(path, topic)
+    for topic in _scored_channels(path, globs):
+        matches, model, skipped = _matched(path, topic, truth, max_distance)
         try:
-            matches = match(frames, truth.seen_by(model), max_distance)
             scores = score_matches(matches, truth, model)
-            results[topic] = ChannelResult(scores, matches, model, skipped)
         except ValueError as error:
             raise LogError(str(error), path=path, topic=topic) from None
-        except ConfigError as error:
-            raise ConfigError(f"{path}: {topic}: {error}") from None
+        results[topic] = ChannelResult(scores, matches, model, skipped)
     return results
+
+
+def covered_by(
+    path: str | os.PathLike[str],
+    truth: Truth,
+    coverage: str = "auto",
+    globs: Sequence[str] = (),
+    max_distance: float = MATCH_DISTANCE,
+) -> tuple[Truth, tuple[int, ...]]:
+    """Return the truth, marked as partial or not, and the ids that show that it is partial.
+
+    ``coverage`` is "all", "partial", or "auto": then the last output channel decides, see
+    :func:`hiros_mcap.evaluate.partial_truth.people_without_truth`.
+
+    Raises LogError or ConfigError as :func:`evaluate_log` does.
+    """
+    if coverage != "auto":
+        return replace(truth, partial=coverage == "partial"), ()
+    topic = _scored_channels(path, globs)[-1]
+    matches, model, _ = _matched(path, topic, truth, max_distance)
+    others = people_without_truth(matches, truth.seen_by(model), max_distance)
+    return replace(truth, partial=bool(others)), others
+
+
+def _matched(
+    path: str | os.PathLike[str], topic: str, truth: Truth, max_distance: float
+) -> tuple[Matches, SkeletonModel, dict[str, int]]:
+    """Return the matches of a channel, its model, and how many messages were skipped, by reason."""
+    if truth.model is not None and not _skeletons(path, [glob.escape(topic)])[topic]:
+        return match([], truth, max_distance), truth.model, {}
+    frames, model, skipped = read_channel(path, topic)
+    try:
+        return match(frames, truth.seen_by(model), max_distance), model, skipped
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {topic}: {error}") from None
 
 
 def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -10,8 +11,9 @@ import numpy as np
 
 from hiros_mcap.evaluate.mot import FrameSimilarity
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
+from hiros_mcap.evaluate.silence import silent_instants
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame
 
 MATCH_DISTANCE = 1.0
 """m: a skeleton farther than this from a true person, mean over joints, is of somebody else."""
@@ -45,10 +47,16 @@ class Matches:
     tracks: dict[int, Track] = field(default_factory=dict)
     """Every id, matched or not."""
     similarities: list[FrameSimilarity] = field(default_factory=list)
-    missing: int = 0
+    missed: list[Flags] = field(default_factory=list)
+    """(M,) each: which markers the truth has of a true person whom no skeleton matches."""
     false: int = 0
+    """Skeletons that match nobody; those of a partial truth are of somebody else."""
     switches: int = 0
     frames: int = 0
+    silent: int = 0
+    """Instants with people but without a frame; see :mod:`hiros_mcap.evaluate.silence`."""
+    span: tuple[int, int] | None = None
+    """Stamps of the first and the last frame, ns, also of those that the truth does not cover."""
     nearest: float = math.inf
     """Least distance of a skeleton from a true person, mean over joints, m."""
 
@@ -56,15 +64,35 @@ class Matches:
 def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DISTANCE) -> Matches:
     """Match skeletons with an id to true people, each frame by itself, least distance first.
 
-    Frames outside the time of the truth do not count. A switch is counted when a true person's
-    nearest skeleton has another id than at the last match.
+    Frames that the truth does not cover do not count. Where the result is silent, everybody is
+    missed. A switch is counted when a true person's nearest skeleton has another id than at the
+    last match. Skeletons that match nobody of a partial truth are left out of the similarities.
     """
     result = Matches()
     last_ids: dict[int, int] = {}
-    for frame in frames:
+    everything = list(frames)
+    stamps = np.array([frame.stamp for frame in everything], np.int64)
+    if stamps.size:
+        result.span = int(stamps.min()), int(stamps.max())
+    silent = deque(silent_instants(stamps, truth).tolist())
+    for frame in everything:
+        while silent and silent[0] < frame.stamp:
+            _miss_everybody(silent.popleft(), truth, result)
         if truth.covers(frame.stamp):
             _match_frame(frame, truth, max_distance, result, last_ids)
+    for stamp in silent:
+        _miss_everybody(stamp, truth, result)
     return result
+
+
+def _miss_everybody(stamp: int, truth: Truth, result: Matches) -> None:
+    """Count an instant without a frame."""
+    known = ~np.isnan(truth.at(stamp)[0][..., 0])
+    present = np.nonzero(known.any(axis=-1))[0]
+    result.silent += bool(len(present))
+    result.missed += list(known[present])
+    nobody = np.zeros((len(present), 0))
+    result.similarities.append(FrameSimilarity(tuple(present.tolist()), (), nobody))
 
 
 def _match_frame(
@@ -73,14 +101,16 @@ def _match_frame(
     rows = np.nonzero(frame.ids != UNTRACKED)[0]
     ids: list[int] = frame.ids[rows].tolist()
     positions, orientations = truth.at(frame.stamp)
-    present = np.nonzero(~np.isnan(positions[..., 0]).all(axis=-1))[0]
+    known = ~np.isnan(positions[..., 0])
+    present = np.nonzero(known.any(axis=-1))[0]
     distance = skeleton_distances(positions[present], frame.positions[rows])
     for row, ident in zip(rows, ids, strict=True):
         track = result.tracks.setdefault(ident, Track())
         track.stamps.append(frame.stamp)
         track.poses.append(frame.positions[row].copy())
     pairs = best_pairs(np.where(distance < max_distance, distance, np.inf))
-    for true_row, column in sorted(pairs, key=lambda pair: pair[1]):  # as the frame has them
+    pairs.sort(key=lambda pair: pair[1])  # as the frame has them
+    for true_row, column in pairs:
         person, ident, row = int(present[true_row]), ids[column], rows[column]
         result.switches += last_ids.get(person, ident) != ident
         last_ids[person] = ident
@@ -91,12 +121,15 @@ def _match_frame(
         result.true_poses.append(positions[person])
         result.orientations.append(frame.orientations[row].copy())
         result.true_orientations.append(orientations[person])
-    result.missing += len(present) - len(pairs)
+    result.missed += list(known[np.delete(present, [true_row for true_row, _ in pairs])])
     result.false += len(rows) - len(pairs)
     result.frames += 1
     result.nearest = min(result.nearest, float(distance.min(initial=math.inf)))
-    similarity = np.clip(1 - distance / max_distance, 0, 1)
-    result.similarities.append(FrameSimilarity(tuple(present.tolist()), tuple(ids), similarity))
+    # A skeleton of nobody is a fault only if the truth has everybody.
+    kept = [column for _, column in pairs] if truth.partial else list(range(len(ids)))
+    similarity = np.clip(1 - distance[:, kept] / max_distance, 0, 1)
+    names = tuple(ids[column] for column in kept)
+    result.similarities.append(FrameSimilarity(tuple(present.tolist()), names, similarity))
 
 
 def explain_no_match(matches: Matches, truth: Truth) -> str:
@@ -108,6 +141,20 @@ def explain_no_match(matches: Matches, truth: Truth) -> str:
         f"no skeleton comes nearer than {matches.nearest:.1f} m to a true person. Is the truth in "
         "metres, in the log's fixed frame, with the right --up and --shift? Typical coordinates: "
         f"truth {_median_text(truth.positions)}, result {_median_text(found)}"
+    )
+
+
+def explain_no_overlap(matches: Matches, truth: Truth) -> str:
+    """Return in words how the times of result and truth differ."""
+    fault = "the truth covers no frame of the result"
+    if matches.span is None:
+        return fault
+    first, last = matches.span
+    start, end = truth.stamps[[0, -1]].tolist()
+    return (
+        f"{fault}: the truth begins {(start - first) / 1e9:.3f} s after the result and lasts "
+        f"{(end - start) / 1e9:.3f} s, the result {(last - first) / 1e9:.3f} s; check --shift, and "
+        "that the times are seconds"
     )
 
 

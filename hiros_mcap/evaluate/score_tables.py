@@ -41,7 +41,7 @@ def _millimetres(error: ErrorStats | Scores) -> tuple[str, str, str, str]:
 
 def motion_table(scores: Mapping[str, Scores]) -> Table:
     """Angles, limbs, jitter and lag, a row per channel."""
-    header = ("Channel", "Angles, deg", "By links, deg", "Orientation, deg", "Limbs, mm", "Limb CV")
+    header = ("Channel", "Bending, deg", "By links, deg", "Orientation, deg")
     rows: Rows = [
         (
             topic,
@@ -55,32 +55,47 @@ def motion_table(scores: Mapping[str, Scores]) -> Table:
         )
         for topic, s in scores.items()
     ]
-    return (*header, "Jitter, mm", "Lag, ms"), rows
+    return (*header, "Limbs, mm", "Limb CV", "Jitter, mm", "Lag, ms"), rows
 
 
 def people_table(scores: Mapping[str, Scores]) -> Table:
     """Who was missed, invented or renamed, a row per channel."""
-    header = ("Channel", "Frames", "Missing", "False", "Switches", "MOTA", "IDF1", "HOTA")
+    header = ("Channel", "Frames", "Silent", "Missing", "False", "Switches")
     rows = [
         (
             topic,
-            *map(str, (s.frames, s.missing, s.false, s.switches)),
+            *map(str, (s.frames, s.silent, s.missing)),
+            "-" if s.false is None else str(s.false),
+            str(s.switches),
             *(number(v, 4) for v in (s.tracking.mota, s.tracking.idf1, s.tracking.hota)),
         )
         for topic, s in scores.items()
     ]
-    return header, rows
+    return (*header, "MOTA", "IDF1", "HOTA"), rows
+
+
+BENDING = "Unsigned bending angles"
+"""The eight angles of Hi-ROS 2023, section 4; the signed ones are in body.anatomy."""
 
 
 def angle_table(scores: Scores) -> Table:
-    """Errors of the eight flexions, degrees, by joint positions and by links."""
-    header = ("Joint", "RMSE", "SD", "Bias", "By links: RMSE", "SD", "Bias")
+    """Errors of the eight bending angles, degrees, by joint positions and by links."""
+    header = ("Joint", "RMSE", "SD", "Bias", "By links: RMSE", "SD", "Bias", "Left out")
     rows = []
     for name, own in scores.angles.items():
-        both = (own, scores.link_angles[name])
-        cells = (number(v, 2) for s in both for v in (s.rmse, s.deviation, s.bias))
-        rows.append((name, *cells))
+        link = scores.link_angles[name]
+        cells = (number(v, 2) for s in (own, link) for v in (s.rmse, s.deviation, s.bias))
+        rows.append((name, *cells, str(link.singular)))
     return header, rows
+
+
+def signed_angle_table(scores: Scores) -> Table:
+    """Errors of the signed joint angles (docs/angles.md), degrees."""
+    rows: Rows = [
+        (name, *(number(v, 2) for v in (s.rmse, s.deviation, s.bias)), str(s.singular))
+        for name, s in scores.signed_angles.items()
+    ]
+    return ("Angle", "RMSE", "SD", "Bias", "Left out"), rows
 
 
 def joint_table(joints: Mapping[str, ErrorStats]) -> Table:

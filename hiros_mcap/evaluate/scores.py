@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.body.angles import ANGLES, flexions, link_flexions, wrapped
+from hiros_mcap.body.anatomy import ANGLE_NAMES, SIDES, anatomical_angles
+from hiros_mcap.body.angles import ANGLES, flexions, link_angles, wrapped
 from hiros_mcap.body.rotations import angle
-from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, match
+from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
 from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.smoothness import jitter, lag, lengths_of, limb_variations
@@ -21,6 +22,9 @@ PCK_MM = tuple(range(0, 201, 5))
 """Thresholds of the PCK curves, mm."""
 FIRST_FRAMES = 5
 """First frames of a new id, which are also scored alone: detectors start in a wrong pose."""
+SINGULAR_DEG = 75.0
+"""A true joint whose x angle is beyond has no z angle worth scoring: at 90 degrees both axes
+coincide, and here an error of 1 degree about y already changes z by 1 / cos 75 = 4 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +39,13 @@ class Scores:
     percentile_95: float
     """95 % of the joint errors are below, mm."""
     angle_rmse: float
-    """Root mean square error of the eight flexions from marker positions, degrees (eq. 20)."""
+    """Root mean square error of the eight bending angles from marker positions, degrees, over all
+    joints (Hi-ROS eq. 20)."""
     angle_deviation: float
-    """Standard deviation of the angles' errors, degrees: the error without the bias."""
+    """SD of the error of each of the eight, degrees, averaged: the error without the constant
+    offset of each joint (Hi-ROS eq. 20 and section 4.1)."""
     link_angle_rmse: float
-    """The same eight by the links' orientations (eq. 21)."""
+    """The same eight by the links' orientations (Hi-ROS eq. 21)."""
     link_angle_deviation: float
     orientation_error: float
     """Mean angle between a link's orientation and the true one (eq. 10), degrees."""
@@ -55,18 +61,25 @@ class Scores:
     """Mean joint error in the first five frames of an id, mm."""
     missing: int
     """True people that no skeleton was matched to, summed over frames."""
-    false: int
-    """Skeletons with an id that are of nobody, or of somebody twice, summed over frames."""
+    false: int | None
+    """Skeletons with an id that are of nobody, or of somebody twice, summed over frames; None if
+    the truth is partial."""
     switches: int
     """How often a true person's nearest skeleton had another id than before."""
     frames: int
+    """Frames of the result that the truth covers."""
+    silent: int
+    """Instants with people at which the result holds no frame; they are missing."""
     tracking: TrackingScores
     parts: Mapping[str, ErrorStats] = field(default_factory=dict)
     joints: Mapping[str, ErrorStats] = field(default_factory=dict)
     pck: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """Share of joints within each of :data:`PCK_MM`; for all joints and by part."""
+    """Share of true joints within each of :data:`PCK_MM`; for all joints and by part."""
     angles: Mapping[str, AngleStats] = field(default_factory=dict)
+    """Of the eight unsigned bending angles, by joint."""
     link_angles: Mapping[str, AngleStats] = field(default_factory=dict)
+    signed_angles: Mapping[str, AngleStats] = field(default_factory=dict)
+    """Of the signed joint angles of body.anatomy, those that the markers give."""
 
     def pck_at(self, threshold_mm: int, part: str = "all") -> float:
         """Share of joints within a threshold of :data:`PCK_MM`."""
@@ -93,64 +106,137 @@ def evaluate(
     ConfigError
         The models share no marker.
     ValueError
-        No frame lies within the time of the truth.
+        There are frames, but none within the time of the truth. (Without any frame, everybody is
+        missing all the time.)
     """
     return score_matches(match(frames, truth.seen_by(model), max_distance), truth, model)
 
 
 def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Scores:
     """Score what :func:`match` found; see :func:`evaluate`."""
-    if not matches.frames:
-        raise ValueError("the truth covers no frame of the result; check --shift")
+    if not matches.frames and (matches.span is not None or not matches.silent):
+        raise ValueError(explain_no_overlap(matches, truth))
     truth = truth.seen_by(model)
     markers, links = (model.n_markers, 3), (model.n_links, 4)
     poses, true_poses = _stack(matches.poses, markers), _stack(matches.true_poses, markers)
     orientations = _stack(matches.orientations, links)
     true_orientations = _stack(matches.true_orientations, links)
     errors = 1000 * np.linalg.norm(poses - true_poses, axis=-1)
-    flexion = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
-    by_links = link_flexions(model, orientations) - link_flexions(model, true_orientations)
-    link_flexion = np.degrees(wrapped(by_links))
-    all_errors, all_angles = ErrorStats.of(errors), AngleStats.of(flexion)
-    all_link_angles = AngleStats.of(link_flexion)
+    all_errors = ErrorStats.of(errors)
+    bending = np.degrees(wrapped(flexions(model, poses) - flexions(model, true_poses)))
+    angles = {name: AngleStats.of(bending[:, k]) for k, name in enumerate(ANGLES)}
+    by_links = _link_angle_stats(model, orientations, true_orientations)
     tracks = matches.tracks.values()
     return Scores(
         mean=all_errors.mean,
         deviation=all_errors.deviation,
         rmse=all_errors.rmse,
         percentile_95=all_errors.percentile_95,
-        angle_rmse=all_angles.rmse,
-        angle_deviation=all_angles.deviation,
-        link_angle_rmse=all_link_angles.rmse,
-        link_angle_deviation=all_link_angles.deviation,
+        angle_rmse=_pooled_rmse(angles),
+        angle_deviation=_mean_deviation(angles),
+        link_angle_rmse=_pooled_rmse(by_links),
+        link_angle_deviation=_mean_deviation(by_links),
         orientation_error=mean_of(np.degrees(angle(orientations, true_orientations))),
         limb_error=_limb_error(matches, truth, model),
         limb_variation=mean_of(limb_variations(tracks, model)),
         jitter=mean_of(jitter(tracks)),
         lag=lag(matches, truth),
         first_frames=mean_of(errors[_first_rows(matches)]),
-        missing=matches.missing,
-        false=matches.false,
+        missing=len(matches.missed),
+        false=None if truth.partial else matches.false,
         switches=matches.switches,
         frames=matches.frames,
+        silent=matches.silent,
         tracking=tracking_scores(matches.similarities),
         parts={part: ErrorStats.of(errors[:, own]) for part, own in parts_of(model).items()},
         joints=ErrorStats.by_name(model.marker_names, errors),
-        pck=pck_curves(errors, model),
-        angles={name: AngleStats.of(flexion[:, k]) for k, name in enumerate(ANGLES)},
-        link_angles={name: AngleStats.of(link_flexion[:, k]) for k, name in enumerate(ANGLES)},
+        pck=pck_curves(errors, model, _unplaced(matches, poses, true_poses)),
+        angles=angles,
+        link_angles=by_links,
+        signed_angles=_signed_angle_stats(model, poses, true_poses),
     )
 
 
-def pck_curves(errors: Floats, model: SkeletonModel) -> dict[str, tuple[float, ...]]:
-    """Share of joints with an error, mm, of at most each threshold; all joints, and by part."""
+def _link_angle_stats(
+    model: SkeletonModel, orientations: Floats, true_orientations: Floats
+) -> dict[str, AngleStats]:
+    """Errors of the z angles of eq. 21, without those of a true joint that is near-singular.
+
+    Only the truth decides, so that every result is scored at the same instants.
+    """
+    found, true = link_angles(model, orientations), link_angles(model, true_orientations)
+    errors = np.degrees(wrapped(found[..., 0] - true[..., 0]))
+    singular = (np.abs(np.degrees(true[..., 1])) > SINGULAR_DEG) & ~np.isnan(errors)
+    errors[singular] = np.nan
+    left_out = singular.sum(axis=0).tolist()
+    return {name: AngleStats.of(errors[:, k], left_out[k]) for k, name in enumerate(ANGLES)}
+
+
+def _signed_angle_stats(
+    model: SkeletonModel, poses: Floats, true_poses: Floats
+) -> dict[str, AngleStats]:
+    """Errors of the signed angles, without those that are near-singular.
+
+    These are flexion and rotation of a limb that is held sideways (docs/angles.md).
+    """
+    found, true = (anatomical_angles(model, p, unwrapped=False) for p in (poses, true_poses))
+    errors = np.degrees(wrapped(found - true))
+    left_out = np.zeros(len(ANGLE_NAMES), int)
+    for joint in (f"{side} {limb}" for side in SIDES for limb in ("hip", "shoulder")):
+        abduction = np.degrees(true[:, ANGLE_NAMES.index(f"{joint} abduction")])
+        for k in (ANGLE_NAMES.index(f"{joint} {name}") for name in ("flexion", "rotation")):
+            singular = (np.abs(abduction) > SINGULAR_DEG) & ~np.isnan(errors[:, k])
+            errors[singular, k] = np.nan
+            left_out[k] = singular.sum()
+    columns = zip(ANGLE_NAMES, errors.T, left_out.tolist(), strict=True)
+    stats = {name: AngleStats.of(column, n) for name, column, n in columns}
+    return {name: own for name, own in stats.items() if own.count or own.singular}
+
+
+def _pooled_rmse(angles: Mapping[str, AngleStats]) -> float:
+    """Hi-ROS eq. 20, where N is the number of all angles."""
+    known = [a for a in angles.values() if a.count]
+    squares = sum(a.count * a.rmse**2 for a in known)
+    return float(np.sqrt(squares / sum(a.count for a in known))) if known else np.nan
+
+
+def _mean_deviation(angles: Mapping[str, AngleStats]) -> float:
+    """Mean over all angles of their joint's SD: each joint has an offset of its own (4.1).
+
+    Without angles that are left out, it is the plain mean over the joints.
+    """
+    known = [a for a in angles.values() if a.count]
+    total = sum(a.count * a.deviation for a in known)
+    return total / sum(a.count for a in known) if known else np.nan
+
+
+def _unplaced(matches: Matches, poses: Floats, true_poses: Floats) -> Floats:
+    """(M,) How often the truth has a marker and the result, which has it elsewhere, lacks it."""
+    lacks = np.isnan(poses[..., 0]) & ~np.isnan(true_poses[..., 0])
+    count = lacks.sum(axis=0) + np.sum(matches.missed, axis=0, initial=0)
+    shown = [~np.isnan(np.stack(t.poses)[..., 0]).all(axis=0) for t in matches.tracks.values()]
+    return np.where(np.any(shown, axis=0), count, 0) if shown else np.asarray(count)
+
+
+def pck_curves(
+    errors: Floats, model: SkeletonModel, unplaced: Floats | None = None
+) -> dict[str, tuple[float, ...]]:
+    """Share of true joints that are within each threshold; all joints, and by part.
+
+    Parameters
+    ----------
+    errors : (R, M) mm, NaN where unknown.
+    unplaced : (M,) how many true joints the result does not have; they are within no threshold.
+    """
     groups = {"all": np.ones(model.n_markers, bool), **parts_of(model)}
-    return {name: _pck(errors[:, own]) for name, own in groups.items()}
+    more = np.zeros(model.n_markers) if unplaced is None else unplaced
+    return {name: _pck(errors[:, own], float(more[own].sum())) for name, own in groups.items()}
 
 
-def _pck(errors: Floats) -> tuple[float, ...]:
+def _pck(errors: Floats, unplaced: float) -> tuple[float, ...]:
     known = errors[~np.isnan(errors)]
-    return tuple(float((known <= t).mean()) if known.size else np.nan for t in PCK_MM)
+    true = known.size + unplaced
+    return tuple(float((known <= t).sum() / true) if true else np.nan for t in PCK_MM)
 
 
 def _stack(rows: list[Floats], shape: tuple[int, int]) -> Floats:

@@ -54,16 +54,18 @@ class ErrorStats:
 
 @dataclass(frozen=True, slots=True)
 class AngleStats:
-    """Errors of a joint's flexion, degrees (Hi-ROS eq. 20, with the mean and SD of the error)."""
+    """Errors of a joint's angle, degrees (Hi-ROS eq. 20, with the mean and SD of the error)."""
 
     rmse: float
     deviation: float
     """Without the constant offset that two conventions may have."""
     bias: float
     count: int
+    singular: int = 0
+    """Angles left out because the true joint is near the singularity of its Euler angles."""
 
     @classmethod
-    def of(cls, errors: Floats) -> AngleStats:
+    def of(cls, errors: Floats, singular: int = 0) -> AngleStats:
         """Summarise errors in degrees."""
         own = ErrorStats.of(errors)
-        return cls(own.rmse, own.deviation, own.mean, own.count)
+        return cls(own.rmse, own.deviation, own.mean, own.count, singular)

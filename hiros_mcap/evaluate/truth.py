@@ -33,6 +33,8 @@ class Truth:
     """Id of each of the N people."""
     model: SkeletonModel | None = None
     """Of the true skeletons; None = that of the result."""
+    partial: bool = False
+    """Whether there were people besides these, of whom the truth knows nothing."""
 
     @classmethod
     def of(cls, frames: Iterable[Frame], model: SkeletonModel | None = None) -> Truth:
@@ -56,8 +58,13 @@ class Truth:
         return cls(stamps, positions, orientations, people, model)
 
     def covers(self, stamp: int) -> bool:
-        """Whether ``stamp`` lies between the first and the last true instant."""
-        return bool(self.stamps[0] <= stamp <= self.stamps[-1])
+        """Whether the truth knows who was there at ``stamp``: at an instant, or within no pause."""
+        after = int(np.searchsorted(self.stamps, stamp))
+        if after == len(self.stamps):
+            return False
+        if self.stamps[after] == stamp:
+            return True
+        return after > 0 and bool(self.stamps[after] - self.stamps[after - 1] <= MAX_GAP_NS)
 
     def at(self, stamp: int) -> tuple[Floats, Floats]:
         """(N, M, 3) positions and (N, L, 4) orientations, linear between the neighbours.
@@ -108,13 +115,13 @@ class Truth:
         """
         if self.model is None or self.model == model:
             return self
-        slots = _same_names(self.model, model)
+        slots = shared_markers(self.model, model)
         if not slots:
             raise ConfigError(
                 "the truth and the result share no marker: "
                 f"{_list(self.model.marker_names)} against {_list(model.marker_names)}"
             )
-        links = _same_ends(self.model, model, slots)
+        links = shared_links(self.model, model, slots)
         positions = np.full((*self.positions.shape[:2], model.n_markers, 3), np.nan)
         orientations = np.full((*self.orientations.shape[:2], model.n_links, 4), np.nan)
         for theirs, ours in slots.items():
@@ -124,7 +131,7 @@ class Truth:
         return replace(self, positions=positions, orientations=orientations, model=model)
 
 
-def _same_names(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:
+def shared_markers(a: SkeletonModel, b: SkeletonModel) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of markers that mean the same, as LShoulder, shoulder_left."""
     theirs = {_name(name): slot for slot, name in enumerate(b.marker_names)}
     pairs = {slot: theirs.get(_name(name)) for slot, name in enumerate(a.marker_names)}
@@ -136,7 +143,7 @@ def _name(name: str) -> tuple[str, str]:
     return "".join(c for c in part if c.isalnum()), side
 
 
-def _same_ends(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
+def shared_links(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
     ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
     found = {}
@@ -147,5 +154,5 @@ def _same_ends(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dic
     return found
 
 
-def _list(names: tuple[str, ...], most: int = 5) -> str:
+def _list(names: tuple[str, ...], most: int = 40) -> str:
     return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

@@ -1,16 +1,21 @@
-"""The truth from a log, or from files of motion capture: TRC (OpenSim, Cortex) and CSV."""
+"""The truth from a log, or from files of motion capture: TRC (OpenSim, Cortex) and CSV.
+
+docs/evaluating.md describes the CSV layout, joints and link orientations, for inertial suits, too.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
 from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -18,6 +23,13 @@ from hiros_mcap.skeletons import Floats, SkeletonModel
 _LAST_TIME = 9e9
 """s; later times do not fit into 64 bits of nanoseconds."""
 _UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+_LARGEST_M, _SMALLEST_M = 10.0, 0.02
+"""Nobody is as large or as small as this, between any two of his markers along an axis."""
+_ENOUGH_MARKERS = 2
+_UNIT_LENGTH = 0.02
+"""By which the length of a quaternion may differ from 1: files round."""
+_LINK = ("parent", "child")
+_QUATERNION = ("qx", "qy", "qz", "qw")
 
 
 def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
@@ -77,56 +89,137 @@ def read_trc(path: Path) -> Truth:
         times.append(values[0])
         rows.append(values[1:])
     positions = _UNITS[unit] * np.array(rows, float).reshape(-1, 1, len(names), 3)
-    return _truth(path, np.array(times), positions, names, (0,))
+    orientations = np.full((*positions.shape[:2], 0, 4), np.nan)
+    model = SkeletonModel.of(names, [])
+    return _truth(path, np.array(times), positions, orientations, model, (0,))
 
 
 def read_csv(path: Path) -> Truth:
-    """Read people's markers from a CSV file with the columns time, person, marker, x, y, z.
+    """Read people's joints and link orientations from a CSV file.
 
-    One row per marker; seconds (from the log's start, or since the epoch) and metres in the
-    fixed frame. ``person`` is a whole number and may be left out when there is one person.
+    The columns time, person, marker, x, y, z give one joint a row: seconds (from the log's start,
+    or since the epoch) and metres in the fixed frame. ``person`` is a whole number and may be left
+    out when there is one person. A row with parent and child, the two markers that a link joins,
+    gives the link's orientation instead: qx, qy, qz, qw in the fixed frame.
 
-    Raises ConfigError if a column is missing or a cell is not a number.
+    Raises ConfigError if a column is missing, a cell is not a number, a quaternion is none, or a
+    link ends at a marker without positions.
     """
+    table = _read_table(path)
+    times = sorted({time for time, _, _ in table.joints} | {time for time, _, _ in table.links})
+    people = sorted({person for _, person, _ in table.joints})
+    names = list(dict.fromkeys(name for _, _, name in table.joints))
+    links = list(dict.fromkeys(ends for _, _, ends in table.links))
+    if unknown := sorted({end for ends in links for end in ends} - set(names)):
+        raise ConfigError(f"{path}: links end at joints without positions: {', '.join(unknown)}")
+    if unknown_people := sorted({p for _, p, _ in table.links} - set(people)):
+        raise ConfigError(f"{path}: links of people without joints: {unknown_people}")
+    shape = (len(times), len(people))
+    positions = np.full((*shape, len(names), 3), np.nan)
+    orientations = np.full((*shape, len(links), 4), np.nan)
+    row_of = {time: k for k, time in enumerate(times)}
+    for (time, person, name), xyz in table.joints.items():
+        positions[row_of[time], people.index(person), names.index(name)] = xyz
+    for (time, person, ends), xyzw in table.links.items():
+        orientations[row_of[time], people.index(person), links.index(ends)] = xyzw
+    slots = [(child, names.index(parent), names.index(child)) for parent, child in links]
+    model = SkeletonModel.of(names, slots)
+    return _truth(path, np.array(times), positions, orientations, model, tuple(people))
+
+
+@dataclass(slots=True)
+class _CsvRows:
+    """The rows of a CSV file, by time, person, and marker or ends of the link."""
+
+    joints: dict[tuple[float, int, str], list[float]] = field(default_factory=dict)
+    links: dict[tuple[float, int, tuple[str, str]], list[float]] = field(default_factory=dict)
+
+
+def _read_table(path: Path) -> _CsvRows:
     try:
         rows = list(csv.DictReader(_lines(path)))
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
     columns = set(rows[0]) if rows else set()
-    if missing := {"time", "marker", "x", "y", "z"} - columns:
+    needed = {"time", "marker", "x", "y", "z"}
+    if columns & {*_LINK, *_QUATERNION}:
+        needed |= {*_LINK, *_QUATERNION}
+    if missing := needed - columns:
         raise ConfigError(f"{path}: line 1: no column {', '.join(sorted(missing))}")
-    cells: dict[tuple[float, int, str], list[float]] = {}
+    table = _CsvRows()
     for line, row in enumerate(rows, start=2):
         stamp = _number(row["time"], path, line)
         person = _number(row.get("person") or "0", path, line)
         if math.isnan(stamp) or not person.is_integer():
             raise ConfigError(f"{path}: line {line}: time and person must be numbers")
-        key = (stamp, int(person), str(row["marker"]).strip())
-        if key in cells:
-            raise ConfigError(f"{path}: line {line}: {key[2]} twice at {stamp} s")
-        cells[key] = [_number(row[axis], path, line) for axis in "xyz"]
-    times = sorted({stamp for stamp, _, _ in cells})
-    people = sorted({person for _, person, _ in cells})
-    names = list(dict.fromkeys(name for _, _, name in cells))
-    positions = np.full((len(times), len(people), len(names), 3), np.nan)
-    where = {stamp: k for k, stamp in enumerate(times)}
-    for (stamp, person, name), xyz in cells.items():
-        positions[where[stamp], people.index(person), names.index(name)] = xyz
-    return _truth(path, np.array(times), positions, names, tuple(people))
+        _read_row(table, row, (stamp, int(person)), f"{path}: line {line}")
+    return table
+
+
+def _read_row(
+    table: _CsvRows, row: Mapping[str, str | None], who: tuple[float, int], where: str
+) -> None:
+    marker, parent, child = ((row.get(c) or "").strip() for c in ("marker", *_LINK))
+    if bool(marker) == bool(parent or child) or bool(parent) != bool(child):
+        raise ConfigError(f"{where}: needs either a marker, or the parent and child of a link")
+    if marker:
+        if (*who, marker) in table.joints:
+            raise ConfigError(f"{where}: {marker} twice at {who[0]} s")
+        table.joints[*who, marker] = _numbers(row, "xyz", where)
+        return
+    xyzw = _numbers(row, _QUATERNION, where)
+    length = math.hypot(*xyzw)
+    if not abs(length - 1.0) <= _UNIT_LENGTH:  # nan, too
+        raise ConfigError(f"{where}: the quaternion has the length {length:.3g}, not 1")
+    if (*who, (parent, child)) in table.links:
+        raise ConfigError(f"{where}: link {parent} to {child} twice at {who[0]} s")
+    table.links[*who, (parent, child)] = [q / length for q in xyzw]
+
+
+def _numbers(row: Mapping[str, str | None], columns: Sequence[str], where: str) -> list[float]:
+    return [_parsed(row[column], where) for column in columns]
 
 
 def _truth(
-    path: Path, times: Floats, positions: Floats, names: list[str], people: tuple[int, ...]
+    path: Path,
+    times: Floats,
+    positions: Floats,
+    orientations: Floats,
+    model: SkeletonModel,
+    people: tuple[int, ...],
 ) -> Truth:
-    if len(set(names)) < len(names):
+    if len(set(model.marker_names)) < model.n_markers:
         raise ConfigError(f"{path}: a marker is named twice")
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise ConfigError(f"{path}: needs at least two increasing times")
     if np.abs(times).max() > _LAST_TIME:
         raise ConfigError(f"{path}: a time is beyond {_LAST_TIME:g} s; times are seconds")
+    if (step := float(np.median(np.diff(times)))) > MAX_GAP_NS / 1e9:
+        raise ConfigError(
+            f"{path}: the instants are {step:g} s apart, more than {MAX_GAP_NS / 1e9:g} s; times "
+            "are seconds, neither milliseconds nor numbers of frames"
+        )
+    _check_unit(path, positions)
     stamps = np.rint(times * 1e9).astype(np.int64)
-    orientations = np.full((*positions.shape[:2], 0, 4), np.nan)
-    return Truth(stamps, positions, orientations, people, SkeletonModel.of(names, []))
+    return Truth(stamps, positions, orientations, people, model)
+
+
+def _check_unit(path: Path, positions: Floats) -> None:
+    """Refuse people (T, N, M, 3) who are far too large or too small to be in metres."""
+    unknown = np.isnan(positions).any(axis=-1, keepdims=True)
+    enough = (~unknown).sum(axis=(-2, -1)) >= _ENOUGH_MARKERS
+    people = np.where(unknown, np.nan, positions)[enough]
+    if not len(people):
+        return
+    size = float(np.median((np.nanmax(people, axis=1) - np.nanmin(people, axis=1)).max(axis=-1)))
+    if size > _LARGEST_M:
+        unit = "millimetres" if size > 30 * _LARGEST_M else "centimetres"
+        raise ConfigError(
+            f"{path}: its people measure {size:.4g} m; the coordinates look like {unit}. "
+            "Convert them to metres"
+        )
+    if 0 < size < _SMALLEST_M and positions.shape[2] > _ENOUGH_MARKERS:
+        raise ConfigError(f"{path}: its people measure {size:.2g} m; is the unit right?")
 
 
 def _lines(path: Path) -> list[str]:
@@ -137,11 +230,15 @@ def _lines(path: Path) -> list[str]:
 
 
 def _number(text: str | None, path: Path, line: int) -> float:
+    return _parsed(text, f"{path}: line {line}")
+
+
+def _parsed(text: str | None, where: str) -> float:
     text = (text or "").strip()
     try:
         number = float(text) if text else math.nan
     except ValueError:
         number = math.inf
     if math.isinf(number):
-        raise ConfigError(f"{path}: line {line}: {text!r} is not a number")
+        raise ConfigError(f"{where}: {text!r} is not a number")
     return number

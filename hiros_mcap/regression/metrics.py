@@ -50,7 +50,7 @@ METRICS: Mapping[str, Metric] = {
     "limb_error": Metric("mm", -1, 0.1, lambda s: s.limb_error),
     "lag": Metric("ms", -1, 1.0, lambda s: abs(s.lag)),
     "missing": Metric("", -1, 0, lambda s: s.missing),
-    "false": Metric("", -1, 0, lambda s: s.false),
+    "false": Metric("", -1, 0, lambda s: math.nan if s.false is None else s.false),
     "id_switches": Metric("", -1, 0, lambda s: s.switches),
     "mota": Metric("", 1, 1e-3, lambda s: s.tracking.mota),
     "idf1": Metric("", 1, 1e-3, lambda s: s.tracking.idf1),

@@ -1,15 +1,20 @@
-"""The sixteen actions of the Hi-ROS evaluation (Table 5): where people are and what they do."""
+"""What people do and where.
+
+The sixteen actions of the Hi-ROS evaluation (Guidolin et al. 2023, Table 5), and the gestures of
+Lee et al. (2022, section 2.3) that are not among them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hiros_mcap.simulate.body_model import BodyModel
 from hiros_mcap.simulate.motion import (
     JOG,
+    MARCH,
     WALK,
     Gait,
     Person,
@@ -22,7 +27,7 @@ from hiros_mcap.simulate.motion import (
 from hiros_mcap.simulate.paths import TURN, Eight, Ellipse, Path, Spot, bump, hold
 from hiros_mcap.skeletons import Floats
 
-SPEED = {WALK: 1.2, JOG: 2.5}  # m/s, mean along the path
+SPEED = {WALK: 1.2, JOG: 2.5, MARCH: 0.0}  # m/s, mean along the path
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +134,33 @@ def jump(posture: Posture, t: Floats, style: Style) -> None:
     posture.foot_pitch += (0.5 * flight)[:, None]
     for side in ("left", "right"):
         posture.add(f"upper_arm_{side}", arm(side, 1.6 * flight - 0.5 * crouch, 0.2 * flight))
+
+
+def lunge(posture: Posture, t: Floats, style: Style) -> None:
+    """Step far ahead, bend both knees, step back, every 3.5 s; the other foot next time."""
+    turn = style.cycle(t, 7.0)
+    for foot, first in ((0, 0.0), (1, 0.5)):
+        x = 2 * (turn - first)  # 0..1 while this foot steps
+        step, down = hold(x, 0.05, 0.32, 0.66, 0.93), hold(x, 0.18, 0.45, 0.58, 0.84)
+        lift = bump(x, 0.05, 0.32) + bump(x, 0.66, 0.93)
+        ahead = hold(x, 0.08, 0.42, 0.60, 0.92)
+        _shift_pelvis(posture, 0.36 * ahead, -0.27 * style.extent * down)
+        c, s = np.cos(posture.heading), np.sin(posture.heading)
+        posture.toes[:, foot] += np.stack([0.72 * step * c, 0.72 * step * s, 0.08 * lift], axis=-1)
+        posture.foot_pitch[:, 1 - foot] += 0.95 * ahead  # the heel behind rises
+        _lean(posture, 0.12 * down)
+        for side in ("left", "right"):
+            posture.add(f"upper_arm_{side}", arm(side, 0.15 * down, 0.25 * down))
+            posture.add(f"forearm_{side}", angles(0.5 * down))
+
+
+def hands_up_down(posture: Posture, t: Floats, style: Style) -> None:
+    """Raise both stretched arms in front over the head and lower them, every 3 s."""
+    up = hold(style.cycle(t, 3.0), 0.05, 0.42, 0.54, 0.92)
+    for side in ("left", "right"):
+        posture.add(f"upper_arm_{side}", arm(side, 2.8 * up, 0.12 * up))
+        posture.add(f"forearm_{side}", angles(-0.08 * up))
+    posture.add("thorax", angles(0.06 * up))
 
 
 def cross_arms(posture: Posture, t: Floats, style: Style) -> None:
@@ -275,14 +307,25 @@ class Action:
     gait: Gait | None = None
     gesture: Gesture | None = None
 
-    def perform(self, bodies: Sequence[BodyModel], rng: np.random.Generator) -> list[Person]:
-        """Let each body perform the action in its own style."""
+    def perform(
+        self,
+        bodies: Sequence[BodyModel],
+        rng: np.random.Generator,
+        facing_deg: float | None = None,
+    ) -> list[Person]:
+        """Let each body perform the action in its own style; all on a spot may face one way."""
         speed = SPEED[self.gait] if self.gait else 0.0
         paths = self.layout(len(bodies), speed, rng)
+        if facing_deg is not None:
+            paths = [_facing(path, np.radians(facing_deg)) for path in paths]
         return [
             Person(body, _performance(self, body, path, Style.of(rng)))
             for body, path in zip(bodies, paths, strict=True)
         ]
+
+
+def _facing(path: Path, facing: float) -> Path:
+    return replace(path, facing=facing) if isinstance(path, Spot) else path
 
 
 def _performance(
@@ -320,5 +363,9 @@ ACTIONS: dict[str, Action] = {
     "cross": Action(crossing, WALK),
     "in_out": Action(in_and_out, WALK),
     "eight": Action(eight, WALK),
+    "lunge": Action(spots, gesture=lunge),
+    "hands_up_down": Action(spots, gesture=hands_up_down),
+    "walk_in_place": Action(spots, MARCH),
 }
-"""Table 5 of the paper without its three calibration poses."""
+"""Table 5 of the Hi-ROS paper without its three calibration poses, then Lee's gestures. Somebody
+who is filmed from the front cannot walk away: he walks on the spot."""

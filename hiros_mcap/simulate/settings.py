@@ -47,6 +47,9 @@ ActionName = Literal[
     "cross",
     "in_out",
     "eight",
+    "lunge",
+    "hands_up_down",
+    "walk_in_place",
 ]
 
 
@@ -173,7 +176,15 @@ class SimulateParams(Params):
 
     people: Annotated[int, Field(ge=0, le=10)] = Field(1, description="Number of people.")
     cameras: Annotated[int, Field(ge=1, le=32)] = Field(5, description="Number of cameras.")
-    action: ActionName = Field("walk", description="What everybody does (the paper's Table 5).")
+    action: ActionName = Field(
+        "walk",
+        description="What everybody does: Table 5 of Hi-ROS 2023, and gestures of Lee et al. 2022.",
+    )
+    facing: Annotated[float, Field(ge=-360, le=360)] | None = advanced(
+        None,
+        description="Direction that everybody on a spot faces, deg from x to y; default: at "
+        "random.",
+    )
     motion: tuple[str, ...] = Field(
         (),
         description="AMC or BVH files that people perform instead of the action, one each; more "

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +15,14 @@ from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.comparison import Entry, Task, run_task
-from hiros_mcap.evaluate.logs import evaluate_log, fused_topics
+from hiros_mcap.evaluate.logs import evaluate_log, fused_topics, start_of
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate.write_log import write_log
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +92,112 @@ def test_markers_without_a_truth_are_named(
     assert not {"PELVIS", "NECK"} & set(re.findall(r"\w+", note))
 
 
+def test_a_result_without_its_cameras_is_scored_if_a_truth_is_given(
+    walking: Path, processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`process --keep ''`, and a truth in a file of motion capture: times count from the start."""
+    bare, whole = tmp_path / "bare.mcap", json_of(processed, capsys)["channels"]
+    process(walking, bare, options=ProcessOptions(keep=()))
+    assert json_of(bare, capsys, "--truth", str(walking))["channels"] == whole
+    truth = load_truth(walking)
+    capture = write_csv(tmp_path / "truth.csv", truth, seconds_from=start_of(bare))
+    scores = json_of(bare, capsys, "--truth", str(capture))["channels"]["/hiros/filtered"]
+    assert scores["mean"] == pytest.approx(whole["/hiros/filtered"]["mean"], abs=0.01)
+    assert scores["lag"] == pytest.approx(whole["/hiros/filtered"]["lag"], abs=0.1)
+
+
+def json_of(log: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    assert run(["eval", str(log), "--json", *options]) == 0
+    data: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return data
+
+
+def write_csv(path: Path, truth: Truth, scale: float = 1.0, seconds_from: int = 0) -> Path:
+    assert truth.model is not None
+    rows = [
+        f"{(stamp - seconds_from) / 1e9:.9f},0,{name},{','.join(f'{scale * x:.4f}' for x in point)}"
+        for stamp, (pose,) in zip(truth.stamps.tolist(), truth.positions, strict=True)
+        for name, point in zip(truth.model.marker_names, pose.tolist(), strict=True)
+    ]
+    path.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
+    return path
+
+
+def test_without_cameras_and_truth_there_is_one_line_with_the_remedy(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = ("/camera_0/*",)
+    process(walking, tmp_path / "bare.mcap", options=ProcessOptions(keep=(), topics=camera))
+    only_truth = ProcessOptions(keep=("/truth/*",), topics=camera, stages="T")
+    process(walking, tmp_path / "both.mcap", options=only_truth)
+    assert run(["eval", str(tmp_path / "bare.mcap")]) == 2
+    assert re.fullmatch(
+        "hiros: error: .*bare.mcap: has no truth, and no cameras .* --truth FILE\n",
+        capsys.readouterr().err,
+    )
+    assert run(["eval", str(tmp_path / "bare.mcap"), "--leave-one-out"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert run(["eval", str(tmp_path / "both.mcap"), "-q"]) == 0
+
+
+def test_a_truth_is_perfect_against_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = tmp_path / "truth.mcap"
+    simulation = simulate(SimulateParams(seconds=1.0, cameras=1))
+    with McapWriter(truth) as writer:
+        channel = add_skeleton_channel(writer, "/truth/skeletons")
+        for frame in simulation.truth:
+            writer.write(channel, frame.log_time, Encoder(simulation.model).encode(frame))
+        writer.commit()
+    scores = json_of(truth, capsys, "--truth", str(truth))["channels"]["/truth/skeletons"]
+    assert (scores["mean"], scores["missing"], scores["false"]) == (0, 0, 0)
+    assert run(["eval", str(truth)]) == 2
+    assert "holds a truth but no result" in capsys.readouterr().err
+
+
+def test_silence_is_a_warning_also_when_quiet(
+    walking: Path, processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The truth goes on for 2 s after the result has ended."""
+    truth = load_truth(walking)
+    late = np.concatenate([truth.stamps, truth.stamps[-1] + np.arange(1, 61) * 33_333_333])
+    more = np.concatenate([truth.positions, np.repeat(truth.positions[-1:], 60, axis=0)])
+    capture = write_csv(tmp_path / "truth.csv", replace(truth, stamps=late, positions=more))
+    assert run(["eval", str(processed), "--truth", str(capture), "-q"]) == 0
+    warning = capsys.readouterr().err
+    assert warning.startswith("hiros: warning: instants of the truth without a frame")
+    data = json_of(processed, capsys, "--truth", str(capture))
+    scores = data["channels"]["/hiros/filtered"]
+    assert 55 <= scores["silent"] == scores["missing"] <= 65
+    assert scores["tracking"]["mota"] < 0.7
+    assert len(data["warnings"]) == 1
+
+
+def test_a_truth_of_one_of_two_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, one = tmp_path / "two.mcap", tmp_path / "one.csv"
+    scene = {"people": 2, "action": "cross", "seconds": 3.0, "cameras": 2}
+    write_log(log, SimulateParams.model_validate(scene))
+    truth = load_truth(log)
+    write_csv(one, replace(truth, positions=truth.positions[:, :1], people=(0,)))
+    process(log, tmp_path / "out.mcap", options=ProcessOptions(keep=()))
+    found = {
+        covers: json_of(
+            tmp_path / "out.mcap", capsys, "--truth", str(one), "--truth-covers", covers
+        )
+        for covers in ("all", "partial", "auto")
+    }
+    scores = {covers: f["channels"]["/hiros/filtered"] for covers, f in found.items()}
+    assert scores["all"]["false"] > 60
+    assert abs(scores["all"]["tracking"]["mota"]) < 0.1
+    assert scores["partial"]["false"] is None
+    assert scores["partial"]["tracking"]["mota"] > 0.95
+    assert scores["auto"] == scores["partial"]
+    assert found["auto"]["truth_covers"] == "partial"
+    assert "--truth-covers all" in found["auto"]["warnings"][0]
+    assert found["all"]["warnings"] == []
+
+
 def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["eval", str(walking), "--leave-one-out", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
@@ -92,28 +206,45 @@ def test_without_truth(walking: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "Mirrored" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("scale", "wrong"), [(1.0, False), (1000.0, True)])
-def test_a_truth_that_nobody_is_near_to_may_have_another_unit(
+@pytest.mark.parametrize(("away", "wrong"), [(0.0, False), (800.0, True)])
+def test_a_truth_that_nobody_is_near_to_may_have_another_frame(
     processed: Path,
     walking: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    scale: float,
+    away: float,
     wrong: bool,
 ) -> None:
     truth = load_truth(walking)
-    assert truth.model is not None
-    rows = [
-        f"{stamp / 1e9:.9f},0,{name},{','.join(f'{scale * x:.4f}' for x in point)}"
-        for stamp, (pose,) in zip(truth.stamps.tolist(), truth.positions, strict=True)
-        for name, point in zip(truth.model.marker_names, pose.tolist(), strict=True)
-    ]
-    table = tmp_path / "truth.csv"
-    table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
+    table = write_csv(
+        tmp_path / "truth.csv", replace(truth, positions=truth.positions + np.array([0, 0, away]))
+    )
     assert run(["eval", str(processed), "--truth", str(table)]) == 0
     out = capsys.readouterr().out
     assert ("Is the truth in metres, in the log's fixed frame" in out) == wrong
-    assert not wrong or re.search(r"truth \(.*, 8\d\d\.\d\), result \(.*, 0\.8\d*\)", out)
+    assert not wrong or re.search(r"truth \(.*, 80\d\.\d\), result \(.*, 0\.8\d*\)", out)
+
+
+def test_a_truth_in_millimetres_is_refused(
+    processed: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = write_csv(tmp_path / "truth.csv", load_truth(walking), scale=1000.0)
+    assert run(["eval", str(processed), "--truth", str(table)]) == 2
+    assert "the coordinates look like millimetres" in capsys.readouterr().err
+
+
+def test_joints_that_the_result_lacks_are_listed(
+    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "truth.csv"
+    names = ("PELVIS", "C7", "jRightT4")
+    rows = [f"{t},0,{name},0,0,1" for t in np.arange(0, 3.6, 0.4) for name in names]
+    table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
+    data = json_of(processed, capsys, "--truth", str(table))
+    assert any(text.endswith("that the result lacks: C7, jRightT4") for text in data["notes"])
+    table.write_text("\n".join(["time,person,marker,x,y,z", *rows[1::3], *rows[2::3]]))
+    assert run(["eval", str(processed), "--truth", str(table)]) == 2
+    assert "share no marker: C7, jRightT4 against PELVIS" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

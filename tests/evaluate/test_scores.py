@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.angles import flexions
@@ -179,11 +180,92 @@ def arms(angles: Sequence[float]) -> list[Frame]:
 
 
 def test_eq20_angles_are_off_by_what_the_elbow_is() -> None:
-    """Shoulder right, elbow off by +4 and -2 degrees in turn: RMSE over both joints, and SD."""
+    """Shoulder right, elbow off by +4 and -2 degrees in turn: RMSE over both joints, mean SD."""
     off = np.radians([4.0, -2.0] * 10)
     scores = evaluate(arms(1.0 + off), Truth.of(arms(np.full(20, 1.0))), ARM)
     assert scores.angle_rmse == pytest.approx(math.sqrt((16 + 4) / 2 / 2))
-    assert scores.angle_deviation == pytest.approx(np.std([4, -2, 0, 0]))
+    assert scores.angle_deviation == pytest.approx((np.std([4, -2]) + 0) / 2)
+
+
+def test_constant_offsets_of_two_joints_are_no_deviation() -> None:
+    """One elbow always 10 degrees too far, the other always 10 degrees too little."""
+    model = SkeletonModel.of(
+        ["Neck", "Pelvis", "LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist"], []
+    )
+
+    def both(left: float, right: float) -> list[Frame]:
+        frames = []
+        for k in range(20):
+            frame = Frame.empty(1, model, stamp=at(k), source="a")
+            arm = bent(right)[2:] * [1, -1, 1]
+            frame.ids[:], frame.positions[0] = 0, np.concatenate([bent(left), arm])
+            frames.append(frame)
+        return frames
+
+    off = math.radians(10)
+    scores = evaluate(both(1 + off, 1 - off), Truth.of(both(1, 1)), model)
+    assert scores.angle_rmse == pytest.approx(10 / math.sqrt(2))  # two elbows of four joints
+    assert scores.angle_deviation == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("abduction", "left_out"), [(60.0, 0), (80.0, 20), (-89.0, 20)])
+def test_near_singular_link_angles_are_left_out_and_counted(
+    abduction: float, left_out: int
+) -> None:
+    """A forearm whose x angle nears 90 degrees; the result is rotated by 2 degrees about y."""
+    model = SkeletonModel.of(["LShoulder", "LElbow", "LWrist"], [("arm", 0, 1), ("fore", 1, 2)])
+
+    def turned(y: float) -> list[Frame]:
+        frames = arms(np.full(20, 1.0))
+        result = []
+        for frame in frames:
+            new = Frame.empty(1, model, stamp=frame.stamp, source="a")
+            new.ids[:], new.positions[0] = 0, frame.positions[0, 2:]
+            new.links[0, 0, 3:7] = [0, 0, 0, 1]
+            turn = Rotation.from_euler("ZXY", [30, abduction, y], degrees=True)
+            new.links[0, 1, 3:7] = turn.as_quat()
+            result.append(new)
+        return result
+
+    elbow = evaluate(turned(2), Truth.of(turned(0)), model).link_angles["left elbow"]
+    assert elbow.singular == left_out
+    assert elbow.count == 20 - left_out
+
+
+def lifted(flexion: float, abduction: float) -> list[Frame]:
+    """A straight right arm, lifted forwards and sideways by degrees; somebody who faces x."""
+    model = ARM_AND_TRUNK
+    turn = Rotation.from_euler("YXZ", [-flexion, -abduction, 0], degrees=True)
+    shoulder = np.array([0, -0.2, 1.4])
+    arm = [shoulder, *(shoulder + turn.apply([0, 0, -length]) for length in (0.3, 0.55))]
+    pose = np.array([[0, 0, 1.5], [0, 0, 1], [0, 0.2, 1.4], *arm])
+    frames = []
+    for k in range(20):
+        frame = Frame.empty(1, model, stamp=at(k), source="a")
+        frame.ids[:], frame.positions[0] = 0, pose
+        frames.append(frame)
+    return frames
+
+
+ARM_AND_TRUNK = SkeletonModel.of(
+    ["Neck", "Pelvis", "LShoulder", "RShoulder", "RElbow", "RWrist"], []
+)
+
+
+def test_signed_angles_tell_forwards_from_sideways() -> None:
+    """Both arms bend by 40 degrees from the trunk; one is lifted forwards, one backwards."""
+    scores = evaluate(lifted(40, 0), Truth.of(lifted(-40, 0)), ARM_AND_TRUNK)
+    assert scores.angles["right shoulder"].rmse == pytest.approx(0, abs=1e-6)
+    assert scores.signed_angles["right shoulder flexion"].bias == pytest.approx(80)
+    assert scores.signed_angles["right shoulder abduction"].bias == pytest.approx(0, abs=1e-6)
+    assert "left knee flexion" not in scores.signed_angles
+
+
+def test_the_flexion_of_an_arm_held_sideways_is_left_out_and_counted() -> None:
+    scores = evaluate(lifted(0, 85), Truth.of(lifted(3, 85)), ARM_AND_TRUNK)
+    flexion = scores.signed_angles["right shoulder flexion"]
+    assert (flexion.count, flexion.singular) == (0, 20)
+    assert scores.signed_angles["right shoulder elevation"].count == 20
 
 
 @pytest.mark.parametrize("degrees", [0, 45, 90, 179])
@@ -211,6 +293,17 @@ def test_pck_parts_and_joints() -> None:
     assert scores.parts["upper limbs"].mean == pytest.approx(29.5)
     assert scores.parts["torso"].mean == pytest.approx(0, abs=1e-9)
     assert scores.rmse == pytest.approx(59 / math.sqrt(8))
+
+
+def test_joints_that_a_result_lacks_are_within_no_threshold() -> None:
+    """One of two people is missed in half of the frames; a wrist of the other in all but one."""
+    result = [f.select([0]) if k % 2 else f for k, f in enumerate(frames())]
+    for frame in result[1:]:
+        frame.markers[0, 6] = np.nan
+    assert evaluate(result, TRUTH, MODEL).pck_at(100) == pytest.approx(1 - (30 * 8 + 59) / 960)
+    for frame in result:
+        frame.markers[:, 6] = np.nan  # a detector without wrists
+    assert evaluate(result, TRUTH, MODEL).pck_at(100) == pytest.approx(1 - 30 * 7 / 840)
 
 
 def test_limb_error_against_the_true_length() -> None:

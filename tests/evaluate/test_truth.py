@@ -32,6 +32,15 @@ TRC = (
     "2\t0.01\t110\t200\t300\t\t\t\n"
 )
 
+LINKS = """time,person,marker,x,y,z,parent,child,qx,qy,qz,qw
+0.0,0,Pelvis,0,0,1,,,,,,
+0.0,0,Neck,0,0,1.5,,,,,,
+0.0,0,,,,,Pelvis,Neck,0,0,0,1
+0.1,0,Pelvis,0,0,1,,,,,,
+0.1,0,Neck,0,0,1.5,,,,,,
+0.1,0,,,,,Pelvis,Neck,0,0,0.6,0.8
+"""
+
 
 def write(folder: Path, name: str, text: str) -> Path:
     path = folder / name
@@ -72,6 +81,19 @@ def test_csv_of_two_people(tmp_path: Path) -> None:
     assert np.isnan(truth.positions[0, 1]).all()
 
 
+def test_csv_of_joints_and_link_orientations(tmp_path: Path) -> None:
+    """A suit of inertial sensors; the same motion scores 0, another link convention its angle."""
+    truth = load_truth(write(tmp_path, "a.csv", LINKS)).moved(start=START)
+    assert truth.model is not None
+    assert (truth.model.link_parents, truth.model.link_children) == ((0,), (1,))
+    assert truth.orientations[:, 0, 0].tolist() == [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
+    result = [seen([person()], START + k * 50_000_000, ids=[4], turns=True) for k in range(3)]
+    scores = evaluate(result, truth, MODEL)
+    turn = 2 * math.degrees(math.asin(0.6))
+    assert scores.orientation_error == pytest.approx((0 + turn / 2 + turn) / 3)
+    assert set(scores.joints) == {"PELVIS", "NECK"}
+
+
 def test_trc_in_millimetres_with_a_gap(tmp_path: Path) -> None:
     truth = load_truth(write(tmp_path, "a.trc", TRC))
     assert truth.positions[0, 0, 0] == pytest.approx([0.1, 0.2, 0.3])
@@ -104,6 +126,15 @@ def test_y_up_becomes_z_up(tmp_path: Path) -> None:
         ("a.csv", CSV.replace("0.5,2", "0.5,1.5"), "line 5: time and person must be numbers"),
         ("a.csv", CSV.replace("1.5", "inf", 1), "line 3: 'inf' is not a number"),
         ("a.csv", CSV.replace("0.5,", "1e12,"), "times are seconds"),
+        ("a.csv", CSV.replace("0.5,", "500,"), "500 s apart.* neither milliseconds nor numbers"),
+        ("a.csv", CSV.replace("1.5", "1500").replace("0,1\n", "0,1000\n"), "look like millimetres"),
+        ("a.csv", CSV.replace("1.5", "150").replace("0,1\n", "0,100\n"), "look like centimetres"),
+        ("a.csv", LINKS.replace("qw", "w"), "line 1: no column qw"),
+        ("a.csv", LINKS.replace("Neck,0,0,0,1", "Neck,0,0,0,2"), "line 4: .* length 2, not 1"),
+        ("a.csv", LINKS.replace("Neck,0,0,0,1", "Nose,0,0,0,1"), "without positions: Nose"),
+        ("a.csv", LINKS.replace("Pelvis,Neck,0,0,0,1", ",Neck,0,0,0,1"), "line 4: .* parent and"),
+        ("a.csv", LINKS + "0.1,0,,,,,Pelvis,Neck,0,0,0,1\n", "link Pelvis to Neck twice"),
+        ("a.csv", LINKS.replace("Neck,0,0,0,1", "Neck,,0,0,1"), "line 4: .* length nan"),
         ("a.trc", TRC + "3\n", "line 8: has no time"),
         ("a.trc", "hello\n" * 7, "not a TRC file"),
         ("a.trc", TRC.replace("mm", "inch"), "unit 'inch'"),

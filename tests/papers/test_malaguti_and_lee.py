@@ -10,12 +10,22 @@ import lee_2022
 import malaguti_2019
 import numpy as np
 import pytest
-from published import LEE, LEE_CAMERAS, LEE_RADII, MALAGUTI
+from lee_2022_gestures import (
+    appendix_tables,
+    check_gestures,
+    gesture_errors,
+    gesture_scenes,
+    gesture_table,
+)
+from published import LEE, LEE_CAMERAS, LEE_COLUMNS, LEE_RADII, MALAGUTI, lee_appendix, lee_mean
 
 from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, run_task
+from hiros_mcap.evaluate.parts import PARTS, part_of
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.simulate.body_model import MARKERS
 from hiros_mcap.stages.cluster import LEE_JOINTS
+
+LEE_MARKERS = tuple(dict.fromkeys(joint for _, joint in lee_appendix()))
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +58,62 @@ def test_the_published_numbers_agree_with_what_the_papers_say_of_them() -> None:
         assert errors == sorted(errors, reverse=True)
 
 
+def test_what_lees_text_says_are_the_means_of_his_appendix_with_digits_cut_off() -> None:
+    parts = [tuple(j for j in LEE_MARKERS if part_of(j) == part) for part in PARTS]
+    said = [(f"A5_{100 * r:.0f}", pairs) for r, pairs in LEE_RADII.items()]
+    said += [(f"TNOS_{n}", pairs) for n, pairs in LEE_CAMERAS.items()]
+    said += [("A1", LEE["lee-a1"])]
+    for column, pairs in said:
+        means = np.array([lee_mean(column, part) for part in parts])
+        assert ((np.array(pairs) <= means + 1e-9) & (np.array(pairs) > means - 0.1)).all(), column
+
+
+def test_lees_gains_by_gesture() -> None:
+    """Section 4: elbow and wrist of all gestures and of the squat, knee and ankle of the lunge."""
+    for names, gestures, gains in (
+        (("ELBOW",), (), (20.1, 23.4, 27.0)),
+        (("WRIST",), (), (29.8, 45.4, 51.6)),
+        (("ELBOW",), ("squat",), (34.3, 39.3, 42.7)),
+        (("KNEE",), ("lunge",), (25.5, 27.7, 27.6)),
+        (("ANKLE",), ("lunge",), (28.4, 32.2, 34.5)),
+    ):
+        joints = tuple(f"{name}_{side}" for name in names for side in ("LEFT", "RIGHT"))
+        first = lee_mean("A1", joints, gestures)[0]
+        own = [first - lee_mean(f"A{k}_10", joints, gestures)[0] for k in (3, 4, 5)]
+        assert own == pytest.approx(gains, abs=0.11)
+
+
+def test_the_paper_holds_what_it_claims_of_the_gestures() -> None:
+    assert [claim.holds for claim in check_gestures(lee_appendix())] == [True, True, True]
+    swapped = {
+        ({"squat": "jump", "jump": "squat"}.get(gesture, gesture), joint): row
+        for (gesture, joint), row in lee_appendix().items()
+    }
+    assert [claim.holds for claim in check_gestures(swapped)] == [True, False, True]
+
+
+def test_the_layout_of_lees_appendix() -> None:
+    assert len(lee_appendix()) == 6 * 16
+    errors, deviations = appendix_tables(lee_appendix())
+    assert len(errors.rows) == len(deviations.rows) == 2 * 6 * 16
+    assert errors.rows[0][:5] == ("hands_up_down", "PELVIS", "30.40", "31.09", "31.09")
+    assert errors.rows[1][1:] == ("paper", *errors.rows[0][2:])
+    assert gesture_table(lee_appendix()).rows[8] == (
+        "squat", "A1", "42.6 (12.1) [42.6 (12.1)]", "113.5 (56.3) [113.5 (56.3)]",
+        "38.7 (17.7) [38.7 (17.7)]",
+    )  # fmt: skip
+
+
+def test_six_gestures_in_four_directions_for_real(tmp_path: Path) -> None:
+    scenes = list(gesture_scenes())
+    assert len(scenes) == 24
+    logs = lee_2022.simulated(tmp_path, scenes[12:13], seconds=1.0)
+    errors = gesture_errors(logs, jobs=1)
+    assert set(errors) == {("lunge", joint) for joint in LEE_MARKERS}
+    assert all(set(row) == set(LEE_COLUMNS) for row in errors.values())
+    assert errors["lunge", "WRIST_LEFT"]["A5_10"][0] > errors["lunge", "PELVIS"]["A5_10"][0] > 0
+
+
 def test_the_order_of_malagutis_table_1(scores: Scores) -> None:
     names = ("malaguti", "raw", "openptrack", "maf")
     for errors, holds in (((10, 11, 12, 13), True), ((10, 12, 11, 13), False)):
@@ -65,7 +131,7 @@ def test_the_order_of_lees_variants_is_that_of_the_printed_digits(scores: Scores
 
 @pytest.mark.parametrize(("errors", "holds"), [((12, 10, 11, 15), True), ((12, 10, 11, 9), False)])
 def test_the_best_radius(scores: Scores, errors: Sequence[float], holds: bool) -> None:
-    names = [f"lee-a4,cluster.radius={radius:g}" for radius in LEE_RADII]
+    names = [f"lee-a5,cluster.radius={radius:g}" for radius in LEE_RADII]
     (claim,) = lee_2022.check_claims(outcomes(scores, names, errors))
     assert claim.holds == holds
 
@@ -97,9 +163,13 @@ def test_lees_layout(scores: Scores) -> None:
     assert row[0] == "lee-a1"
     assert row[3].startswith("30.0 (")
     assert row[3].endswith("[90.9 (44.9)]")
-    radii = [outcome(scores, f"lee-a4,cluster.radius={r:g}", 30.0) for r in LEE_RADII]
-    upper = [row[3].partition(" [")[2] for row in lee_2022.part_table("", radii).rows]
-    assert upper == ["60.2 (36.2)]", "51.6 (26.7)]", "53.5 (26.6)]", "58.1 (27.8)]"]
+    for variant, published in (
+        ("a5", ["60.2 (36.2)]", "51.6 (26.7)]", "53.5 (26.6)]", "58.1 (27.8)]"]),
+        ("a4", ["64.8 (40.0)]", "56.5 (31.7)]", "57.6 (31.3)]", "62.1 (32.6)]"]),
+    ):
+        radii = [outcome(scores, f"lee-{variant},cluster.radius={r:g}", 30.0) for r in LEE_RADII]
+        upper = [row[3].partition(" [")[2] for row in lee_2022.part_table("", radii).rows]
+        assert upper == published
     joints = lee_2022.joint_table([outcome(scores, "lee-a1", 30.0)])
     assert joints.header == ("Joint", "lee-a1")
     assert [row[0] for row in joints.rows] == list(MARKERS)

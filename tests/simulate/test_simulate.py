@@ -61,6 +61,51 @@ def test_bodies_have_constant_limbs_and_move_smoothly(action: str) -> None:
     assert speed < 12
 
 
+def poses_of(action: str, **changes: object) -> Floats:
+    """(T, M, 3) one person facing x for 8 s."""
+    scene = {"action": action, "facing": 0.0, "seconds": 8.0, "cameras": 1, **changes}
+    return np.stack([frame.positions[0] for frame in perfect(**scene).truth])
+
+
+def test_a_lunge_puts_one_foot_far_ahead_and_bends_both_knees() -> None:
+    poses = poses_of("lunge")
+    feet = poses[:, [SLOT["FOOT_LEFT"], SLOT["FOOT_RIGHT"]]]
+    stride = feet[:, 0, 0] - feet[:, 1, 0]
+    assert stride.max() == pytest.approx(0.72, abs=0.01)
+    assert stride.min() == pytest.approx(-0.72, abs=0.01)
+    low = poses[:, SLOT["PELVIS"], 2]
+    assert 0.2 < np.ptp(low) < 0.35
+    knees = poses[np.argmin(low), [SLOT["KNEE_LEFT"], SLOT["KNEE_RIGHT"]], 2]
+    assert knees.min() < 0.36 < 0.4 < knees.max()  # one near the floor, one over its foot
+    planted = feet[..., 2] < feet[..., 2].min() + 0.002  # toes on the floor do not slide
+    speed = np.linalg.norm(np.diff(feet, axis=0), axis=-1)[planted[1:] & planted[:-1]]
+    assert np.quantile(speed, 0.9) < 0.003
+
+
+def test_hands_go_up_over_the_head_and_down_to_the_hips() -> None:
+    poses = poses_of("hands_up_down")
+    for side in ("LEFT", "RIGHT"):
+        above = poses[:, SLOT[f"WRIST_{side}"], 2] - poses[:, SLOT["HEAD"], 2]
+        assert above.max() > 0.2
+        assert above.min() < -0.5
+
+
+def test_who_walks_in_place_lifts_both_feet_and_stays() -> None:
+    poses = poses_of("walk_in_place")
+    for side in ("LEFT", "RIGHT"):
+        assert 0.1 < np.ptp(poses[:, SLOT[f"FOOT_{side}"], 2]) < 0.3
+    assert np.ptp(poses[:, SLOT["PELVIS"], :2], axis=0).max() < 0.1
+
+
+@pytest.mark.parametrize("facing", [0.0, 90.0, 180.0, 270.0])
+@pytest.mark.parametrize("action", ["squat", "walk_in_place"])
+def test_everybody_on_a_spot_faces_where_he_is_told_to(action: str, facing: float) -> None:
+    pose = poses_of(action, facing=facing, seconds=0.1)[0]
+    across = pose[SLOT["SHOULDER_LEFT"]] - pose[SLOT["SHOULDER_RIGHT"]]
+    ahead = np.degrees(np.arctan2(across[1], across[0])) - 90
+    assert (ahead - facing + 180) % 360 - 180 == pytest.approx(0, abs=12)
+
+
 def test_without_faults_the_cameras_see_the_truth() -> None:
     simulation = perfect(people=1, action="wave")
     stamps = {frame.stamps[0] for frame in simulation.detections if frame.n_people}

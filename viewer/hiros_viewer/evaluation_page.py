@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,22 +21,28 @@ if TYPE_CHECKING:
 _MOST_PEOPLE = 6
 
 
-def truth_page(title: str, truth: Truth, results: Mapping[str, ChannelResult]) -> Page:
+def truth_page(
+    title: str, truth: Truth, results: Mapping[str, ChannelResult], remarks: Sequence[str] = ()
+) -> Page:
     """Page of a result against the truth: scores, PCK curves, joints, angles over time."""
     page = Page(f"Evaluation of {title}")
     scores = {topic: result.scores for topic, result in results.items()}
     page.heading("Scores")
     page.table(*score_tables.error_table(scores), "Joint error, mm")
-    flexions = "Motion: RMSE (SD) of the eight unsigned flexions; see the docs"
-    page.table(*score_tables.motion_table(scores), flexions)
-    page.table(*score_tables.people_table(scores), "People: missing and false summed over frames")
-    page.figure(_pck(scores), "Share of joints within a distance of the truth")
+    page.table(*score_tables.motion_table(scores), "Motion: RMSE (SD) of the bending angles")
+    title = "People: missing and false summed over frames and silent instants of the result"
+    page.table(*score_tables.people_table(scores), title)
+    for text in remarks:
+        page.text(text)
+    page.figure(_pck(scores), "Share of true joints within a distance of the truth")
     last, result = list(results.items())[-1]
     page.heading(f"Joints of {last}")
     page.figure(_joint_bars(result.scores.joints), "Mean error of each joint; the line is its SD")
-    page.heading(f"Unsigned flexions of {last}")
+    page.heading(f"{score_tables.BENDING} of {last}")
     title = "Error in degrees, by marker positions and by link orientations (Hi-ROS eq. 21)"
     page.table(*score_tables.angle_table(result.scores), title)
+    signed = score_tables.signed_angle_table(result.scores)
+    page.table(*signed, "Signed joint angles by marker positions (docs/angles.md): error, degrees")
     people = sorted(set(result.matches.people))
     for person in people[:_MOST_PEOPLE]:
         caption = f"Person {truth.people[person] if truth.people else person}"

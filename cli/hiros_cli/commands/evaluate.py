@@ -49,6 +49,14 @@ def evaluate(
             help="Score each camera against the result of the others. Default if LOG has no truth.",
         ),
     ] = False,
+    truth_covers: Annotated[
+        str,
+        typer.Option(
+            metavar="all|partial|auto",
+            help="Whether the truth has everybody: skeletons of nobody in a partial truth don't "
+            "count. auto: partial only if the result shows people walking whom it lacks.",
+        ),
+    ] = "auto",
     match_distance: Annotated[
         float,
         typer.Option(
@@ -66,7 +74,9 @@ def evaluate(
     up: Annotated[
         str, typer.Option(metavar="AXIS", help="Axis of the truth that points up: z or y.")
     ] = "z",
-    joints: Annotated[bool, typer.Option("--joints", help="Also show every joint.")] = False,
+    joints: Annotated[
+        bool, typer.Option("--joints", help="Also show every joint and the signed angles.")
+    ] = False,
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
@@ -88,24 +98,31 @@ def evaluate(
 
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
+    if truth_covers not in ("all", "partial", "auto"):
+        raise ConfigError(f"--truth-covers: {truth_covers!r} is none of all, partial, auto")
     check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
     log.stat()
     prepare(quiet=quiet or json)
 
     from hiros_mcap.config import load_config
-    from hiros_mcap.evaluate.logs import evaluate_log, find_truth
+    from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
+    from hiros_mcap.evaluate.remarks import warnings_of
 
     effective = load_config(config, list(assignments or ()), preset)
     output = _Output(log, html, json=json, quiet=quiet, joints=joints)
     true = None if leave_one_out else find_truth(log, truth)
+    _check_input(log, truth, has_truth=true is not None)
     if true is None:
         _show_self(output, effective)
         return
-    moved = true.moved(shift, start=_start(log), up=up)
+    true = true.moved(shift, start=start_of(log), up=up)
     with ExitStack() as stack:
-        processed = _processed(log, effective, stack, truth)
-        results = evaluate_log(processed, moved, channel or (), match_distance)
-    _show_truth(output, moved, results)
+        processed, default = _processed(log, effective, stack, truth)
+        globs = channel or default
+        true, others = covered_by(processed, true, truth_covers, globs, match_distance)
+        results = evaluate_log(processed, true, globs, match_distance)
+    asked = truth_covers != "auto"
+    _show_truth(output, true, results, others, warnings_of(true, results, others, asked=asked))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,45 +136,80 @@ class _Output:
     joints: bool
 
 
-def _start(log: Path) -> int:
-    """Time at which a log starts, ns; motion capture files count from there."""
-    from hiros_mcap.io.log import open_reader, span_of
+def _check_input(log: Path, truth: str | None, *, has_truth: bool) -> None:
+    """Refuse a log that holds neither a result nor cameras, or nothing to judge its result by."""
+    from hiros_mcap.evaluate.logs import has_cameras, has_outputs
 
-    with open_reader(log) as reader:
-        return span_of(reader)[0]
+    if has_cameras(log):
+        return
+    if not has_truth:
+        raise ConfigError(
+            f"{log}: has no truth, and no cameras that could be left out; name a truth: "
+            f"hiros eval {log} --truth FILE"
+        )
+    if truth is None and not has_outputs(log):
+        raise ConfigError(
+            f"{log}: holds a truth but no result; name the result: hiros eval RESULT --truth {log}"
+        )
 
 
-def _processed(log: Path, config: Config, stack: ExitStack, truth: str | None) -> Path:
-    """Return the log itself if it holds outputs, else its output in a temporary folder."""
-    from hiros_mcap.evaluate.logs import fused_topics, has_outputs
+def _processed(
+    log: Path, config: Config, stack: ExitStack, truth: str | None
+) -> tuple[Path, list[str]]:
+    """Return where the result is, and its channels: [] = all outputs.
+
+    It is the log itself if it holds outputs, the truth in it if it holds no cameras either, else
+    its output in a temporary folder.
+    """
+    from hiros_mcap.evaluate.logs import fused_topics, has_cameras, has_outputs
+    from hiros_mcap.io.channels import TRUTH_PREFIX
     from hiros_mcap.running.pipeline import ProcessOptions, process
 
     if has_outputs(log):
-        return log
+        return log, []
+    if not has_cameras(log):
+        return log, [f"{TRUTH_PREFIX}/*"]
 
     out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
     options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
     process(log, out, config=config, options=options)
-    return out
+    return out, []
 
 
-def _show_truth(output: _Output, truth: Truth, results: dict[str, ChannelResult]) -> None:
+def _show_truth(
+    output: _Output,
+    truth: Truth,
+    results: dict[str, ChannelResult],
+    others: tuple[int, ...],
+    warnings: list[str],
+) -> None:
+    from hiros_cli.output import print_json, warn
+    from hiros_mcap.evaluate.remarks import notes_of
+
+    notes = notes_of(truth, results)
     if output.html is not None:
         from hiros_viewer.evaluation_page import truth_page
 
-        truth_page(str(output.log), truth, results).write(output.html)
+        truth_page(str(output.log), truth, results, [*warnings, *notes]).write(output.html)
     if output.json:
-        from hiros_cli.output import print_json
         from hiros_mcap.summary import plain
 
-        channels = {topic: plain(result.scores) for topic, result in results.items()}
-        people = list(truth.people)
-        data = {"log": str(output.log), "true_people": people, "channels": channels}
+        data = {
+            "log": str(output.log),
+            "true_people": list(truth.people),
+            "truth_covers": "partial" if truth.partial else "all",
+            "people_without_truth": list(others),
+            "channels": {topic: plain(result.scores) for topic, result in results.items()},
+            "warnings": warnings,
+            "notes": notes,
+        }
         print_json("eval", data)
     elif not output.quiet:
         from hiros_cli.evaluation import show_truth
 
-        show_truth(output.log, truth, results, joints=output.joints)
+        show_truth(output.log, truth, results, notes, joints=output.joints)
+    for text in warnings:
+        warn(text)
 
 
 def _show_self(output: _Output, config: Config) -> None:

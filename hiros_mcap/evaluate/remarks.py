@@ -1,0 +1,93 @@
+"""What a reader of scores has to know: what makes them doubtful, and what they leave out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from hiros_mcap.evaluate.logs import ChannelResult
+from hiros_mcap.evaluate.match import explain_no_match
+from hiros_mcap.evaluate.scores import SINGULAR_DEG
+from hiros_mcap.evaluate.truth import Truth, shared_links, shared_markers
+
+_MANY_FALSE = 0.1
+"""False people per frame that may be people whom the truth lacks."""
+
+
+def warnings_of(
+    truth: Truth,
+    results: Mapping[str, ChannelResult],
+    others: Sequence[int] = (),
+    *,
+    asked: bool = False,
+) -> list[str]:
+    """Return what makes the scores doubtful.
+
+    Parameters
+    ----------
+    truth, results : what was compared.
+    others : ids that show that the truth is partial.
+    asked : the user has said whether the truth is partial.
+    """
+    texts = [_partial(truth, others), _silence(results)]
+    if not asked:
+        texts.append(_unlabelled(truth, results))
+    return [text for text in texts if text]
+
+
+def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
+    """Return what the scores leave out."""
+    result = list(results.values())[-1]
+    scores, notes = result.scores, []
+    absent = [name for name in result.model.marker_names if name not in scores.joints]
+    if absent:
+        notes.append(f"no truth for {len(absent)} markers: {', '.join(absent)}")
+    if truth.model is not None and truth.model != result.model:
+        shared = shared_markers(truth.model, result.model)
+        unknown = [n for k, n in enumerate(truth.model.marker_names) if k not in shared]
+        if unknown:
+            notes.append(f"joints of the truth that the result lacks: {', '.join(unknown)}")
+        lost = truth.model.n_links - len(shared_links(truth.model, result.model, shared))
+        if lost:
+            notes.append(f"{lost} links of the truth join no two joints that the result links")
+    if hint := explain_no_match(result.matches, truth):
+        notes.append(hint)
+    if singular := sum(a.singular for a in scores.link_angles.values()):
+        notes.append(
+            f"by links, {singular} near-singular angles are left out: the true x angle is beyond "
+            f"{SINGULAR_DEG:g} degrees"
+        )
+    for topic, each in results.items():
+        notes += [f"{topic}: {n} messages skipped: {why}" for why, n in each.skipped.items()]
+    return notes
+
+
+def _partial(truth: Truth, others: Sequence[int]) -> str:
+    if not others:
+        return ""
+    return (
+        f"the truth seems to have only {len(truth.people)} of the people: it has nobody where "
+        f"{_ids(others)} {'walks' if len(others) == 1 else 'walk'} about. Skeletons of nobody "
+        "therefore don't count, and False is unknown; --truth-covers all counts them"
+    )
+
+
+def _ids(ids: Sequence[int]) -> str:
+    return f"person {ids[0]}" if len(ids) == 1 else f"the people {', '.join(map(str, ids))}"
+
+
+def _silence(results: Mapping[str, ChannelResult]) -> str:
+    silent = {topic: r.scores.silent for topic, r in results.items() if r.scores.silent}
+    if not silent:
+        return ""
+    counts = ", ".join(f"{topic} {n}" for topic, n in silent.items())
+    return f"instants of the truth without a frame, where everybody is missing: {counts}"
+
+
+def _unlabelled(truth: Truth, results: Mapping[str, ChannelResult]) -> str:
+    scores = list(results.values())[-1].scores
+    if truth.partial or not scores.false or scores.false < _MANY_FALSE * scores.frames:
+        return ""
+    return (
+        f"{scores.false} skeletons in {scores.frames} frames are of nobody. If the truth lacks "
+        "people who were there, use --truth-covers partial"
+    )

@@ -1,0 +1,76 @@
+"""A truth of some of the people: the others are neither false nor an excuse for false ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stick_figures import MODEL, at, person, seen
+
+from hiros_mcap.evaluate import Scores, Truth, evaluate
+from hiros_mcap.evaluate.match import match
+from hiros_mcap.evaluate.partial_truth import people_without_truth
+from hiros_mcap.skeletons import Floats, Frame
+
+
+def walker(k: int, centre: float = 0.0) -> Floats:
+    """Somebody who goes to and fro by 1 m."""
+    return person(centre + math.sin(0.05 * k), 3 * (centre > 0))
+
+
+ALL = [seen([walker(k), walker(k, 4), walker(k, 8)], at(k), ids=[0, 1, 2]) for k in range(150)]
+ONE = Truth.of([f.select([0]) for f in ALL])
+PARTIAL = replace(ONE, partial=True)
+
+
+def scores(frames: list[Frame], truth: Truth) -> Scores:
+    return evaluate(frames, truth, MODEL)
+
+
+def test_people_without_a_label_are_not_false() -> None:
+    whole, part = scores(ALL, ONE), scores(ALL, PARTIAL)
+    assert (whole.false, whole.tracking.mota) == (300, -1)
+    assert part.false is None
+    assert (part.missing, part.switches) == (0, 0)
+    assert part.tracking.mota == part.tracking.idf1 == part.tracking.hota == 1
+    assert part.mean == whole.mean == 0
+
+
+def test_who_is_missed_or_renamed_still_counts() -> None:
+    frames = [f.select([1, 2]) if k < 30 else f for k, f in enumerate(ALL)]
+    frames[90:] = [f.replace(ids=np.array([9, 1, 2], np.int32)) for f in frames[90:]]
+    part = scores(frames, PARTIAL)
+    assert (part.missing, part.switches) == (30, 1)
+    assert part.tracking.mota == pytest.approx(1 - 31 / 150)
+    assert part.tracking.idf1 == pytest.approx(2 * 60 / (150 + 120))
+
+
+def test_those_who_walk_where_the_truth_has_nobody_are_people() -> None:
+    assert people_without_truth(match(ALL, ONE), ONE) == (1, 2)
+    assert people_without_truth(match(ALL, Truth.of(ALL)), Truth.of(ALL)) == ()
+
+
+@pytest.mark.parametrize(
+    "false",
+    [
+        lambda k: person(5, 5),  # a coat on a hook
+        lambda k: person(5 + 0.05 * math.sin(k), 5),  # and what noise makes of it
+        lambda k: walker(k) + np.array([0.0, 0.3, 0.0]),  # a second skeleton of the same person
+        lambda k: walker(k, 4 if k < 30 else math.nan),  # a phantom of one second
+    ],
+    ids=["still", "noisy", "double", "short"],
+)
+def test_a_false_person_is_not_excused(false: Callable[[int], Floats]) -> None:
+    frames = []
+    for k in range(150):
+        people = [pose for pose in (walker(k), false(k)) if not np.isnan(pose).any()]
+        frames.append(seen(people, at(k), ids=[0, 1][: len(people)]))
+    assert people_without_truth(match(frames, ONE), ONE) == ()
+
+
+def test_a_truth_of_somewhere_else_is_not_partial() -> None:
+    away = replace(ONE, positions=ONE.positions + 30.0)
+    assert people_without_truth(match(ALL, away), away) == ()
