@@ -24,6 +24,7 @@ from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import LinkAxes, link_axes
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.io.bags import kind_of
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log, open_reader, span_of
@@ -269,6 +270,17 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
     motions = {person: _motion(person, rows[person], start, model) for person in sorted(rows)}
     fixed = frames[0].frame_id if frames else ""
     return Result(Path(path), chosen, model, fixed, start, motions, tuple(events_from_json(events)))
+
+
+def is_result(path: str | os.PathLike[str]) -> bool:
+    """Whether an MCAP file holds channels that hiros wrote; False if it cannot be read."""
+    if kind_of(Path(path)):  # a bag, which would have to be converted first
+        return False
+    try:
+        with open_reader(path) as reader:
+            return bool(_own_channels(reader).results)
+    except LogError:
+        return False
 
 
 class _OwnChannels(NamedTuple):

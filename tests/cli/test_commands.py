@@ -273,3 +273,17 @@ def test_calibrate_noise_warns_beside_its_output_when_people_walk(
     captured = capsys.readouterr()
     assert "hiros: warning: joints scatter by 55 cm about their mean" in captured.err
     assert "hiros: warning" not in captured.out
+
+
+COMMANDS = (
+    *("process", "view", "plot", "export", "eval", "check", "compare", "info", "simulate"),
+    *("systems", "config", "warmup", "completion"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_no_python_types(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert not re.findall(r"<\w+|\bPath\b|\{[A-Z]", text)
+    assert max(map(len, text.splitlines())) <= 100

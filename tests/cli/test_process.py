@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -328,3 +329,16 @@ def test_a_signal_leaves_nothing_behind(name: str, crossing: Path, tmp_path: Pat
     assert process.returncode == 128 + getattr(signal, name)
     assert stderr == b""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_is_not_processed_again_by_accident(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "walk.mcap"
+    shutil.copy(walking, source)
+    assert run(["process", str(source), "-q"]) == 0
+    assert run(["process", str(tmp_path / "walk.hiros.mcap")]) == 2
+    assert "is a result of hiros already" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.hiros.mcap", "walk.mcap"]
+    again = ["process", str(tmp_path / "walk.hiros.mcap"), "-o", str(tmp_path / "again.mcap")]
+    assert run([*again, "-q"]) == 0

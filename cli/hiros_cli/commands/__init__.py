@@ -96,6 +96,7 @@ def dispatch(arguments: list[str]) -> int:
         if not argument and not before.startswith("-"):
             raise ConfigError("an argument is empty; is a variable not set?")
     command: Any = typer.main.get_command(app)
+    _show_plain_arguments(command)
     if completing.VARIABLE in os.environ:
         return completing.answer(command)
     try:
@@ -109,3 +110,15 @@ def dispatch(arguments: list[str]) -> int:
         # The only exit that typer still makes by itself: its reader has closed the pipe.
         raise BrokenPipeError from error
     return code if isinstance(code, int) else 0
+
+
+def _show_plain_arguments(command: Any) -> None:
+    """Show arguments by their names alone: newer typer adds Python types, LOG <list[Path]>."""
+    for sub in getattr(command, "commands", {}).values():
+        _show_plain_arguments(sub)
+    for one in command.params:
+        if one.param_type_name == "argument":
+            shown = f"{one.metavar}..." if one.nargs != 1 else str(one.metavar)
+            shown = shown if one.required else f"[{shown}]"
+            one.get_usage_pieces = lambda ctx, shown=shown: [shown]
+            one.display_type_rich = lambda ctx: ""

@@ -147,6 +147,8 @@ def process(
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     prepare(quiet=quiet, roots=RUN)
 
+    if output is None:
+        _refuse_result(source)
     from hiros_mcap.config import load_config
     from hiros_mcap.running.pipeline import ProcessOptions
     from hiros_mcap.running.pipeline import process as run
@@ -187,6 +189,17 @@ def process(
             force=force,
         )
     _show(summary, json=json, quiet=quiet)
+
+
+def _refuse_result(source: Path) -> None:
+    """Refuse what ``for log in *.mcap`` does by accident; with --output it is on purpose."""
+    from hiros_mcap.io.result import is_result
+
+    if is_result(source):
+        raise ConfigError(
+            f"{source}: is a result of hiros already; to process its recording again, name an "
+            "output with -o"
+        )
 
 
 def _refuse_other_formats(target: Path) -> None:
