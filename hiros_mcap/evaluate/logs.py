@@ -82,10 +82,10 @@ def start_of(path: str | os.PathLike[str]) -> int:
     """
     with open_reader(path) as reader:
         start = span_of(reader)[0]
-    if has_cameras(path) or not has_outputs(path):
+    if has_cameras(path):
         return start
-    stamps = [_first_stamp(path, topic) for topic in output_channels(path)]
-    return min(stamps, default=start)
+    heard = [topic for topic, n in _skeletons(path, [f"{OUTPUT_PREFIX}/*"]).items() if n]
+    return min((_first_stamp(path, topic) for topic in heard), default=start)
 
 
 def _first_stamp(path: str | os.PathLike[str], topic: str) -> int:

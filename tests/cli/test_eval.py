@@ -156,6 +156,22 @@ def test_a_truth_is_perfect_against_itself(
     assert "holds a truth but no result" in capsys.readouterr().err
 
 
+def test_a_channel_without_any_message_misses_everybody(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulation, log = simulate(SimulateParams(seconds=1.0, cameras=1)), tmp_path / "empty.mcap"
+    with McapWriter(log) as writer:
+        add_skeleton_channel(writer, "/hiros/filtered")
+        channel = add_skeleton_channel(writer, "/truth/skeletons")
+        for frame in simulation.truth:
+            writer.write(channel, frame.log_time, Encoder(simulation.model).encode(frame))
+        writer.commit()
+    scores = json_of(log, capsys)["channels"]["/hiros/filtered"]
+    assert (scores["frames"], scores["silent"], scores["missing"]) == (0, 30, 30)
+    assert scores["tracking"]["mota"] == scores["tracking"]["hota"] == 0
+    assert run(["eval", str(log), "--html", str(tmp_path / "empty.html")]) == 0
+
+
 def test_silence_is_a_warning_also_when_quiet(
     walking: Path, processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
