@@ -11,7 +11,7 @@ from hiros_cli.completing import topics
 from hiros_cli.options import Json
 
 if TYPE_CHECKING:
-    from hiros_mcap.io.overview import CameraRow, Overview
+    from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
 
 
 def info(
@@ -97,19 +97,23 @@ def _channels(overview: Overview) -> Any:
         ">Rate",
         ">Seconds",
         "Type",
-        "Encoding",
         rows=[
             (
                 row.topic,
                 str(row.messages),
                 number(row.rate_hz, 1, " Hz"),
                 number(row.seconds, 1),
-                row.type or "-",
-                row.encoding or "-",
+                _type(row),
             )
             for row in overview.channels
         ],
     )
+
+
+def _type(row: ChannelRow) -> str:
+    """Return the type without its package, for narrow terminals; and any encoding but ROS 2's."""
+    name = row.type.rpartition("/")[2] or "no schema"
+    return name if row.encoding == "cdr" else f"{name} ({row.encoding or 'no encoding'})"
 
 
 def _people(overview: Overview) -> Any:
