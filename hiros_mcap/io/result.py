@@ -273,8 +273,11 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:
-    """Whether an MCAP file holds channels that hiros wrote; False if it cannot be read."""
-    if kind_of(Path(path)):  # a bag, which would have to be converted first
+    """Whether an MCAP file, or the folder of one, holds channels that hiros wrote.
+
+    False if it cannot be read, and for other bags, which would have to be converted first.
+    """
+    if kind_of(Path(path)) and len(list(Path(path).glob("*.mcap"))) != 1:
         return False
     try:
         with open_reader(path) as reader:

@@ -340,5 +340,8 @@ def test_a_result_is_not_processed_again_by_accident(
     assert run(["process", str(tmp_path / "walk.hiros.mcap")]) == 2
     assert "is a result of hiros already" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.hiros.mcap", "walk.mcap"]
-    again = ["process", str(tmp_path / "walk.hiros.mcap"), "-o", str(tmp_path / "again.mcap")]
+    (tmp_path / "bag").mkdir()
+    shutil.move(tmp_path / "walk.hiros.mcap", tmp_path / "bag")
+    assert run(["process", str(tmp_path / "bag")]) == 2
+    again = ["process", str(tmp_path / "bag"), "-o", str(tmp_path / "again.mcap")]
     assert run([*again, "-q"]) == 0
