@@ -69,6 +69,11 @@ class BagReader(McapReader):
             raise
         self.path = path
 
+    @property
+    def has_checksums(self) -> bool:
+        """False: bags have no checksums, and rosbags compares none of the parts of a split one."""
+        return False
+
     def close(self) -> None:
         """Close and remove the file."""
         super().close()

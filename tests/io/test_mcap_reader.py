@@ -76,6 +76,21 @@ def test_it_is_known_whether_the_data_section_has_a_checksum(path, given):
         assert reader.contents.has_data_crc == given
 
 
+@pytest.mark.parametrize(
+    ("options", "given"),
+    [
+        ({"enable_crcs": False, "enable_data_crcs": False}, False),
+        ({"enable_crcs": False}, True),
+        ({"enable_data_crcs": False}, True),
+        ({"enable_data_crcs": False, "use_chunking": False}, False),
+        ({"use_chunking": False}, True),
+    ],
+)
+def test_it_is_known_whether_checksums_protect_every_message(path, options, given):
+    with McapReader(write_log(path, **options)) as reader:
+        assert reader.has_checksums == given
+
+
 def test_attachments_and_metadata_are_found(path):
     with McapReader(write_log(path)) as reader:
         (attachment,) = reader.contents.attachments

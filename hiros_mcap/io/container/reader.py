@@ -145,6 +145,12 @@ class McapReader:
         return self._contents
 
     @property
+    def has_checksums(self) -> bool:
+        """Whether a damaged message is noticed: a checksum covers each of them."""
+        chunks = self._contents.chunks
+        return self._contents.has_data_crc or all(chunk.crc for chunk in chunks if chunk.size)
+
+    @property
     def channels(self) -> dict[int, Channel]:
         """Channels by id, also those without a message."""
         return self._contents.channels
