@@ -1,8 +1,8 @@
 """The program ``hiros``: what surrounds every command.
 
-Exit codes: 0 done, 2 bad input or usage (one line, nothing written), 70 a bug of ours, and
-128 + signal when stopped. The module imports nothing heavy, so that a Ctrl-C during the imports
-of a command already finds its handler.
+Exit codes: 0 done, 2 bad input or usage (one line, nothing written), 3 recovered with losses,
+70 a bug of ours, and 128 + signal when stopped. The module imports nothing heavy, so that a Ctrl-C
+during the imports of a command already finds its handler.
 """
 
 from __future__ import annotations

@@ -10,6 +10,9 @@ import typer
 
 from hiros_mcap.errors import ConfigError
 
+LOSSES = 3
+"""Exit code: a damaged log was recovered, and something is lost."""
+
 Preset = Annotated[
     str,
     typer.Option(metavar="NAME", help="Start from a preset: default, realtime, paper or upstream."),

@@ -25,7 +25,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Mover, TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block, frames_of
-from hiros_mcap.io.bags import BagReader, kind_of
+from hiros_mcap.io.bags import BagReader, SplitReader, kind_of, parts_of
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
@@ -34,7 +34,16 @@ from hiros_mcap.io.channels import (
     select_skeletons,
 )
 from hiros_mcap.io.codec import Decoded, Decoder, MessagePart, ModelBuilder, RestPoses
-from hiros_mcap.io.container import Batch, LogOrder, McapReader, Message, Records
+from hiros_mcap.io.container import (
+    Batch,
+    LogOrder,
+    McapReader,
+    Message,
+    Records,
+    RecoveringReader,
+    Recovery,
+)
+from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, People, SkeletonModel
@@ -142,6 +151,25 @@ class Log:
     def span(self) -> tuple[int, int]:
         """Log times, ns, between which the skeletons lie; see :func:`span_of`."""
         return span_of(self.reader)
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """What is lost of a damaged file; None if the log was opened without ``recover``."""
+        found = getattr(self.reader, "recovery", None)
+        return found if isinstance(found, Recovery) else None
+
+    @property
+    def recovery_mark(self) -> Mapping[str, str]:
+        """What the metadata of a result say of this log's losses, also of earlier ones."""
+        if self.recovery is not None and self.recovery.damages:
+            return self.recovery.metadata()
+        found = (v for name, v in self.reader.contents.metadata if name == RECOVERY_METADATA)
+        return next(found, {})
+
+    @property
+    def losses(self) -> str:
+        """What is lost of the recording, in one line; "" if nothing is."""
+        return self.recovery_mark.get("loss", "")
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -353,6 +381,7 @@ def open_log(
     extrinsics: str | os.PathLike[str] | None = None,
     fixed_frame: str | None = None,
     output_prefix: str = OUTPUT_PREFIX,
+    recover: bool = False,
 ) -> Log:
     """Open a log and find out what is in it.
 
@@ -364,6 +393,7 @@ def open_log(
     extrinsics : file with the cameras' poses, instead of /tf_static and /tf.
     fixed_frame : frame of the results, instead of the root of the transforms.
     output_prefix : channels below it are results of hiros and not read.
+    recover : read what can be read of a damaged MCAP file; ``Log.recovery`` says what is lost.
 
     Raises
     ------
@@ -376,7 +406,7 @@ def open_log(
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader = open_reader(path)
+    reader = open_reader(path, recover=recover)
     try:
         with _named(reader.path):
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
@@ -409,16 +439,15 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
 
 
-def open_reader(path: str | os.PathLike[str]) -> McapReader:
+def open_reader(path: str | os.PathLike[str], *, recover: bool = False) -> McapReader:
     """Open the container of a log of any kind, see :func:`open_log`; raises LogError."""
     path = Path(path)
-    inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    kind = "" if path.is_dir() and len(inside) == 1 else kind_of(path)
-    if kind:
-        return BagReader(path, kind)
-    if len(inside) != 1:
-        raise LogError(f"is a folder with {len(inside)} MCAP files; name one", path=path)
-    return McapReader(inside[0])
+    parts = parts_of(path, recover=recover)
+    if len(parts) > 1:
+        return SplitReader(path, parts, recover=recover)
+    if not parts:
+        return BagReader(path, kind_of(path))
+    return RecoveringReader(parts[0]) if recover else McapReader(parts[0])
 
 
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:

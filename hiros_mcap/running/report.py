@@ -55,6 +55,8 @@ class Report:
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
+            warnings=tuple(self._all_warnings()),
+            losses=self.log.recovery.loss if self.log.recovery else "",
             notes=tuple(self._all_notes()),
         )
 
@@ -100,6 +102,12 @@ class Report:
             if event.kind == "calibration rejected" and event.person == person:
                 return LimbSummary(0, math.nan, math.nan, "", accepted=False, reason=event.detail)
         return None
+
+    def _all_warnings(self) -> Iterator[str]:
+        """Yield what makes the result incomplete."""
+        if self.log.losses:
+            damaged = "is damaged" if self.log.recovery else "was damaged before it was recovered"
+            yield f"the recording {damaged}; {self.log.losses}"
 
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""

@@ -24,6 +24,7 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
+from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.process_options import ProcessOptions
@@ -85,6 +86,7 @@ class LogOutput:
         }
         self._by_stamp = params.log_time == "stamp"
         self._input_messages = log.reader.counts
+        self._recovery = log.recovery_mark
         self._export = None
         if options.markers:
             from hiros_mcap.io.export.markers import MarkerExport
@@ -130,6 +132,8 @@ class LogOutput:
         if "merge" in sections and LETTERS["M"] in self._chain:
             provenance["merging"] = ",".join(merging_order(run.config.merge))
         writer.add_metadata("hiros.provenance", provenance)
+        if self._recovery:
+            writer.add_metadata(RECOVERY_METADATA, self._recovery)
         writer.add_attachment("hiros/config.toml", config, "application/toml")
         writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
         writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")

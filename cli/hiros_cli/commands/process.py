@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.options import (
+    LOSSES,
     Assignments,
     ConfigFile,
     Force,
@@ -109,6 +110,13 @@ def process(
     strict: Annotated[
         bool, typer.Option("--strict", help="Fail if any message would be skipped.")
     ] = False,
+    recover: Annotated[
+        bool,
+        typer.Option(
+            "--recover",
+            help="Run on what can be read of a damaged log; exit with 3 on losses.",
+        ),
+    ] = False,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -134,6 +142,8 @@ def process(
         inputs=(source, config, extrinsics, limbs),
         force=force,
     )
+    if strict and recover:
+        raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     prepare(quiet=quiet, roots=RUN)
 
@@ -162,6 +172,7 @@ def process(
         limbs_out=save_limbs,
         markers=markers,
         strict=strict,
+        recover=recover,
     )
     effective = load_config(config, assignments or (), preset, system, shortcuts)
     with ExitStack() as stack:
@@ -177,6 +188,8 @@ def process(
             force=force,
         )
     _show(summary, json=json, quiet=quiet)
+    if summary.losses:
+        raise typer.Exit(LOSSES)
 
 
 def _live(source: Path) -> AbstractContextManager[Watcher]:

@@ -18,15 +18,14 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
-import numpy.typing as npt
-from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.compression import decompress
+from hiros_mcap.io.container.chunks import Table, read_chunk
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.records import (
     HEAD,
+    AttachmentIndex,
     Bytes,
     Channel,
     Chunk,
@@ -34,32 +33,17 @@ from hiros_mcap.io.container.records import (
     Message,
     Schema,
 )
-from hiros_mcap.io.container.scan import Contents, scan
-from hiros_mcap.kernels.record_index import (
-    CHANNEL,
-    FORBIDDEN,
-    LOG_TIME,
-    OK,
-    PAST_END,
-    SHORT_MESSAGE,
-    START,
-    index_records,
-)
+from hiros_mcap.io.container.scan import REMEDY, Contents, scan
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START
 
 _AHEAD = 2
 _AHEAD_BYTES = 64 * 2**20
 _TOGETHER = 4 * 2**20
 """Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
-_FAULTS = {
-    PAST_END: "a record reaches past the end of the chunk",
-    SHORT_MESSAGE: "a message is shorter than its fixed fields",
-    FORBIDDEN: "a record that is not allowed in a chunk",
-}
 _COLUMNS = [LOG_TIME, START]
 _ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
 
-Table = npt.NDArray[np.uint64]
 T = TypeVar("T")
 
 
@@ -119,7 +103,7 @@ class McapReader:
         self.cpu_s = 0.0
         """CPU time, s, of the threads that read ahead."""
         try:
-            self._contents = scan(self._file)
+            self._contents = self._walk()
             largest = max((chunk.size for chunk in self._contents.chunks), default=0)
             self._depth = min(_AHEAD, _AHEAD_BYTES // max(largest, _TOGETHER))
             self._checked: dict[int, frozenset[int]] = {}
@@ -128,6 +112,9 @@ class McapReader:
         except BaseException:
             self._file.close()
             raise
+
+    def _walk(self) -> Contents:
+        return scan(self._file)
 
     def __enter__(self) -> Self:
         return self
@@ -163,8 +150,10 @@ class McapReader:
         """Bytes of the first attachment of a name, which the walk has checked; None = no such."""
         found = (index for index in self._contents.attachments if index.name == name)
         index = next(found, None)
-        if index is None:
-            return None
+        return None if index is None else self.data_of(index)
+
+    def data_of(self, index: AttachmentIndex) -> bytes:
+        """Bytes of an attachment that the walk found."""
         names = len(index.name.encode()) + len(index.media_type.encode())
         start = index.offset + HEAD.size + _ATTACHMENT_FIXED + names
         return self._file.read(start, index.data_size)
@@ -245,21 +234,18 @@ class McapReader:
     def load(self, chunk: Chunk) -> Records:
         """Read, decompress and check one chunk; raises LogError."""
         try:
-            data = self._plain(chunk)
-            status, where, table, definitions = index_records(np.frombuffer(data, np.uint8))
-            if status != OK:
-                raise FormatError(f"{_FAULTS[int(status)]} (byte {where} in the chunk)")
+            data, messages, definitions = read_chunk(self._file, chunk)
             defined = self._define(data, definitions)
-            self._check_messages(chunk, table)
+            messages = self._accepted(chunk, messages)
         except (FormatError, struct.error, ValueError, OverflowError) as fault:
             where_from = "messages" if chunk.loose else "chunk"
             raise LogError(
-                f"damaged {where_from} at byte {chunk.offset}: {fault}", path=self.path
+                f"damaged {where_from} at byte {chunk.offset}: {fault}; {REMEDY}", path=self.path
             ) from None
         except MemoryError:
             raise LogError("is too large for the memory", path=self.path) from None
         self._checked[chunk.offset] = defined
-        return Records(data, table, chunk.offset)
+        return Records(data, messages, chunk.offset)
 
     def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
         if channels is None:
@@ -273,13 +259,6 @@ class McapReader:
             self.load(chunk)
         return self._checked[chunk.offset]
 
-    def _plain(self, chunk: Chunk) -> Bytes:
-        packed = self._file.read(chunk.data_offset, chunk.data_size)
-        data = decompress(packed, chunk.compression, chunk.size)
-        if chunk.crc and crc32(data) != chunk.crc:
-            raise FormatError("the checksum is wrong")
-        return data
-
     def _define(self, data: Bytes, definitions: Table) -> frozenset[int]:
         defined = set()
         for opcode, start, stop in definitions.tolist():
@@ -288,8 +267,8 @@ class McapReader:
                 defined.add(ident)
         return frozenset(defined)
 
-    def _check_messages(self, chunk: Chunk, table: Table) -> None:
-        """Compare the messages with what the chunk record and its indexes claim of them."""
+    def _accepted(self, chunk: Chunk, table: Table) -> Table:
+        """Return the messages if they are what the chunk record and its indexes claim of them."""
         if not len(table):
             found: dict[int, int] = {}
         else:
@@ -303,6 +282,7 @@ class McapReader:
             raise FormatError("the messages do not match the message indexes")
         if unknown := [i for i in found if i not in self._contents.channels]:
             raise FormatError(f"a message belongs to channel {unknown[0]}, which is not defined")
+        return table
 
     def _complete_definitions(self) -> None:
         """Look into chunks for the definitions and counts that the walk could not see."""
@@ -329,7 +309,8 @@ class McapReader:
         stats, total = self._contents.statistics, sum(counts.values())
         if stats is not None and stats.message_count != total:
             raise LogError(
-                f"damaged: the statistics claim {stats.message_count} messages, there are {total}",
+                f"damaged: the statistics claim {stats.message_count} messages, there are {total}; "
+                f"{REMEDY}",
                 path=self.path,
             )
         return dict(counts)
