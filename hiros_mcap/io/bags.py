@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter, RecoveringReader, Recovery
+from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import Damage, joined
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ def kind_of(path: Path) -> str:
     """Return what kind of bag a path is; "" for a file that is none, such as an MCAP."""
     if path.is_dir():
         return "a rosbag2 folder" if (path / _FOLDER).is_file() else ""
+    if not path.is_file():  # opening a pipe would wait for its writer
+        return ""
     try:
         with path.open("rb") as file:
             start = file.read(16)
@@ -104,14 +107,14 @@ class BagReader(McapReader):
         the bag is damaged or holds no skeletons.
     """
 
-    def __init__(self, path: Path, kind: str) -> None:
+    def __init__(self, path: Path, kind: str, *, memory: int = MEMORY) -> None:
         def convert(mcap: Path) -> None:
             with _readable(path, kind) as bag:
                 self._convert(bag, mcap)
 
-        self._open_converted(path, convert)
+        self._open_converted(path, convert, memory)
 
-    def _open_converted(self, path: Path, convert: Callable[[Path], None]) -> None:
+    def _open_converted(self, path: Path, convert: Callable[[Path], None], memory: int) -> None:
         """Let ``convert`` write a temporary MCAP file and open it."""
         self.path = path
         self.left_out: dict[str, tuple[str, int]] = {}
@@ -119,7 +122,7 @@ class BagReader(McapReader):
         try:
             mcap = Path(self._folder.name) / f"{path.stem}.mcap"
             convert(mcap)
-            super().__init__(mcap)
+            super().__init__(mcap, memory=memory)
         except BaseException:
             self._folder.cleanup()
             raise
@@ -175,9 +178,12 @@ class SplitReader(BagReader):
     path : the folder.
     parts : its files.
     recover : take what can be read of damaged files; ``recovery`` says what is lost.
+    memory : bytes that reading may take.
     """
 
-    def __init__(self, path: Path, parts: list[Path], *, recover: bool = False) -> None:
+    def __init__(
+        self, path: Path, parts: list[Path], *, recover: bool = False, memory: int = MEMORY
+    ) -> None:
         self._checksums = True
         self._recovery: Recovery | None = None
 
@@ -187,7 +193,7 @@ class SplitReader(BagReader):
                 writer.commit()
             self._recovery = found if recover else None
 
-        self._open_converted(path, convert)
+        self._open_converted(path, convert, memory)
 
     def _wanted(self, part: McapReader) -> Collection[int]:
         """Return the channels of a part that are taken over; note the others."""

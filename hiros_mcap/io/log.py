@@ -43,6 +43,7 @@ from hiros_mcap.io.container import (
     RecoveringReader,
     Recovery,
 )
+from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
@@ -382,6 +383,7 @@ def open_log(
     fixed_frame: str | None = None,
     output_prefix: str = OUTPUT_PREFIX,
     recover: bool = False,
+    memory: int = MEMORY,
 ) -> Log:
     """Open a log and find out what is in it.
 
@@ -394,6 +396,7 @@ def open_log(
     fixed_frame : frame of the results, instead of the root of the transforms.
     output_prefix : channels below it are results of hiros and not read.
     recover : read what can be read of a damaged MCAP file; ``Log.recovery`` says what is lost.
+    memory : bytes that reading may take, about; see :class:`McapReader`.
 
     Raises
     ------
@@ -406,7 +409,7 @@ def open_log(
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader = open_reader(path, recover=recover)
+    reader = open_reader(path, recover=recover, memory=memory)
     try:
         with _named(reader.path):
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
@@ -439,15 +442,17 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
 
 
-def open_reader(path: str | os.PathLike[str], *, recover: bool = False) -> McapReader:
+def open_reader(
+    path: str | os.PathLike[str], *, recover: bool = False, memory: int = MEMORY
+) -> McapReader:
     """Open the container of a log of any kind, see :func:`open_log`; raises LogError."""
     path = Path(path)
     parts = parts_of(path, recover=recover)
     if len(parts) > 1:
-        return SplitReader(path, parts, recover=recover)
+        return SplitReader(path, parts, recover=recover, memory=memory)
     if not parts:
-        return BagReader(path, kind_of(path))
-    return RecoveringReader(parts[0]) if recover else McapReader(parts[0])
+        return BagReader(path, kind_of(path), memory=memory)
+    return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:

@@ -124,6 +124,7 @@ def open_input(source: str | os.PathLike[str], config: Config, options: ProcessO
         extrinsics=options.extrinsics,
         fixed_frame=config.input.fixed_frame or None,
         recover=options.recover,
+        memory=int(options.memory * 2**30),
     )
 
 

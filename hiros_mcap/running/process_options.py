@@ -34,6 +34,8 @@ class ProcessOptions:
     """Refuse a log if any of its messages has to be skipped."""
     recover: bool = False
     """Run on what can be read of a damaged log."""
+    memory: float = 1.0
+    """GiB that a run may take, about."""
     markers: bool = False
     """Also write the last stage as MarkerArray and JointState, and the events as Log."""
     compression: str = "zstd"

@@ -117,6 +117,12 @@ def process(
             help="Run on what can be read of a damaged log; exit with 3 on losses.",
         ),
     ] = False,
+    memory: Annotated[
+        float,
+        typer.Option(
+            metavar="GIB", min=0.25, help="Memory for a log whose chunks overlap in time, GiB."
+        ),
+    ] = 1.0,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -173,6 +179,7 @@ def process(
         markers=markers,
         strict=strict,
         recover=recover,
+        memory=memory,
     )
     effective = load_config(config, assignments or (), preset, system, shortcuts)
     with ExitStack() as stack:

@@ -8,6 +8,7 @@ overlap in time.
 
 from __future__ import annotations
 
+import heapq
 import os
 import struct
 import time
@@ -18,6 +19,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.chunks import Table, read_chunk
@@ -34,10 +36,15 @@ from hiros_mcap.io.container.records import (
     Schema,
 )
 from hiros_mcap.io.container.scan import REMEDY, Contents, scan
-from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 
 _AHEAD = 2
 _AHEAD_BYTES = 64 * 2**20
+MEMORY = 2**30
+"""Bytes that reading may take unless the user allows more."""
+_HELD = 4
+"""Chunks that overlap in time may take this part of the memory; larger ones are read in slices."""
+_POINTS = 64  # of a chunk, at which a slice of its messages may begin
 _TOGETHER = 4 * 2**20
 """Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
@@ -62,6 +69,18 @@ class Records(NamedTuple):
         keys = np.full((len(self.messages), 3), self.offset, np.uint64)
         keys[:, [0, 2]] = self.messages[:, _COLUMNS]
         return keys
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> Records:
+        """Keep some of the messages; drop the bytes of the others if these are most."""
+        messages = self.messages[chosen]
+        lengths = messages[:, STOP] - messages[:, START]
+        if 2 * int(lengths.sum()) > len(self.data):
+            return self._replace(messages=messages)
+        view = memoryview(self.data)
+        data = b"".join(view[start:stop] for start, stop in messages[:, [START, STOP]].tolist())
+        messages[:, STOP] = np.cumsum(lengths)
+        messages[:, START] = messages[:, STOP] - lengths
+        return self._replace(data=data, messages=messages)
 
     def at(self, rows: Sequence[int]) -> Iterator[Message]:
         """Yield some messages; their data are views, which are valid as long as they are held."""
@@ -95,10 +114,17 @@ class McapReader:
     """An open MCAP file; use it as a context manager.
 
     Opening walks the whole file (see scan) and raises LogError for a damaged or truncated one.
+
+    Parameters
+    ----------
+    path : the file.
+    memory : bytes that reading may take, about. Chunks that overlap so much in time that they would
+        take more are decompressed several times.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, memory: int = MEMORY) -> None:
         self._file = LogFile(path)
+        self._memory = memory
         self.path = self._file.path
         self.cpu_s = 0.0
         """CPU time, s, of the threads that read ahead."""
@@ -175,10 +201,62 @@ class McapReader:
         chunks = self._contents.chunks
         if channels is not None:
             chunks = [chunk for chunk in chunks if chunk.holds(channels)]
-        groups = list(_together(sorted(chunks, key=lambda c: (c.start_time, c.offset)), size))
+        chunks = sorted(chunks, key=lambda c: (c.start_time, c.offset))
+        if _most_held(chunks) > self._memory // _HELD:
+            yield from self._slices(chunks, channels)
+            return
+        groups = list(_together(chunks, size))
         for k, group in enumerate(groups, 1):
             until = groups[k][0].start_time if k < len(groups) else None
             yield Batch([self._chosen(self.load(chunk), channels) for chunk in group], until)
+
+    def _slices(self, chunks: Sequence[Chunk], channels: Collection[int] | None) -> Iterator[Batch]:
+        """Yield the messages in slices of time, for which chunks are read as often as needed.
+
+        Raises LogError if messages of one log time alone take too much memory.
+        """
+        most = self._memory // (2 * _HELD)
+        edges = self._edges(chunks, channels, most // 2)
+        for first, until in zip([0, *edges], [*edges, None], strict=True):
+            parts, size = [], 0
+            for chunk in chunks:
+                if chunk.end_time < first or (until is not None and chunk.start_time >= until):
+                    continue
+                records = self._chosen(self.load(chunk), channels)
+                times = records.messages[:, LOG_TIME]
+                inside = times >= np.uint64(first)
+                if until is not None:
+                    inside &= times < np.uint64(until)
+                parts.append(records.only(inside))
+                size += len(parts[-1].data)
+                if size > self._memory // _HELD + most:
+                    raise LogError(
+                        f"its messages of one time take more than {size >> 20} MiB; the limit of "
+                        f"memory is {self._memory / 2**30:g} GiB; --memory GIB raises it",
+                        path=self.path,
+                    )
+            yield Batch(parts, until)
+
+    def _edges(
+        self, chunks: Iterable[Chunk], channels: Collection[int] | None, size: int
+    ) -> list[int]:
+        """Return log times, ns, between which messages of about ``size`` bytes lie."""
+        points: list[tuple[int, int]] = []
+        for chunk in chunks:
+            messages = self._chosen(self.load(chunk), channels).messages
+            messages = messages[np.argsort(messages[:, LOG_TIME])]
+            sizes = np.cumsum(messages[:, STOP] - messages[:, START])
+            if len(sizes):
+                wanted = sizes[-1] * np.arange(_POINTS, dtype=np.uint64) // np.uint64(_POINTS)
+                times = messages[np.searchsorted(sizes, wanted), LOG_TIME].tolist()
+                points += [(log_time, int(sizes[-1]) // _POINTS) for log_time in times]
+        edges, filled = [0], 0
+        for log_time, part in sorted(points):
+            if filled + part > size and log_time > edges[-1]:
+                edges.append(log_time)
+                filled = 0
+            filled += part
+        return edges[1:]
 
     def runs(self, channels: Collection[int] | None = None) -> Iterator[tuple[Records, list[int]]]:
         """Yield the messages in the order of log times, those of equal time as in the file.
@@ -250,8 +328,7 @@ class McapReader:
     def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
         if channels is None:
             return records
-        chosen = np.isin(records.messages[:, CHANNEL], list(channels))
-        return records._replace(messages=records.messages[chosen])
+        return records.only(np.isin(records.messages[:, CHANNEL], list(channels)))
 
     def definitions_in(self, chunk: Chunk) -> frozenset[int]:
         """Channels that the chunk defines; the chunk is checked for that if it was not yet."""
@@ -314,6 +391,19 @@ class McapReader:
                 path=self.path,
             )
         return dict(counts)
+
+
+def _most_held(chunks: Sequence[Chunk]) -> int:
+    """Bytes of the chunks that overlap at one time, at most; they are sorted by their start."""
+    held: list[tuple[int, int]] = []  # end time and size
+    size = most = 0
+    for chunk in chunks:
+        while held and held[0][0] < chunk.start_time:
+            size -= heapq.heappop(held)[1]
+        heapq.heappush(held, (chunk.end_time, chunk.size))
+        size += chunk.size
+        most = max(most, size)
+    return most
 
 
 def _together(chunks: Iterable[Chunk], most: int) -> Iterator[list[Chunk]]:
