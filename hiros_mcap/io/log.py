@@ -51,6 +51,8 @@ from hiros_mcap.skeletons import Frame, People, SkeletonModel
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
+FAR_FUTURE = "log time after the year 2262"
+"""Frames count ns in 63 bits; MCAP has 64."""
 _LATEST = 2**63 - 1
 
 
@@ -136,6 +138,8 @@ class Log:
         Raises LogError if the cameras' frames are not all joined to it.
         """
         frames = [name for camera in self.cameras for name in camera.frames]
+        if not frames:  # no camera sent anything
+            return self._fixed_frame or ""
         with _named(self.path):
             fixed = self._fixed_frame or self.transforms.common_root(frames)
             for name in frames:
@@ -175,7 +179,14 @@ class Log:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
-        return tuple(filter(None, (self._nameless(), self._left_out())))
+        return tuple(filter(None, (self._empty(), self._nameless(), self._left_out())))
+
+    def _empty(self) -> str:
+        if self.model.n_markers:
+            return ""
+        messages = sum(camera.channel.count for camera in self.cameras)
+        what = "no camera sees anybody" if messages else "the cameras sent no message"
+        return f"the room is empty: {what}"
 
     def _nameless(self) -> str:
         topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
@@ -251,8 +262,6 @@ class Log:
         order = LogOrder[Decoded]()
         with _named(self.path):
             for some in self.reader.ahead(decoded):
-                if some.keys[:, 0].max(initial=0) > _LATEST:
-                    raise LogError("holds a message with a log time beyond the year 2262")
                 order.add(some, some.keys)
                 for part, messages in order.before(some.until):
                     yield from self._accounted(part, messages, inputs)
@@ -322,6 +331,9 @@ class _Input:
         """Account for message ``i``; return its frames, named, stamped and without repeats."""
         account = self._account
         account.read += 1
+        if int(decoded.keys[i, 0]) > _LATEST:
+            account.skipped[FAR_FUTURE] += 1
+            return []
         if i in decoded.faults:
             account.skipped[DAMAGED] += 1
             account.first_error = account.first_error or decoded.faults[i]
@@ -417,7 +429,10 @@ def open_log(
             model, first = _learn(reader, layouts)
             decoder = Decoder(model, layouts=layouts)
             seen = [
-                _look(reader, info, decoder, layouts[info.id], first[info.id]) for info in chosen
+                _look(reader, info, decoder, layouts[info.id], first[info.id])
+                if info.count
+                else CameraChannel(info, layouts[info.id], {"": ""}, ())
+                for info in chosen
             ]
             cameras = _name_cameras(seen)
             transforms = _transforms(reader) if tree is None else tree
@@ -439,7 +454,8 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     first = next(reader.messages(wanted), None)
     if first is None:
         return 0, 0
-    return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
+    ends = (chunk.end_time for chunk in reader.contents.chunks if chunk.holds(wanted))
+    return first.log_time, max((end for end in ends if end <= _LATEST), default=first.log_time)
 
 
 def open_reader(
@@ -491,7 +507,7 @@ def _learn(
         if builder.complete and len(first) == len(layouts):
             break
     model = builder.build()
-    if not model.n_markers:
+    if failed and not model.n_markers:
         raise LogError(f"no message has a skeleton with markers{failed}")
     return model, first
 

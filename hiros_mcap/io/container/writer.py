@@ -139,8 +139,8 @@ class McapWriter:
         self._reserved[1].update(contents.channels)
         for channel in (contents.channels[i] for i in sorted(channels)):
             if channel.schema_id:
-                self._define(self.schemas, contents.schemas[channel.schema_id], r.build)
-            self._define(self.channels, channel, r.build)
+                self.define(contents.schemas[channel.schema_id])
+            self.define(channel)
 
     def add_schema(self, name: str, data: bytes) -> int:
         """Add a definition of ROS 2 messages and return its id."""
@@ -170,6 +170,10 @@ class McapWriter:
         )
         self._define(self.channels, channel, r.build)
         return ident
+
+    def define(self, new: r.Schema | r.Channel) -> None:
+        """Add a definition with its id; raises ValueError if another one has it."""
+        self._define(self.schemas if isinstance(new, r.Schema) else self.channels, new, r.build)
 
     def _define(self, table: dict[int, Any], new: Any, build: Callable[[Any], bytes]) -> None:
         known = table.setdefault(new.id, new)
@@ -318,9 +322,8 @@ class McapWriter:
         if ident in self.channels:
             ident = self._free(self.channels, self._reserved[1])
         if schema is not None:
-            self._define(self.schemas, schema, r.build)
-        new = replace(channel, id=ident, schema_id=schema.id if schema else 0)
-        self._define(self.channels, new, r.build)
+            self.define(schema)
+        self.define(replace(channel, id=ident, schema_id=schema.id if schema else 0))
         return ident
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
