@@ -70,9 +70,11 @@ class Records(NamedTuple):
         keys[:, [0, 2]] = self.messages[:, _COLUMNS]
         return keys
 
-    def only(self, chosen: npt.NDArray[np.bool_]) -> Records:
-        """Keep some of the messages; drop the bytes of the others if these are most."""
+    def only(self, chosen: npt.NDArray[np.bool_], least: int = 0) -> Records:
+        """Keep some of the messages; drop the other bytes if there are ``least`` and most are others."""
         messages = self.messages[chosen]
+        if len(self.data) < least:
+            return self._replace(messages=messages)
         lengths = messages[:, STOP] - messages[:, START]
         if 2 * int(lengths.sum()) > len(self.data):
             return self._replace(messages=messages)
@@ -328,7 +330,8 @@ class McapReader:
     def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
         if channels is None:
             return records
-        return records.only(np.isin(records.messages[:, CHANNEL], list(channels)))
+        chosen = np.isin(records.messages[:, CHANNEL], list(channels))
+        return records.only(chosen, least=_TOGETHER)
 
     def definitions_in(self, chunk: Chunk) -> frozenset[int]:
         """Channels that the chunk defines; the chunk is checked for that if it was not yet."""
