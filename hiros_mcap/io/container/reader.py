@@ -2,8 +2,8 @@
 
 What the reader promises: every message of the chosen channels is handed out exactly once with
 exactly its bytes, or a LogError says what is wrong and where. Checksums are always compared,
-nothing is taken from an index that the data contradict, and memory is bounded by the chunks that
-overlap in time.
+nothing is taken from an index that the data contradict, and memory is bounded: where many chunks
+overlap in time, they are read several times.
 """
 
 from __future__ import annotations
@@ -71,7 +71,10 @@ class Records(NamedTuple):
         return keys
 
     def only(self, chosen: npt.NDArray[np.bool_], least: int = 0) -> Records:
-        """Keep some of the messages; drop the other bytes if there are ``least`` and most are others."""
+        """Keep some of the messages; drop the bytes of the others if these are most.
+
+        Data of fewer than ``least`` bytes are kept.
+        """
         messages = self.messages[chosen]
         if len(self.data) < least:
             return self._replace(messages=messages)
