@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
@@ -166,6 +166,57 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
 }
 
 
+def temporary_name(target: Path) -> Path:
+    """Return a new name beside ``target``, for :func:`create_locked`."""
+    return target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+
+
+def create_locked(path: Path) -> int:
+    """Create a temporary file and return its descriptor, which holds a lock until it is closed.
+
+    Temporary files in the same folder that nobody locks are removed: their process was killed.
+
+    Raises OSError.
+    """
+    _remove_abandoned(path.parent)
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    while True:
+        # Mode 0666 less the umask, as for any file that a program makes.
+        descriptor = os.open(path, flags, 0o666)
+        if _lock(descriptor) is not False and path.exists():
+            return descriptor
+        # Another process took it for an abandoned one before it was locked.
+        os.close(descriptor)
+        path.unlink(missing_ok=True)
+
+
+def _lock(descriptor: int) -> bool | None:
+    """Lock a file: True = done, False = another one has the lock, None = there are no locks."""
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        return None
+    return True
+
+
+def _remove_abandoned(folder: Path) -> None:
+    if os.name != "posix":  # no locks
+        return
+    for path in folder.glob(".hiros-*.tmp"):
+        with suppress(OSError):
+            # Never waits for a pipe, never follows a link.
+            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+            try:
+                if _lock(descriptor):
+                    path.unlink()
+            finally:
+                os.close(descriptor)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a path beside ``path`` to write to; it gets that name when the block succeeds.
@@ -178,8 +229,11 @@ def replacing(path: Path) -> Iterator[Path]:
         The file cannot be written.
     """
     target = Path(os.path.realpath(path))
-    temporary = target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+    temporary = temporary_name(target)
+    lock = None
     try:
+        if os.name == "posix":  # elsewhere an open file cannot be renamed
+            lock = create_locked(temporary)
         yield temporary
         temporary.replace(target)
     except OSError as error:
@@ -187,6 +241,8 @@ def replacing(path: Path) -> Iterator[Path]:
         raise LogError(f"cannot be written: {fault}", path=path) from error
     finally:
         temporary.unlink(missing_ok=True)
+        if lock is not None:
+            os.close(lock)
 
 
 def write_text(path: Path, text: str) -> None:

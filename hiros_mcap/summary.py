@@ -106,6 +106,8 @@ class Summary:
     """Messages written, by output channel."""
     warnings: tuple[str, ...] = ()
     """What makes the result doubtful or incomplete, with the remedy, one line each."""
+    losses: str = ""
+    """What could not be read of a damaged log, one line; "" if everything was."""
     notes: tuple[str, ...] = ()
     """What else a user should know, one line each."""
 

@@ -14,14 +14,21 @@ Change = Callable[[Frame, int], Frame]
 """(what a camera says, how many messages it has sent before) -> what it says instead."""
 
 
-def changed(source: Path, target: Path, change: Change, *, latched: int | None = None) -> Path:
-    """Copy a log with other detections; ``latched`` is the log time of its transforms, if given."""
+def changed(
+    source: Path, target: Path, change: Change, *, latched: int | None = None, keep: bool = True
+) -> Path:
+    """Copy a log with other detections; ``latched`` is the log time of its transforms, if given.
+
+    Without ``keep``, the channels of the cameras have no message.
+    """
     with open_log(source) as log, McapWriter(target) as writer:
         writer.copy_definitions(log.reader, log.reader.channels)
         decoder, encoder = Decoder(log.model, exact=True), Encoder(log.model)
         for message in log.reader.messages():
             topic, time = log.reader.channels[message.channel_id].topic, message.log_time
             data = bytes(message.data)
+            if topic.startswith("/camera_") and not keep:
+                continue
             if topic.startswith("/camera_"):
                 sent = writer.counts[message.channel_id]
                 (frame,) = decoder.decode_message(data, time)

@@ -1,8 +1,8 @@
 """The program ``hiros``: what surrounds every command.
 
-Exit codes: 0 done, 2 bad input or usage (one line, nothing written), 70 a bug of ours, and
-128 + signal when stopped. The module imports nothing heavy, so that a Ctrl-C during the imports
-of a command already finds its handler.
+Exit codes: 0 done, 2 bad input or usage (one line, nothing written), 3 recovered with losses,
+70 a bug of ours, and 128 + signal when stopped. The module imports nothing heavy, so that a Ctrl-C
+during the imports of a command already finds its handler.
 """
 
 from __future__ import annotations
@@ -189,12 +189,12 @@ def open_missing_streams() -> None:
 
 def fail(error: Exception, *, debug: bool) -> int:
     """Print one line about ``error`` and return the exit code that belongs to it."""
-    from hiros_cli.printable import error_line
+    from hiros_cli.printable import error_line, lacks_memory
     from hiros_mcap.errors import HirosError
 
     if debug:
         _show_traceback(error)
-    bug = not isinstance(error, HirosError | OSError | MemoryError)
+    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error))
     print(error_line(error, bug=bug), file=sys.stderr)
     return BUG if bug else BAD_INPUT
 

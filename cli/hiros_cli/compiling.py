@@ -21,6 +21,7 @@ RUN = ("hiros_mcap.running.pipeline",)
 ALL = ("hiros_mcap.kernels.*",)
 """Every kernel."""
 
+_ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
 _SPACE = 32 << 20  # bytes; all kernels take half of that
 _PACKAGE = Path(hiros_mcap.__file__).parent
 _KERNELS = "hiros_mcap.kernels."
@@ -31,10 +32,11 @@ def prepare(*, quiet: bool, roots: Sequence[str] = ()) -> None:
     """Announce a compilation that is about to happen. Call before anything imports numba.
 
     ``roots`` are modules that will be imported. Kernels that they need and that are not compiled
-    yet are compiled now, in several processes.
+    yet are compiled now, in several processes. Raises MemoryError if a limit leaves too little.
     """
     from hiros_mcap import kernels
 
+    _ensure_memory()
     _ensure_writable()
     done = kernels.compiled()
     needed = needed_by(roots, kernels.sources()) if roots else {}
@@ -97,6 +99,19 @@ def _compile(tasks: Sequence[tuple[Sequence[str]]]) -> None:
     with contextlib.suppress(HirosError):
         for _ in run_tasks(load, tasks):
             pass
+
+
+def _ensure_memory() -> None:
+    """Raise MemoryError where ``ulimit -v`` leaves too little to load the libraries."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _ADDRESSES:
+        raise MemoryError(
+            f"the process may take {limit >> 20} MiB (ulimit -v), and needs {_ADDRESSES >> 20} MiB"
+        )
 
 
 def _ensure_writable() -> None:

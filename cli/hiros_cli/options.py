@@ -11,6 +11,9 @@ import typer
 from hiros_cli.completing import parameters, presets, systems
 from hiros_mcap.errors import ConfigError
 
+LOSSES = 3
+"""Exit code: a damaged log was recovered, and something is lost."""
+
 Preset = Annotated[
     str,
     typer.Option(

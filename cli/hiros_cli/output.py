@@ -37,6 +37,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "eval.self": 1,
     "compare": 1,
     "check": 1,
+    "recover": 1,
     "calibrate.noise": 1,
 }
 """What ``--json`` prints -> version of its fields, docs/json.md. A new field does not change the

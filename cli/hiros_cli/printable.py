@@ -10,6 +10,7 @@ import unicodedata
 
 LIMIT = 200
 LINE_LIMIT = 1000
+_NO_MEMORY = ("can't start new thread", "failed to map segment", "cannot allocate memory")
 
 # Cc: C0 and C1 controls. Cf: bidirectional and other invisible formatting. Zl, Zp: line and
 # paragraph separators. Cs: halves of surrogate pairs, from names that are not UTF-8. Co, Cn:
@@ -43,6 +44,19 @@ def error_line(error: BaseException, *, bug: bool = False) -> str:
     return f"hiros: error: {_reason(error)}"
 
 
+def lacks_memory(error: BaseException | None) -> bool:
+    """Whether an error, or one that led to it, says that memory ran out.
+
+    Python says MemoryError; its threads and the loader of libraries say it in their own words.
+    """
+    while error is not None:
+        text = str(error).lower()
+        if isinstance(error, MemoryError) or any(word in text for word in _NO_MEMORY):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def warning_line(text: str) -> str:
     """One line that says what a user must know of a result, ``hiros: warning: ...``."""
     return f"hiros: warning: {printable(text, LINE_LIMIT)}"
@@ -51,8 +65,9 @@ def warning_line(text: str) -> str:
 def _reason(error: BaseException) -> str:
     from hiros_mcap.errors import LogError
 
-    if isinstance(error, MemoryError):
-        return "not enough memory"
+    if lacks_memory(error):
+        reason = printable(error) if isinstance(error, MemoryError) else ""
+        return f"not enough memory: {reason}" if reason else "not enough memory"
     if isinstance(error, OSError):
         names = (name for name in (error.filename, error.filename2) if name is not None)
         named = [printable(name, LINE_LIMIT) for name in names]

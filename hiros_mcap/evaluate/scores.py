@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.body.anatomy import ANGLE_NAMES, SIDES, anatomical_angles
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.angles import ANGLES, flexions, link_angles, wrapped
 from hiros_mcap.body.rotations import angle
+from hiros_mcap.body.segments import SIDES
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
 from hiros_mcap.evaluate.parts import parts_of

@@ -1,21 +1,24 @@
-"""ROS 1 bags, SQLite bags and split bags, by the rosbags library.
+"""ROS 1 bags and SQLite bags, by the rosbags library, and recordings of several MCAP files.
 
-hiros reads MCAP. What is recorded otherwise is rewritten once, the skeletons and the transforms
-of it, into a temporary MCAP file: ROS 2 messages byte for byte, ROS 1 messages as the ROS 2
-messages of the same fields.
+hiros reads one MCAP file. What is recorded otherwise is rewritten once, the skeletons and the
+transforms of it, into a temporary MCAP file: ROS 2 messages byte for byte, ROS 1 messages as the
+ROS 2 messages of the same fields.
 """
 
 from __future__ import annotations
 
+import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.container import McapReader, McapWriter, RecoveringReader, Recovery
+from hiros_mcap.io.container.reader import MEMORY
+from hiros_mcap.io.container.recovery import Damage, joined
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -33,12 +36,61 @@ def kind_of(path: Path) -> str:
     """Return what kind of bag a path is; "" for a file that is none, such as an MCAP."""
     if path.is_dir():
         return "a rosbag2 folder" if (path / _FOLDER).is_file() else ""
+    if not path.is_file():  # opening a pipe would wait for its writer
+        return ""
     try:
         with path.open("rb") as file:
             start = file.read(16)
     except OSError:
         return ""
     return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "")
+
+
+def parts_of(path: Path, *, recover: bool = False) -> list[Path]:
+    """Return the MCAP files of a recording in their order; empty for a bag of another kind.
+
+    A rosbag2 folder lists them in metadata.yaml. After a power loss this file is missing or empty.
+    With ``recover``, all MCAP files of the folder are then taken, in the order of their numbers.
+
+    Raises LogError for a folder without a list of files.
+    """
+    if not path.is_dir():
+        return [] if kind_of(path) else [path]
+    inside = sorted(path.glob("*.mcap"), key=_numbered)
+    listed = _listed(path / _FOLDER)
+    if listed is not None and not recover:
+        return [path / name for name in listed] if len(listed) > 1 else inside[:1]
+    if recover and inside:
+        return sorted({*inside, *(path / name for name in listed or ())}, key=_numbered)
+    if len(inside) == 1 or (path / _FOLDER).is_file():
+        return inside[:1] if len(inside) == 1 else []
+    raise LogError(
+        f"is a folder with {len(inside)} MCAP files; name one"
+        + (", or join them by `hiros recover FOLDER -o OUT`" if inside else ""),
+        path=path,
+    )
+
+
+def _numbered(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Key that puts bag_2 before bag_10."""
+    parts = re.findall(r"\d+|\D+", path.stem)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts], path.name
+
+
+def _listed(metadata: Path) -> list[str] | None:
+    """Return the names of plain MCAP files in a metadata.yaml; None if it lists none."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        text = metadata.read_text(encoding="utf-8")
+        info = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+        names = [Path(name).name for name in info["relative_file_paths"]]
+        compressed = (info.get("compression_mode") or "none").lower() != "none"
+    except (OSError, YAMLError, TypeError, KeyError, ValueError, AttributeError):
+        return None
+    plain = names and not compressed and all(name.endswith(".mcap") for name in names)
+    return names if plain else None
 
 
 class BagReader(McapReader):
@@ -55,15 +107,22 @@ class BagReader(McapReader):
         the bag is damaged or holds no skeletons.
     """
 
-    def __init__(self, path: Path, kind: str) -> None:
+    def __init__(self, path: Path, kind: str, *, memory: int = MEMORY) -> None:
+        def convert(mcap: Path) -> None:
+            with _readable(path, kind) as bag:
+                self._convert(bag, mcap)
+
+        self._open_converted(path, convert, memory)
+
+    def _open_converted(self, path: Path, convert: Callable[[Path], None], memory: int) -> None:
+        """Let ``convert`` write a temporary MCAP file and open it."""
         self.path = path
         self.left_out: dict[str, tuple[str, int]] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="hiros-")
         try:
             mcap = Path(self._folder.name) / f"{path.stem}.mcap"
-            with _readable(path, kind) as bag:
-                self._convert(bag, mcap)
-            super().__init__(mcap)
+            convert(mcap)
+            super().__init__(mcap, memory=memory)
         except BaseException:
             self._folder.cleanup()
             raise
@@ -109,6 +168,93 @@ class BagReader(McapReader):
                 cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
                 writer.write(channel, time, bytes(cdr))
             writer.commit()
+
+
+class SplitReader(BagReader):
+    """Reads the skeletons and transforms of several MCAP files that are one recording.
+
+    Parameters
+    ----------
+    path : the folder.
+    parts : its files.
+    recover : take what can be read of damaged files; ``recovery`` says what is lost.
+    memory : bytes that reading may take.
+    """
+
+    def __init__(
+        self, path: Path, parts: list[Path], *, recover: bool = False, memory: int = MEMORY
+    ) -> None:
+        self._checksums = True
+        self._recovery: Recovery | None = None
+
+        def convert(mcap: Path) -> None:
+            with McapWriter(mcap, compression="") as writer:
+                found = join(parts, writer, recover=recover, wanted=self._wanted)
+                writer.commit()
+            self._recovery = found if recover else None
+
+        self._open_converted(path, convert, memory)
+
+    def _wanted(self, part: McapReader) -> Collection[int]:
+        """Return the channels of a part that are taken over; note the others."""
+        self._checksums &= part.has_checksums
+        wanted = set()
+        for channel in part.channels.values():
+            schema = part.schema(channel)
+            name, n = schema.name if schema else "no type", part.counts.get(channel.id, 0)
+            if hiros_schemas.short_name(name) in _WANTED:
+                wanted.add(channel.id)
+            else:
+                n += self.left_out.get(channel.topic, ("", 0))[1]
+                self.left_out[channel.topic] = name, n
+        return wanted
+
+    @property
+    def has_checksums(self) -> bool:
+        """Whether checksums cover every message of every part."""
+        return self._checksums
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """What is lost, None unless damaged files are accepted."""
+        return self._recovery
+
+
+def join(
+    parts: list[Path],
+    writer: McapWriter,
+    *,
+    recover: bool = False,
+    wanted: Callable[[McapReader], Collection[int]] | None = None,
+) -> Recovery:
+    """Write the content of files, in this order; return what is lost.
+
+    ``wanted`` chooses channels of a file; without it, everything is written, attachments and
+    metadata too. Raises LogError, which names the file, if one is damaged; with ``recover``, only
+    if nothing can be read of any.
+    """
+    found: list[tuple[str, Recovery]] = []
+    failed: LogError | None = None
+    for path in parts:
+        name = path.name if len(parts) > 1 else ""
+        try:
+            part = RecoveringReader(path) if recover else McapReader(path)
+        except LogError as error:
+            if not recover:
+                raise
+            failed = failed or error
+            size = path.stat().st_size if path.is_file() else 0
+            found.append((name, Recovery((Damage(0, size, error.fault),))))
+            continue
+        with part:
+            writer.append(part, wanted(part) if wanted else part.channels)
+            if wanted is None:
+                writer.append_extras(part)
+            if isinstance(part, RecoveringReader):
+                found.append((name, part.recovery))
+    if failed is not None and not any(recovery.recovered for _, recovery in found):
+        raise failed
+    return joined(found)
 
 
 @contextmanager

@@ -130,9 +130,8 @@ def select_skeletons(
     for info in chosen:
         if info.encoding != "cdr":
             raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
-    if not any(info.count for info in chosen):
-        raise LogError(f"has no skeleton messages; {_listing(channels)}")
-    return tuple(info for info in chosen if info.count)
+    # Without any message, the room was empty.
+    return tuple(info for info in chosen if info.count) or tuple(chosen)
 
 
 def add_skeleton_channel(writer: McapWriter, topic: str) -> int:

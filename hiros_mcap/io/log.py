@@ -33,7 +33,7 @@ from hiros_mcap.body.transforms import (
 )
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block, frames_of
-from hiros_mcap.io.bags import BagReader, kind_of
+from hiros_mcap.io.bags import BagReader, SplitReader, kind_of, parts_of
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
@@ -43,7 +43,17 @@ from hiros_mcap.io.channels import (
     select_skeletons,
 )
 from hiros_mcap.io.codec import Decoded, Decoder, MessagePart, ModelBuilder, RestPoses
-from hiros_mcap.io.container import Batch, LogOrder, McapReader, Message, Records
+from hiros_mcap.io.container import (
+    Batch,
+    LogOrder,
+    McapReader,
+    Message,
+    Records,
+    RecoveringReader,
+    Recovery,
+)
+from hiros_mcap.io.container.reader import MEMORY
+from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, People, SkeletonModel
@@ -51,6 +61,8 @@ from hiros_mcap.summary import quantity
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
+FAR_FUTURE = "log time after the year 2262"
+"""Frames count ns in 63 bits; MCAP has 64."""
 _LATEST = 2**63 - 1
 
 
@@ -139,6 +151,8 @@ class Log:
         Raises LogError if the cameras' frames are not all joined to it.
         """
         frames = [name for camera in self.cameras for name in camera.frames]
+        if not frames:  # no camera sent anything
+            return self._fixed_frame or ""
         with _named(self.path):
             self._check_name({*frames, *self.transforms.frames})
             fixed = self._fixed_frame or self.transforms.common_root(frames)
@@ -193,9 +207,29 @@ class Log:
         )
 
     @property
+    def recovery(self) -> Recovery | None:
+        """What is lost of a damaged file; None if the log was opened without ``recover``."""
+        found = getattr(self.reader, "recovery", None)
+        return found if isinstance(found, Recovery) else None
+
+    @property
+    def recovery_mark(self) -> Mapping[str, str]:
+        """What the metadata of a result say of this log's losses, also of earlier ones."""
+        if self.recovery is not None and self.recovery.damages:
+            return self.recovery.metadata()
+        found = (v for name, v in self.reader.contents.metadata if name == RECOVERY_METADATA)
+        return next(found, {})
+
+    @property
+    def losses(self) -> str:
+        """What is lost of the recording, in one line; "" if nothing is."""
+        return self.recovery_mark.get("loss", "")
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
-        return tuple(filter(None, (self._nameless(), self._former(), self._left_out())))
+        found = (self._empty(), self._nameless(), self._former(), self._left_out())
+        return tuple(filter(None, found))
 
     def _former(self) -> str:
         found = [info.topic for info in self.channels if info.topic in OUTPUT_TOPICS]
@@ -205,6 +239,13 @@ class Log:
             f"the log holds results of hiros already ({', '.join(found)}); a run reads the cameras "
             "again and its results replace them"
         )
+
+    def _empty(self) -> str:
+        if self.model.n_markers:
+            return ""
+        messages = sum(camera.channel.count for camera in self.cameras)
+        what = "no camera sees anybody" if messages else "the cameras sent no message"
+        return f"the room is empty: {what}"
 
     def _nameless(self) -> str:
         topics = [camera.channel.topic for camera in self.cameras if "" in camera.frames]
@@ -280,8 +321,6 @@ class Log:
         order = LogOrder[Decoded]()
         with _named(self.path):
             for some in self.reader.ahead(decoded):
-                if some.keys[:, 0].max(initial=0) > _LATEST:
-                    raise LogError("holds a message with a log time beyond the year 2262")
                 order.add(some, some.keys)
                 for part, messages in order.before(some.until):
                     yield from self._accounted(part, messages, inputs)
@@ -351,6 +390,9 @@ class _Input:
         """Account for message ``i``; return its frames, named, stamped and without repeats."""
         account = self._account
         account.read += 1
+        if int(decoded.keys[i, 0]) > _LATEST:
+            account.skipped[FAR_FUTURE] += 1
+            return []
         if i in decoded.faults:
             account.skipped[DAMAGED] += 1
             account.first_error = account.first_error or decoded.faults[i]
@@ -411,6 +453,8 @@ def open_log(
     extrinsics: str | os.PathLike[str] | None = None,
     fixed_frame: str | None = None,
     output_prefix: str = OUTPUT_PREFIX,
+    recover: bool = False,
+    memory: int = MEMORY,
 ) -> Log:
     """Open a log and find out what is in it.
 
@@ -422,6 +466,8 @@ def open_log(
     extrinsics : file with the cameras' poses, instead of /tf_static and /tf.
     fixed_frame : frame of the results, instead of the root of the transforms.
     output_prefix : channels below it are results of hiros and not read.
+    recover : read what can be read of a damaged MCAP file; ``Log.recovery`` says what is lost.
+    memory : bytes that reading may take, about; see :class:`McapReader`.
 
     Raises
     ------
@@ -434,7 +480,7 @@ def open_log(
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader = open_reader(path)
+    reader = open_reader(path, recover=recover, memory=memory)
     try:
         with _named(reader.path):
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
@@ -442,7 +488,10 @@ def open_log(
             model, first = _learn(reader, layouts)
             decoder = Decoder(model, layouts=layouts)
             seen = [
-                _look(reader, info, decoder, layouts[info.id], first[info.id]) for info in chosen
+                _look(reader, info, decoder, layouts[info.id], first[info.id])
+                if info.count
+                else CameraChannel(info, layouts[info.id], {"": ""}, ())
+                for info in chosen
             ]
             cameras = _name_cameras(seen)
             begin = min((message.log_time for message in first.values()), default=0)
@@ -465,19 +514,21 @@ def span_of(reader: McapReader) -> tuple[int, int]:
     first = next(reader.messages(wanted), None)
     if first is None:
         return 0, 0
-    return first.log_time, max(c.end_time for c in reader.contents.chunks if c.holds(wanted))
+    ends = (chunk.end_time for chunk in reader.contents.chunks if chunk.holds(wanted))
+    return first.log_time, max((end for end in ends if end <= _LATEST), default=first.log_time)
 
 
-def open_reader(path: str | os.PathLike[str]) -> McapReader:
+def open_reader(
+    path: str | os.PathLike[str], *, recover: bool = False, memory: int = MEMORY
+) -> McapReader:
     """Open the container of a log of any kind, see :func:`open_log`; raises LogError."""
     path = Path(path)
-    inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    kind = "" if path.is_dir() and len(inside) == 1 else kind_of(path)
-    if kind:
-        return BagReader(path, kind)
-    if len(inside) != 1:
-        raise LogError(f"is a folder with {len(inside)} MCAP files; name one", path=path)
-    return McapReader(inside[0])
+    parts = parts_of(path, recover=recover)
+    if len(parts) > 1:
+        return SplitReader(path, parts, recover=recover, memory=memory)
+    if not parts:
+        return BagReader(path, kind_of(path), memory=memory)
+    return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
@@ -516,7 +567,7 @@ def _learn(
         if builder.complete and len(first) == len(layouts):
             break
     model = builder.build()
-    if not model.n_markers:
+    if failed and not model.n_markers:
         raise LogError(f"no message has a skeleton with markers{failed}")
     return model, first
 

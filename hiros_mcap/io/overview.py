@@ -25,7 +25,7 @@ from hiros_mcap.io.channels import (
     channels_of,
 )
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.container.reader import Table
+from hiros_mcap.io.container.chunks import Table
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.log import Log, open_log, open_reader
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP

@@ -139,6 +139,8 @@ def open_input(source: str | os.PathLike[str], config: Config, options: ProcessO
         topics=options.topics or None,
         extrinsics=options.extrinsics,
         fixed_frame=config.input.fixed_frame or None,
+        recover=options.recover,
+        memory=int(options.memory * 2**30),
     )
 
 

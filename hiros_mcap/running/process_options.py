@@ -32,6 +32,10 @@ class ProcessOptions:
     """Where to save the limb lengths."""
     strict: bool = False
     """Refuse a log if any of its messages has to be skipped."""
+    recover: bool = False
+    """Run on what can be read of a damaged log."""
+    memory: float = 1.0
+    """GiB that a run may take, about."""
     markers: bool = False
     """Also write the last stage as MarkerArray and JointState, and the events as Log."""
     compression: str = "zstd"

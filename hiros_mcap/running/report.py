@@ -56,6 +56,7 @@ class Report:
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
             warnings=tuple(self._warnings()),
+            losses=self.log.recovery.loss if self.log.recovery else "",
             notes=tuple(self._all_notes()),
         )
 
@@ -104,6 +105,9 @@ class Report:
 
     def _warnings(self) -> Iterator[str]:
         """Yield what makes the result doubtful or incomplete, with the remedy."""
+        if self.log.losses:
+            damaged = "is damaged" if self.log.recovery else "was damaged before it was recovered"
+            yield f"the recording {damaged}; {self.log.losses}"
         yield from self.log.warnings
         if not self.observer.people:
             yield from self._nobody()

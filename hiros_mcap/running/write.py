@@ -26,6 +26,7 @@ from hiros_mcap.io.channels import (
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
+from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.digest import Digest, digest_of
 from hiros_mcap.io.log import Log
 from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
@@ -99,6 +100,7 @@ class LogOutput:
         self._by_stamp = params.log_time == "stamp"
         self._given, self._digest = _given(options), digest
         self._input_messages = log.reader.counts
+        self._recovery = log.recovery_mark
         self._export = None
         if options.markers:
             from hiros_mcap.io.export.markers import MarkerExport
@@ -145,6 +147,8 @@ class LogOutput:
         if "merge" in sections and LETTERS["M"] in self._chain:
             provenance["merging"] = ",".join(merging_order(run.config.merge))
         writer.add_metadata(PROVENANCE, provenance)
+        if self._recovery:
+            writer.add_metadata(RECOVERY_METADATA, self._recovery)
         writer.add_attachment(CONFIG_ATTACHMENT, config, "application/toml")
         writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
         writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")

@@ -69,6 +69,9 @@ def predict(
     """
     from hiros_mcap.kernels import predicting as kernels
 
+    if not model.n_markers:  # a log of an empty room
+        yield from frames
+        return
     params, events = params or PredictParams(), Events() if events is None else events
     settings = kernels.PredictSettings(
         params.noise_ratio, params.max_gap, params.output == "corrected"

@@ -68,6 +68,7 @@ def test_no_command_shows_the_help() -> None:
     ("error", "code", "said"),
     [
         (MemoryError(), 2, "hiros: error: not enough memory\n"),
+        (RuntimeError("can't start new thread"), 2, "hiros: error: not enough memory\n"),
         (OSError(28, "No space left on device", "x.mcap"), 2, "x.mcap: No space left on device\n"),
         (KeyError("tibia"), 70, "(this is a fault of hiros, not of your input; "),
     ],
@@ -87,6 +88,24 @@ def test_every_fault_ends_as_one_line(
     stderr = capsys.readouterr().err
     assert said in stderr
     assert stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("kib", [60_000, 100_000, 180_000, 300_000, 450_000])
+def test_too_little_memory_is_one_line(kib: int, walking: Path, tmp_path: Path) -> None:
+    limited = f'ulimit -v {kib}; exec "$@"'
+    command = ["bash", "-c", limited, "bash", *HIROS, "process", str(walking), "-o", "out.mcap"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr.startswith("hiros: error: not enough memory")
+    assert (result.stdout, result.stderr.count("\n")) == ("", 1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo.mcap")
+    result = hiros("process", str(tmp_path / "fifo.mcap"), timeout=20)
+    assert result.returncode == 2
+    assert "is not a regular file" in result.stderr
 
 
 def test_debug_shows_where_an_error_comes_from() -> None:

@@ -137,6 +137,41 @@ def test_messages_come_by_time_from_chunks_that_overlap_and_are_not_sorted(path)
     assert got == sorted(((t, d) for _, t, d in messages), key=lambda item: item[0])
 
 
+def overlapping(path, times):
+    """20 chunks of 10 messages of 100 bytes, whose times overlap."""
+    messages = [(1 + k % 2, times(k), bytes([k]) * 100) for k in range(200)]
+    return write_log(path, messages, chunk_size=1100)
+
+
+@pytest.mark.parametrize("channels", [None, {2}])
+def test_chunks_that_overlap_too_much_are_read_in_slices(path, channels):
+    overlapping(path, lambda k: 1000 + 97 * k % 200)
+    with McapReader(path) as reader:
+        wanted = [(m.log_time, bytes(m.data)) for m in reader.messages(channels)]
+    with McapReader(path, memory=20_000) as reader:
+        most = 0
+        for batch in reader.batches(channels):
+            most = max(most, sum(len(records.data) for records in batch.records))
+        found = [(m.log_time, bytes(m.data)) for m in reader.messages(channels)]
+    assert most < 5000  # of 20 000
+    assert found == wanted
+
+
+def test_too_many_messages_of_one_time_name_the_limit_and_the_option(path):
+    overlapping(path, lambda _: 1000)
+    with McapReader(path, memory=20_000) as reader, pytest.raises(LogError) as caught:
+        list(reader.messages())
+    assert "messages of one time" in str(caught.value)
+    assert "--memory GIB raises it" in str(caught.value)
+
+
+def test_chunks_that_hardly_overlap_are_read_once(path):
+    overlapping(path, lambda k: 1000 + k + 15 * (k % 2))
+    with Counting(path, memory=20_000) as reader:
+        list(reader.messages())
+        assert len(reader.loaded) == len(set(reader.loaded))
+
+
 def test_messages_of_equal_time_come_in_the_order_of_the_file(path):
     messages = [(1 + k % 2, 7, bytes([k])) for k in range(100)]
     write_log(path, messages, chunk_size=200)

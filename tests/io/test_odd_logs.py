@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,13 @@ from odd_logs import Change, believed, changed, later, scaled
 
 from hiros_cli.app import run as command
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.container import Channel, McapReader, McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import look
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import Summary
+from hiros_mcap.systems import SYSTEMS
 
 SECOND = 1_000_000_000
 
@@ -163,3 +166,50 @@ def test_channels_of_other_programs_do_no_harm(schema: str, walking: Path, tmp_p
         writer.finish()
     assert len(process(log).people) == 1
     assert command(["info", str(log)]) == 0
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("messages", [True, False])
+def test_an_empty_room_gives_an_empty_result(
+    system: str, messages: bool, walking: Path, tmp_path: Path
+) -> None:
+    source, out = tmp_path / "empty.mcap", tmp_path / "out.mcap"
+
+    def nobody(frame: Frame, _: int) -> Frame:
+        return frame.replace(people=frame.people.at(slice(0, 0)))
+
+    changed(walking, source, nobody, keep=messages)
+    summary = process(source, out, options=ProcessOptions(system=system))
+    assert summary.people == ()
+    assert any("the room is empty" in note for note in summary.notes)
+    with McapReader(out) as reader:
+        assert reader.counts.keys() >= {1, 2, 3}
+        assert sum(camera.messages for camera in summary.cameras) == (268 if messages else 0)
+
+
+def test_the_largest_ids_times_and_numbers_are_read_and_copied(
+    walking: Path, tmp_path: Path
+) -> None:
+    source, out = tmp_path / "large.mcap", tmp_path / "out.mcap"
+    largest = {"sequence": 2**32 - 1, "publish_time": 2**64 - 1}
+    with McapReader(walking) as reader, McapWriter(source) as writer:
+        for channel in reader.channels.values():
+            schema = reader.schema(channel)
+            assert schema is not None
+            schema = replace(schema, id=65536 - schema.id)
+            writer.define(schema)
+            writer.define(replace(channel, id=65536 - channel.id, schema_id=schema.id))
+        writer.define(
+            Channel(id=9, topic="/nothing", message_encoding="json", schema_id=0, metadata={})
+        )
+        for m in reader.messages():
+            writer.write(65536 - m.channel_id, m.log_time, m.data, **largest)
+        writer.write(9, 2**64 - 1, b"{}", **largest)
+        writer.commit()
+    summary = process(source, out, options=ProcessOptions(keep=("*",)))
+    assert len(summary.people) == 1
+    with McapReader(out) as reader:
+        topics = {channel.topic: i for i, channel in reader.channels.items()}
+        (m,) = reader.messages({topics["/nothing"]})
+        assert (m.log_time, m.publish_time, m.sequence) == (2**64 - 1, 2**64 - 1, 2**32 - 1)
+        assert reader.counts[topics["/hiros/filtered"]] > 80

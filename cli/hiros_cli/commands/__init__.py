@@ -19,6 +19,7 @@ from hiros_cli.commands import (
     info,
     plot,
     process,
+    recover,
     show_config,
     simulate,
     systems,
@@ -73,6 +74,7 @@ app.command("eval")(evaluate.evaluate)
 app.command()(check.check)
 app.command()(compare.compare)
 app.command()(info.info)
+app.command()(recover.recover)
 app.command()(simulate.simulate)
 app.command()(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")

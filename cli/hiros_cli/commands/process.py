@@ -12,6 +12,7 @@ import typer
 
 from hiros_cli.completing import topics
 from hiros_cli.options import (
+    LOSSES,
     Assignments,
     ConfigFile,
     Force,
@@ -119,6 +120,19 @@ def process(
     strict: Annotated[
         bool, typer.Option("--strict", help="Fail if any message would be skipped.")
     ] = False,
+    recover: Annotated[
+        bool,
+        typer.Option(
+            "--recover",
+            help="Run on what can be read of a damaged log; exit with 3 on losses.",
+        ),
+    ] = False,
+    memory: Annotated[
+        float,
+        typer.Option(
+            metavar="GIB", min=0.25, help="Memory for a log whose chunks overlap in time, GiB."
+        ),
+    ] = 1.0,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -144,6 +158,8 @@ def process(
         inputs=(source, config, extrinsics, limbs),
         force=force,
     )
+    if strict and recover:
+        raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
     prepare(quiet=quiet, roots=RUN)
 
@@ -174,6 +190,8 @@ def process(
         limbs_out=save_limbs,
         markers=markers,
         strict=strict,
+        recover=recover,
+        memory=memory,
     )
     effective = load_config(config, assignments or (), preset, system, shortcuts)
     with ExitStack() as stack:
@@ -189,6 +207,8 @@ def process(
             force=force,
         )
     _show(summary, json=json, quiet=quiet)
+    if summary.losses:
+        raise typer.Exit(LOSSES)
 
 
 def _refuse_result(source: Path) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import weakref
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from io import FileIO
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.outputs import create_locked, temporary_name
 
 _BEGIN = 16 << 20  # bytes
 _PARTS = 64  # POSIX guarantees 16, every current system 1024
@@ -30,7 +30,7 @@ class OutputFile:
     """A temporary file beside the output, renamed to it by ``publish`` and never left behind.
 
     Its name is ``.hiros-*.tmp``, in the output's folder because a rename cannot cross file systems.
-    A run that is killed leaves it there and changes nothing else.
+    A run that is killed leaves it there and changes nothing else; the next one removes it.
 
     Raises LogError if the output is one of ``inputs`` under any name, is not a regular file, or
     cannot be written.
@@ -44,12 +44,14 @@ class OutputFile:
         try:
             self._target = Path(os.path.realpath(path))
             self._refuse(inputs)
-            self.temp = self._target.with_name(f".hiros-{secrets.token_hex(6)}.tmp")
+            self.temp = temporary_name(self._target)
             # A signal may raise anywhere, even before the caller's `with` block begins.
             self._remove = weakref.finalize(self, self.temp.unlink, missing_ok=True)
-            # Mode 0666 less the umask, as for any file that a program makes.
-            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-            self._file = os.fdopen(os.open(self.temp, flags, 0o666), "wb", buffering=0)
+            self._unlock: Callable[[], object] = int
+            self._file = os.fdopen(create_locked(self.temp), "wb", buffering=0)
+            if os.name == "posix":  # elsewhere an open file cannot be renamed
+                # A copy of the descriptor keeps the lock until the file has its name.
+                self._unlock = weakref.finalize(self, os.close, os.dup(self._file.fileno()))
         except (OSError, ValueError) as error:
             raise self._error(error) from None
 
@@ -94,6 +96,7 @@ class OutputFile:
                     os.fsync(folder)
                 finally:
                     os.close(folder)
+            self._unlock()
         except OSError as error:
             raise self._error(error) from None
 
@@ -103,6 +106,7 @@ class OutputFile:
             self._file.close()
         finally:
             self._remove()
+            self._unlock()
 
     def _refuse(self, inputs: Iterable[str | os.PathLike[str]]) -> None:
         if not self._target.exists():

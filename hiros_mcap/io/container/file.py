@@ -28,7 +28,8 @@ class LogFile:
         try:
             # A FIFO would block in open(): look before.
             if not stat.S_ISREG(self.path.stat().st_mode):
-                raise LogError("is not a regular file", path=self.path)
+                fault = "is not a regular file; hiros reads files, so save a stream first"
+                raise LogError(fault, path=self.path)
             self._file = self.path.open("rb", buffering=0)
         except (OSError, ValueError) as error:
             raise _refused(self.path, error) from None

@@ -2,12 +2,13 @@
 
 What the reader promises: every message of the chosen channels is handed out exactly once with
 exactly its bytes, or a LogError says what is wrong and where. Checksums are always compared,
-nothing is taken from an index that the data contradict, and memory is bounded by the chunks that
-overlap in time.
+nothing is taken from an index that the data contradict, and memory is bounded: where many chunks
+overlap in time, they are read several times.
 """
 
 from __future__ import annotations
 
+import heapq
 import os
 import struct
 import time
@@ -19,14 +20,14 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.compression import decompress
+from hiros_mcap.io.container.chunks import Table, read_chunk
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.records import (
     HEAD,
+    AttachmentIndex,
     Bytes,
     Channel,
     Chunk,
@@ -34,32 +35,22 @@ from hiros_mcap.io.container.records import (
     Message,
     Schema,
 )
-from hiros_mcap.io.container.scan import Contents, scan
-from hiros_mcap.kernels.record_index import (
-    CHANNEL,
-    FORBIDDEN,
-    LOG_TIME,
-    OK,
-    PAST_END,
-    SHORT_MESSAGE,
-    START,
-    index_records,
-)
+from hiros_mcap.io.container.scan import REMEDY, Contents, scan
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 
 _AHEAD = 2
 _AHEAD_BYTES = 64 * 2**20
+MEMORY = 2**30
+"""Bytes that reading may take unless the user allows more."""
+_HELD = 4
+"""Chunks that overlap in time may take this part of the memory; larger ones are read in slices."""
+_POINTS = 64  # of a chunk, at which a slice of its messages may begin
 _TOGETHER = 4 * 2**20
 """Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
-_FAULTS = {
-    PAST_END: "a record reaches past the end of the chunk",
-    SHORT_MESSAGE: "a message is shorter than its fixed fields",
-    FORBIDDEN: "a record that is not allowed in a chunk",
-}
 _COLUMNS = [LOG_TIME, START]
 _ATTACHMENT_FIXED = 32  # bytes before the data of an attachment, besides its names
 
-Table = npt.NDArray[np.uint64]
 T = TypeVar("T")
 
 
@@ -78,6 +69,23 @@ class Records(NamedTuple):
         keys = np.full((len(self.messages), 3), self.offset, np.uint64)
         keys[:, [0, 2]] = self.messages[:, _COLUMNS]
         return keys
+
+    def only(self, chosen: npt.NDArray[np.bool_], least: int = 0) -> Records:
+        """Keep some of the messages; drop the bytes of the others if these are most.
+
+        Data of fewer than ``least`` bytes are kept.
+        """
+        messages = self.messages[chosen]
+        if len(self.data) < least:
+            return self._replace(messages=messages)
+        lengths = messages[:, STOP] - messages[:, START]
+        if 2 * int(lengths.sum()) > len(self.data):
+            return self._replace(messages=messages)
+        view = memoryview(self.data)
+        data = b"".join(view[start:stop] for start, stop in messages[:, [START, STOP]].tolist())
+        messages[:, STOP] = np.cumsum(lengths)
+        messages[:, START] = messages[:, STOP] - lengths
+        return self._replace(data=data, messages=messages)
 
     def at(self, rows: Sequence[int]) -> Iterator[Message]:
         """Yield some messages; their data are views, which are valid as long as they are held."""
@@ -111,15 +119,22 @@ class McapReader:
     """An open MCAP file; use it as a context manager.
 
     Opening walks the whole file (see scan) and raises LogError for a damaged or truncated one.
+
+    Parameters
+    ----------
+    path : the file.
+    memory : bytes that reading may take, about. Chunks that overlap so much in time that they would
+        take more are decompressed several times.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, memory: int = MEMORY) -> None:
         self._file = LogFile(path)
+        self._memory = memory
         self.path = self._file.path
         self.cpu_s = 0.0
         """CPU time, s, of the threads that read ahead."""
         try:
-            self._contents = scan(self._file)
+            self._contents = self._walk()
             largest = max((chunk.size for chunk in self._contents.chunks), default=0)
             self._depth = min(_AHEAD, _AHEAD_BYTES // max(largest, _TOGETHER))
             self._checked: dict[int, frozenset[int]] = {}
@@ -128,6 +143,9 @@ class McapReader:
         except BaseException:
             self._file.close()
             raise
+
+    def _walk(self) -> Contents:
+        return scan(self._file)
 
     def __enter__(self) -> Self:
         return self
@@ -163,8 +181,10 @@ class McapReader:
         """Bytes of the first attachment of a name, which the walk has checked; None = no such."""
         found = (index for index in self._contents.attachments if index.name == name)
         index = next(found, None)
-        if index is None:
-            return None
+        return None if index is None else self.data_of(index)
+
+    def data_of(self, index: AttachmentIndex) -> bytes:
+        """Bytes of an attachment that the walk found."""
         names = len(index.name.encode()) + len(index.media_type.encode())
         start = index.offset + HEAD.size + _ATTACHMENT_FIXED + names
         return self._file.read(start, index.data_size)
@@ -186,10 +206,62 @@ class McapReader:
         chunks = self._contents.chunks
         if channels is not None:
             chunks = [chunk for chunk in chunks if chunk.holds(channels)]
-        groups = list(_together(sorted(chunks, key=lambda c: (c.start_time, c.offset)), size))
+        chunks = sorted(chunks, key=lambda c: (c.start_time, c.offset))
+        if _most_held(chunks) > self._memory // _HELD:
+            yield from self._slices(chunks, channels)
+            return
+        groups = list(_together(chunks, size))
         for k, group in enumerate(groups, 1):
             until = groups[k][0].start_time if k < len(groups) else None
             yield Batch([self._chosen(self.load(chunk), channels) for chunk in group], until)
+
+    def _slices(self, chunks: Sequence[Chunk], channels: Collection[int] | None) -> Iterator[Batch]:
+        """Yield the messages in slices of time, for which chunks are read as often as needed.
+
+        Raises LogError if messages of one log time alone take too much memory.
+        """
+        most = self._memory // (2 * _HELD)
+        edges = self._edges(chunks, channels, most // 2)
+        for first, until in zip([0, *edges], [*edges, None], strict=True):
+            parts, size = [], 0
+            for chunk in chunks:
+                if chunk.end_time < first or (until is not None and chunk.start_time >= until):
+                    continue
+                records = self._chosen(self.load(chunk), channels)
+                times = records.messages[:, LOG_TIME]
+                inside = times >= np.uint64(first)
+                if until is not None:
+                    inside &= times < np.uint64(until)
+                parts.append(records.only(inside))
+                size += len(parts[-1].data)
+                if size > self._memory // _HELD + most:
+                    raise LogError(
+                        f"its messages of one time take more than {size >> 20} MiB; the limit of "
+                        f"memory is {self._memory / 2**30:g} GiB; --memory GIB raises it",
+                        path=self.path,
+                    )
+            yield Batch(parts, until)
+
+    def _edges(
+        self, chunks: Iterable[Chunk], channels: Collection[int] | None, size: int
+    ) -> list[int]:
+        """Return log times, ns, between which messages of about ``size`` bytes lie."""
+        points: list[tuple[int, int]] = []
+        for chunk in chunks:
+            messages = self._chosen(self.load(chunk), channels).messages
+            messages = messages[np.argsort(messages[:, LOG_TIME])]
+            sizes = np.cumsum(messages[:, STOP] - messages[:, START])
+            if len(sizes):
+                wanted = sizes[-1] * np.arange(_POINTS, dtype=np.uint64) // np.uint64(_POINTS)
+                times = messages[np.searchsorted(sizes, wanted), LOG_TIME].tolist()
+                points += [(log_time, int(sizes[-1]) // _POINTS) for log_time in times]
+        edges, filled = [0], 0
+        for log_time, part in sorted(points):
+            if filled + part > size and log_time > edges[-1]:
+                edges.append(log_time)
+                filled = 0
+            filled += part
+        return edges[1:]
 
     def runs(self, channels: Collection[int] | None = None) -> Iterator[tuple[Records, list[int]]]:
         """Yield the messages in the order of log times, those of equal time as in the file.
@@ -245,40 +317,30 @@ class McapReader:
     def load(self, chunk: Chunk) -> Records:
         """Read, decompress and check one chunk; raises LogError."""
         try:
-            data = self._plain(chunk)
-            status, where, table, definitions = index_records(np.frombuffer(data, np.uint8))
-            if status != OK:
-                raise FormatError(f"{_FAULTS[int(status)]} (byte {where} in the chunk)")
+            data, messages, definitions = read_chunk(self._file, chunk)
             defined = self._define(data, definitions)
-            self._check_messages(chunk, table)
+            messages = self._accepted(chunk, messages)
         except (FormatError, struct.error, ValueError, OverflowError) as fault:
             where_from = "messages" if chunk.loose else "chunk"
             raise LogError(
-                f"damaged {where_from} at byte {chunk.offset}: {fault}", path=self.path
+                f"damaged {where_from} at byte {chunk.offset}: {fault}; {REMEDY}", path=self.path
             ) from None
         except MemoryError:
             raise LogError("is too large for the memory", path=self.path) from None
         self._checked[chunk.offset] = defined
-        return Records(data, table, chunk.offset)
+        return Records(data, messages, chunk.offset)
 
     def _chosen(self, records: Records, channels: Collection[int] | None) -> Records:
         if channels is None:
             return records
         chosen = np.isin(records.messages[:, CHANNEL], list(channels))
-        return records._replace(messages=records.messages[chosen])
+        return records.only(chosen, least=_TOGETHER)
 
     def definitions_in(self, chunk: Chunk) -> frozenset[int]:
         """Channels that the chunk defines; the chunk is checked for that if it was not yet."""
         if chunk.offset not in self._checked:
             self.load(chunk)
         return self._checked[chunk.offset]
-
-    def _plain(self, chunk: Chunk) -> Bytes:
-        packed = self._file.read(chunk.data_offset, chunk.data_size)
-        data = decompress(packed, chunk.compression, chunk.size)
-        if chunk.crc and crc32(data) != chunk.crc:
-            raise FormatError("the checksum is wrong")
-        return data
 
     def _define(self, data: Bytes, definitions: Table) -> frozenset[int]:
         defined = set()
@@ -288,8 +350,8 @@ class McapReader:
                 defined.add(ident)
         return frozenset(defined)
 
-    def _check_messages(self, chunk: Chunk, table: Table) -> None:
-        """Compare the messages with what the chunk record and its indexes claim of them."""
+    def _accepted(self, chunk: Chunk, table: Table) -> Table:
+        """Return the messages if they are what the chunk record and its indexes claim of them."""
         if not len(table):
             found: dict[int, int] = {}
         else:
@@ -303,6 +365,7 @@ class McapReader:
             raise FormatError("the messages do not match the message indexes")
         if unknown := [i for i in found if i not in self._contents.channels]:
             raise FormatError(f"a message belongs to channel {unknown[0]}, which is not defined")
+        return table
 
     def _complete_definitions(self) -> None:
         """Look into chunks for the definitions and counts that the walk could not see."""
@@ -329,10 +392,24 @@ class McapReader:
         stats, total = self._contents.statistics, sum(counts.values())
         if stats is not None and stats.message_count != total:
             raise LogError(
-                f"damaged: the statistics claim {stats.message_count} messages, there are {total}",
+                f"damaged: the statistics claim {stats.message_count} messages, there are {total}; "
+                f"{REMEDY}",
                 path=self.path,
             )
         return dict(counts)
+
+
+def _most_held(chunks: Sequence[Chunk]) -> int:
+    """Bytes of the chunks that overlap at one time, at most; they are sorted by their start."""
+    held: list[tuple[int, int]] = []  # end time and size
+    size = most = 0
+    for chunk in chunks:
+        while held and held[0][0] < chunk.start_time:
+            size -= heapq.heappop(held)[1]
+        heapq.heappush(held, (chunk.end_time, chunk.size))
+        size += chunk.size
+        most = max(most, size)
+    return most
 
 
 def _together(chunks: Iterable[Chunk], most: int) -> Iterator[list[Chunk]]:

@@ -20,6 +20,7 @@ from hiros_mcap.io.container.records import FormatError, Opcode
 
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
+REMEDY = "`hiros recover FILE -o OUT` saves what is readable"
 _RUN = 1 << 20
 _AHEAD = 1 << 14
 _INDEX = struct.Struct("<HI")  # channel and bytes of a message index
@@ -62,7 +63,7 @@ def scan(file: LogFile, *, checksum: bool = True) -> Contents:
 
     Without ``checksum`` that of the data section is left alone, which saves reading all of it.
     """
-    return _Scan(file, checksum).run()
+    return Scan(file, checksum=checksum).run()
 
 
 @dataclass(slots=True)
@@ -93,10 +94,10 @@ class _LooseMessages:
         )
 
 
-class _Scan:
+class Scan:
     """The walk: where it is, and what it has found so far."""
 
-    def __init__(self, file: LogFile, checksum: bool) -> None:
+    def __init__(self, file: LogFile, *, checksum: bool = True) -> None:
         self.file = file
         self.checksum = checksum
         self.found = Contents()
@@ -109,12 +110,15 @@ class _Scan:
         self._index_end = 0
 
     def run(self) -> Contents:
+        """Find what is there; raises LogError for any damage."""
         try:
             self._opening()
             self._sections()
             self._agreement()
         except (FormatError, struct.error) as fault:
-            raise LogError(f"damaged at byte {self.at}: {fault}", path=self.file.path) from None
+            raise LogError(
+                f"damaged at byte {self.at}: {fault}; {REMEDY}", path=self.file.path
+            ) from None
         except MemoryError:
             raise LogError("is too large for the memory", path=self.file.path) from None
         self.file.check_unchanged()
@@ -212,7 +216,7 @@ class _Scan:
     def _truncated(self, where: str) -> LogError:
         return LogError(
             f"truncated: the file ends at byte {self.file.size}, {where} at byte {self.at}; "
-            "the recording was cut off ('mcap recover' can save what is complete)",
+            f"the recording was cut off; {REMEDY}",
             path=self.file.path,
         )
 
@@ -269,6 +273,11 @@ class _Scan:
             self.found.chunks.append(run.chunk())
 
     def _chunk(self, begin: int, stop: int) -> None:
+        self.found.chunks.append(self._chunk_head(begin, stop))
+        self._index = {}
+
+    def _chunk_head(self, begin: int, stop: int) -> r.Chunk:
+        """Read what the record of a chunk claims."""
         at = r.Cursor(self._peek(begin, min(stop - begin, 128)))
         start, end, size, crc = r.CHUNK_HEAD.unpack(at.take(r.CHUNK_HEAD.size))
         compression, data_size = at.string(), at.number(8)
@@ -279,10 +288,9 @@ class _Scan:
         if size > MAX_CHUNK:
             raise FormatError(f"a chunk claims {size} bytes uncompressed; the limit is {MAX_CHUNK}")
         data = begin + at.at
-        self.found.chunks.append(
-            r.Chunk(self.at, stop, start, end, size, crc, compression, data, data_size, stop, None)
+        return r.Chunk(
+            self.at, stop, start, end, size, crc, compression, data, data_size, stop, None
         )
-        self._index = {}
 
     def _message_index(self, begin: int, stop: int) -> None:
         if self._index is None:

@@ -10,8 +10,9 @@ import os
 import struct
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -107,7 +108,7 @@ class McapWriter:
         self._compression = compression
         self._chunk_size = chunk_size
         self._times: list[int] = []
-        self._reserved = (0, 0)
+        self._reserved: tuple[set[int], set[int]] = (set(), set())  # schemas and channels
         self._batch = _Batch(chunk_size + _SPARE)
         self._singles: list[_Single] = []
         self._gathered = 0
@@ -131,17 +132,15 @@ class McapWriter:
     def copy_definitions(self, reader: McapReader, channels: Iterable[int]) -> None:
         """Copy channels with their ids, schemas and metadata.
 
-        New ids will be larger than every id of that file, also of channels that are not copied.
+        New ids will be none of that file, also not of channels that are not copied.
         """
         contents = reader.contents
-        self._reserved = (
-            max(self._reserved[0], *contents.schemas, 0),
-            max(self._reserved[1], *contents.channels, 0),
-        )
+        self._reserved[0].update(contents.schemas)
+        self._reserved[1].update(contents.channels)
         for channel in (contents.channels[i] for i in sorted(channels)):
             if channel.schema_id:
-                self._define(self.schemas, contents.schemas[channel.schema_id], r.build)
-            self._define(self.channels, channel, r.build)
+                self.define(contents.schemas[channel.schema_id])
+            self.define(channel)
 
     def add_schema(self, name: str, data: bytes) -> int:
         """Add a definition of ROS 2 messages and return its id."""
@@ -172,6 +171,10 @@ class McapWriter:
         self._define(self.channels, channel, r.build)
         return ident
 
+    def define(self, new: r.Schema | r.Channel) -> None:
+        """Add a definition with its id; raises ValueError if another one has it."""
+        self._define(self.schemas if isinstance(new, r.Schema) else self.channels, new, r.build)
+
     def _define(self, table: dict[int, Any], new: Any, build: Callable[[Any], bytes]) -> None:
         known = table.setdefault(new.id, new)
         if known is not new:
@@ -180,9 +183,13 @@ class McapWriter:
             return
         self._submit(self._out.write, build(new))
 
-    def _free(self, table: Mapping[int, object], reserved: int) -> int:
-        ident = max(reserved, *table, 0) + 1
+    def _free(self, table: Mapping[int, object], reserved: set[int]) -> int:
+        """Return the id above all others, or the smallest free one if there is none above."""
+        taken = reserved | table.keys()
+        ident = max(taken, default=0) + 1
         if ident > _MAX_ID:
+            ident = next((i for i in range(1, _MAX_ID + 1) if i not in taken), 0)
+        if not ident:
             raise LogError("has no ids left for new channels", path=self.path)
         return ident
 
@@ -251,13 +258,73 @@ class McapWriter:
             return
         for message in reader.messages_in(chunk):
             if message.channel_id in self.channels:
-                self.write(
-                    message.channel_id,
-                    message.log_time,
-                    message.data,
-                    publish_time=message.publish_time,
-                    sequence=message.sequence,
-                )
+                self._write(message.channel_id, message)
+
+    def _write(self, channel_id: int, message: r.Message) -> None:
+        """Add a message of a file, with its times and number."""
+        self.write(
+            channel_id,
+            message.log_time,
+            message.data,
+            publish_time=message.publish_time,
+            sequence=message.sequence,
+        )
+
+    def append(self, reader: McapReader, channels: Collection[int]) -> None:
+        """Copy all messages of some channels of a file in the order in which they lie in it.
+
+        A channel keeps its id unless one of another file has it; equal channels of several files
+        become one.
+        """
+        ids = {i: self._adopt(reader, i) for i in sorted(channels)}
+        others = reader.channels.keys() - ids.keys()
+        kept = all(i == new for i, new in ids.items()) and not (others & self.channels.keys())
+        for chunk in sorted(reader.contents.chunks, key=lambda chunk: chunk.offset):
+            if kept:
+                self._submit(self._flush)  # what is copied next lies behind these messages
+                self.copy_chunk(reader, chunk)
+            elif chunk.holds(ids):
+                for message in reader.messages_in(chunk):
+                    if message.channel_id in ids:
+                        self._write(ids[message.channel_id], message)
+        self._wait()  # the file may be closed now
+
+    def append_extras(self, reader: McapReader) -> None:
+        """Copy the attachments and the metadata of a file."""
+        for name, values in reader.contents.metadata:
+            self.add_metadata(name, values)
+        for index in reader.contents.attachments:
+            times = index.log_time, index.create_time
+            self.add_attachment(index.name, reader.data_of(index), index.media_type, times)
+
+    def _wait(self) -> None:
+        """Wait until the background thread has done everything so far."""
+        while self._waiting:
+            self._waiting.popleft().result()
+
+    def _adopt(self, reader: McapReader, ident: int) -> int:
+        """Return the id of a channel that is equal to one of a file; add it if there is none."""
+        channel = reader.channels[ident]
+        schema = reader.schema(channel)
+
+        def equal(other: r.Channel) -> bool:
+            mine = self.schemas.get(other.schema_id)
+            same = mine == schema or (mine and schema and replace(mine, id=schema.id) == schema)
+            return bool(same) and replace(other, id=0, schema_id=0) == replace(
+                channel, id=0, schema_id=0
+            )
+
+        for known in sorted(self.channels.values(), key=lambda other: other.id != ident):
+            if equal(known):
+                return known.id
+        if schema is not None and self.schemas.get(schema.id, schema) != schema:
+            schema = replace(schema, id=self._free(self.schemas, self._reserved[0]))
+        if ident in self.channels:
+            ident = self._free(self.channels, self._reserved[1])
+        if schema is not None:
+            self.define(schema)
+        self.define(replace(channel, id=ident, schema_id=schema.id if schema else 0))
+        return ident
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record; keys are sorted."""
@@ -267,18 +334,27 @@ class McapWriter:
         )
 
     def add_attachment(
-        self, name: str, data: bytes, media_type: str = "application/octet-stream"
+        self,
+        name: str,
+        data: bytes,
+        media_type: str = "application/octet-stream",
+        times: tuple[int, int] = (0, 0),
     ) -> None:
-        """Add a file; its times are 0, so that the output depends on the input only."""
-        file = r.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-        tail = struct.pack("<QQQ", 0, 0, len(data)) + r.text(name) + r.text(media_type)
+        """Add a file; its times of logging and creation, ns, are 0 unless it is copied.
+
+        So the output depends on the input only.
+        """
+        logged, created = times
+        file = r.Attachment(
+            create_time=created, log_time=logged, name=name, media_type=media_type, data=data
+        )
+        tail = struct.pack("<QQQ", *times, len(data)) + r.text(name) + r.text(media_type)
         self._submit(self._emit_extra, r.build(file), Opcode.ATTACHMENT_INDEX, tail)
 
     def commit(self) -> None:
         """Finish the file, check it and let it appear at ``path``, replacing what was there."""
         self._submit(self._flush)
-        while self._waiting:
-            self._waiting.popleft().result()
+        self._wait()
         self._summary()
         self._out.sync()
         check = LogFile(self._out.temp)

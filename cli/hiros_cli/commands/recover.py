@@ -1,0 +1,87 @@
+"""``hiros recover``: what can be read of a damaged recording, as a healthy log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hiros_cli.options import LOSSES, Force, Json, QuietResult
+
+if TYPE_CHECKING:
+    from hiros_mcap.io.container import Recovery
+
+SUFFIX = ".recovered.mcap"
+
+
+def recover(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG", help="MCAP file, or folder with the MCAP files of one recording."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help=f"Output file. Default: LOG's name with {SUFFIX}."
+        ),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+    quiet: QuietResult = False,
+) -> None:
+    """Save what can be read of a damaged or truncated recording.
+
+    Exits with 0 if nothing was lost, 3 if something was, and 2 if nothing can be read.
+    """
+    from hiros_cli.compiling import prepare
+    from hiros_cli.output import beside, check_outputs, print_json, warn
+
+    source.stat()
+    target = beside(source, SUFFIX) if output is None else output
+    check_outputs((target, "log"), inputs=(source,), force=force)
+    prepare(quiet=quiet)
+    from hiros_mcap.io.recovering import recover as write
+
+    recovery = write(source, target, force=force)
+    if not recovery.complete:
+        warn(f"{source}: {recovery.loss}")
+    if json:
+        print_json("recover", recovery.to_dict(), [] if recovery.complete else [recovery.loss])
+    elif not quiet:
+        _show(recovery, target)
+    if not recovery.complete:
+        raise typer.Exit(LOSSES)
+
+
+def _show(recovery: Recovery, target: Path) -> None:
+    from hiros_cli.run_report import console, say, table
+    from hiros_mcap.summary import quantity
+
+    out = console()
+    rows = [
+        (
+            channel.topic,
+            str(channel.recovered),
+            _known(channel.lost),
+            _known(channel.lost_bytes),
+            "unknown" if channel.lost_s is None else f"{channel.lost_s:.2f} s",
+        )
+        for channel in recovery.channels
+    ]
+    out.print(table("Channel", ">Recovered", ">Lost", ">Bytes lost", ">Time lost", rows=rows))
+    out.print()
+    for damage in recovery.damages:
+        where = f"{damage.file}, byte {damage.offset}" if damage.file else f"byte {damage.offset}"
+        size = quantity(damage.end - damage.offset, "byte")
+        say(out, f"damage at {where}: {damage.fault} ({size} not readable)")
+    if recovery.complete:
+        damaged = "the damage cost no message" if recovery.damages else "the log is not damaged"
+        say(out, f"nothing was lost: {damaged}")
+    say(out, f"wrote {quantity(recovery.recovered, 'message')} to {target}")
+
+
+def _known(number: int | None) -> str:
+    return "unknown" if number is None else str(number)
