@@ -12,8 +12,9 @@ import numpy as np
 
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import Account, CameraChannel, Log
-from hiros_mcap.running.observe import Observer, Presence, clock_notes
+from hiros_mcap.io.log import DAMAGED, STALE, Account, CameraChannel, Log
+from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
+from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import (
     CameraSummary,
@@ -28,6 +29,13 @@ from hiros_mcap.systems import Run
 
 _IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
+_LARGEST_LOSS = 0.05
+_REMEDIES = {
+    TOO_LATE: "let messages wait longer: --set track.reorder=3",
+    DAMAGED: "see the first faulty message below",
+    STALE: "the camera repeats old skeletons; look at its driver",
+}
+"""Reason why messages were skipped -> what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +46,7 @@ class Report:
     run: Run
     observer: Observer
     watch: Stopwatch
+    clocks: ClockAlignment
     notes: Sequence[str] = ()
     """What the summary says first."""
 
@@ -46,24 +55,26 @@ class Report:
         start, end = self.log.span
         people, chain, cpu = self.observer.people, self.observer.chain, self.watch.cpu
         steps = [name for name in ("read", *chain, "write") if name in cpu]
+        cameras = tuple(map(self._camera, self.log.cameras))
         return Summary(
             source=str(self.log.path),
             target=target,
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - self.watch.started,
-            cameras=tuple(map(self._camera, self.log.cameras)),
+            cameras=cameras,
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
+            warnings=tuple(self._warnings(cameras)),
             notes=tuple(self._all_notes()),
         )
 
     def _camera(self, camera: CameraChannel) -> CameraSummary:
         """Return what became of a camera's messages."""
-        counts, clocks = self.run.events.counts, self.observer.clocks
+        counts, hertz = self.run.events.counts, self.observer.rates
         account = self.log.accounts[camera.channel.topic]
         sources = sorted(camera.sources.values())
-        rates = [clocks[source].rate for source in sources if source in clocks]
+        rates = [hertz[source].hertz for source in sources if source in hertz]
         # Cameras that share messages: the one that lost most, since each lost a part of them.
         late = max(counts[TOO_LATE, source] for source in sources)
         return CameraSummary(
@@ -75,7 +86,17 @@ class Report:
             skipped={**account.skipped, **({TOO_LATE: late} if late else {})},
             flips=sum(counts["flip", source] for source in sources),
             outliers=sum(counts["outlier", source] for source in sources),
+            clock=tuple(fault for fault in self.clocks.faults if fault.camera in sources),
         )
+
+    def _warnings(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
+        """Yield what makes the result doubtful: what was lost, then the clocks."""
+        for camera in cameras:
+            lost = sum(camera.skipped.values())
+            if lost > _LARGEST_LOSS * camera.messages:
+                yield _loss(camera, lost)
+        yield from clock_warnings(self.clocks.faults, self.log.span[0])
+        yield from self.clocks.undecided
 
     def _person(self, person: int, presence: Presence) -> PersonSummary:
         return PersonSummary(
@@ -119,7 +140,16 @@ class Report:
         optimized = self.observer.people and "optimized" in self.observer.chain
         if windows and optimized and not measured:
             yield "limb lengths not calibrated: nobody was seen in the calibration windows"
-        yield from clock_notes(self.observer.clocks)
+        yield from clock_notes(self.clocks.faults, self.log.span[0])
+
+
+def _loss(camera: CameraSummary, lost: int) -> str:
+    """Return in words that much of a camera was not used, and the remedy."""
+    reason, n = max(camera.skipped.items(), key=lambda item: item[1])
+    return (
+        f"{camera.topic}: {lost} of {quantity(camera.messages, 'message')} "
+        f"({lost / camera.messages:.0%}) were not used, {n} of them: {reason}; {_REMEDIES[reason]}"
+    )
 
 
 def _input_notes(account: Account) -> Iterator[str]:

@@ -1,0 +1,141 @@
+"""Corrects the stamps of cameras whose clocks are wrong, before the stages see them.
+
+A run of a file judges every clock first, by the times of all messages
+(:mod:`hiros_mcap.io.camera_clock`) and by the people
+(:mod:`hiros_mcap.calibrate.clock_offset`). A causal run judges each message by those before it
+(:mod:`hiros_mcap.running.clock_follower`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hiros_mcap.config import Config
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
+from hiros_mcap.io.camera_clock import (
+    DRIFT,
+    LATE,
+    LONGEST_WAIT,
+    OFFSET,
+    ClockCorrection,
+    described,
+    judge_clocks,
+)
+from hiros_mcap.io.log import Log
+from hiros_mcap.skeletons import Stamps
+from hiros_mcap.stages.time_order import late_in_order
+from hiros_mcap.summary import ClockFault
+
+_WORTH_A_WARNING = 0.05  # s
+_MARGIN = 0.1  # s
+
+
+@dataclass(slots=True)
+class ClockAlignment:
+    """The clocks of a run's cameras."""
+
+    corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
+    """By camera."""
+    faults: list[ClockFault] = field(default_factory=list)
+    undecided: list[str] = field(default_factory=list)
+    """In words, what neither times nor people could decide."""
+    wait: float = 0.0
+    """s: how late messages are; 0 if no later than the stages can take."""
+
+    def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Yield blocks with right stamps, in an order that the stages can take."""
+        if self.corrections:
+            blocks = (_corrected(block, self.corrections) for block in blocks)
+        yield from late_in_order(blocks, self.wait) if self.wait else blocks
+
+    def tell(self, events: Events) -> None:
+        """Note the faults."""
+        for fault in self.faults:
+            detail = fault.size
+            events.note(fault.at_ns, fault.kind, source=fault.camera, detail=detail)
+
+
+def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
+    """Judge the clocks of a log.
+
+    ``reorder`` is the longest time, s, by which the stages take messages that are late.
+
+    Raises ConfigError if the configuration corrects a camera that the log does not have.
+    """
+    given = given_corrections(log, config)
+    if config.input.clocks == "off":
+        fixed = {name: ClockCorrection(offsets=(round(s * 1e9),)) for name, s in given.items()}
+        return ClockAlignment(fixed)
+    judged = judge_clocks(log.times(), given)
+    wait = min(judged.wait + _MARGIN, LONGEST_WAIT) if judged.wait > reorder else 0.0
+    return ClockAlignment(judged.corrections, list(judged.faults), [], wait)
+
+
+def given_corrections(log: Log, config: Config) -> dict[str, float]:
+    """Camera -> seconds that the user adds to its stamps.
+
+    Raises ConfigError for a name that is neither a camera nor a topic of one.
+    """
+    names = [name for camera in log.cameras for name in camera.sources.values()]
+    topics = {camera.channel.topic: tuple(camera.sources.values()) for camera in log.cameras}
+    given: dict[str, float] = {}
+    for name, seconds in config.clock.seconds.items():
+        found = (name,) if name in names else topics.get(name, ())
+        if not found:
+            raise ConfigError(
+                f"clock: {log.path} has no camera {name!r} (there are: {', '.join(names)})"
+            )
+        given.update(dict.fromkeys(found, seconds))
+    return given
+
+
+def clock_warnings(faults: Iterable[ClockFault], start: int) -> Iterator[str]:
+    """Yield what is doubtful because of the clocks, and the remedy."""
+    for fault in faults:
+        if _is_grave(fault):
+            yield f"{described(fault, start)}; {_remedy(fault)}"
+
+
+def clock_notes(faults: Iterable[ClockFault], start: int) -> Iterator[str]:
+    """Yield what was found in the clocks and matters less."""
+    for fault in faults:
+        if not _is_grave(fault):
+            yield f"{described(fault, start)}; hiros allowed for it"
+
+
+def _is_grave(fault: ClockFault) -> bool:
+    if fault.kind == LATE:
+        return False
+    return fault.kind == DRIFT or abs(fault.seconds) >= _WORTH_A_WARNING
+
+
+def _remedy(fault: ClockFault) -> str:
+    if fault.kind == OFFSET:
+        return (
+            "hiros corrected the stamps; synchronize the clocks, or state the correction with "
+            f"--clock {fault.camera}={-fault.seconds:.3f}"
+        )
+    return "hiros corrected the stamps; synchronize the cameras' clocks (NTP or PTP)"
+
+
+def _corrected(block: Block, corrections: Mapping[str, ClockCorrection]) -> Block:
+    """Return a block with right stamps, of frames and of people."""
+    concerned = corrections.keys() & set(block.sources)
+    if not concerned:
+        return block
+    sources = np.array(block.sources)
+    stamps: Stamps = block.stamps.copy()
+    for name in concerned:
+        own = np.flatnonzero(sources == name)
+        stamps[own] = corrections[name].apply(block.stamps[own], block.log_times[own])
+    times = block.people.stamps.copy()
+    shifts = (stamps - block.stamps).tolist()
+    for shift, (begin, end) in zip(shifts, block.rows.tolist(), strict=True):
+        if shift:
+            times[begin:end][times[begin:end] > 0] += shift
+    return replace(block, stamps=stamps, people=block.people._replace(stamps=times))
