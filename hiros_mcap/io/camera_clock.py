@@ -62,6 +62,10 @@ class CameraTimes:
         """(N,) log time - stamp, s."""
         return np.asarray((self.log_times - self.stamps) * 1e-9, np.float64)
 
+    def moved(self, seconds: float) -> CameraTimes:
+        """Return the same with later stamps."""
+        return replace(self, stamps=self.stamps + round(seconds * 1e9))
+
 
 @dataclass(frozen=True, slots=True)
 class ClockCorrection:
@@ -113,10 +117,15 @@ class ClockJudgement:
     """By camera; one that is missing is right."""
     faults: tuple[ClockFault, ...] = ()
     """In the order of their times."""
-    lags: Mapping[str, float] = field(default_factory=dict)
-    """Usual lag of each camera after the corrections, s."""
+    times: Mapping[str, CameraTimes] = field(default_factory=dict)
+    """By camera, after the corrections."""
     wait: float = 0.0
     """Longest time, s, that a message has to wait for older ones of other cameras."""
+
+    @property
+    def lags(self) -> dict[str, float]:
+        """Usual lag of each camera after the corrections, s."""
+        return {name: float(np.median(times.lags)) for name, times in self.times.items()}
 
 
 def judge_clocks(
@@ -129,7 +138,7 @@ def judge_clocks(
     """
     given = given or {}
     known = {
-        name: replace(times, stamps=times.stamps + round(given.get(name, 0.0) * 1e9))
+        name: times.moved(given.get(name, 0.0))
         for name, times in sorted(cameras.items())
         if len(times.stamps)
     }
@@ -153,8 +162,8 @@ def judge_clocks(
     return ClockJudgement(
         {name: one for name, one in fixed.items() if _changes(one, cameras[name])},
         tuple(sorted(faults, key=lambda fault: (fault.at_ns, fault.camera))),
-        {name: float(np.median(times.lags)) for name, times in right.items()},
-        _longest_wait(right.values()),
+        right,
+        longest_wait(right.values()),
     )
 
 
@@ -357,7 +366,7 @@ def _level(
         name: float(np.median(_followed(times, fixed[name]).lags))
         for name, times in cameras.items()
     }
-    usual = _middle(lags)
+    usual = middle_of(lags)
     result = dict(fixed)
     for name, lag in lags.items():
         if abs(lag - usual) > _LONGEST_DELAY and name not in given:
@@ -367,7 +376,7 @@ def _level(
     return result
 
 
-def _middle(values: Mapping[str, float]) -> float:
+def middle_of(values: Mapping[str, float]) -> float:
     """Return the median; of two values the one nearer to 0, as a right clock's lag is."""
     ordered = sorted(values.values())
     if len(ordered) == 2:
@@ -487,7 +496,7 @@ def _lateness(cameras: list[CameraTimes], log_times: Stamps) -> Floats:
     return np.asarray(np.median(rows, axis=0))
 
 
-def _longest_wait(cameras: Iterable[CameraTimes]) -> float:
+def longest_wait(cameras: Iterable[CameraTimes]) -> float:
     """Return the longest time, s, by which a message is older than one that came before it."""
     some = list(cameras)
     if not some:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hiros_mcap.calibrate.clock_offset import clock_offsets
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
@@ -23,8 +24,11 @@ from hiros_mcap.io.camera_clock import (
     LONGEST_WAIT,
     OFFSET,
     ClockCorrection,
+    ClockJudgement,
     described,
     judge_clocks,
+    longest_wait,
+    middle_of,
 )
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Stamps
@@ -32,18 +36,18 @@ from hiros_mcap.stages.time_order import late_in_order
 from hiros_mcap.summary import ClockFault
 
 _WORTH_A_WARNING = 0.05  # s
+_LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less
 _MARGIN = 0.1  # s
+_ALIKE = 0.01  # s: cameras whose lags differ by less have the same clock
 
 
 @dataclass(slots=True)
 class ClockAlignment:
     """The clocks of a run's cameras."""
 
-    corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
+    corrections: dict[str, ClockCorrection] = field(default_factory=dict)
     """By camera."""
     faults: list[ClockFault] = field(default_factory=list)
-    undecided: list[str] = field(default_factory=list)
-    """In words, what neither times nor people could decide."""
     wait: float = 0.0
     """s: how late messages are; 0 if no later than the stages can take."""
 
@@ -71,9 +75,43 @@ def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
     if config.input.clocks == "off":
         fixed = {name: ClockCorrection(offsets=(round(s * 1e9),)) for name, s in given.items()}
         return ClockAlignment(fixed)
-    judged = judge_clocks(log.times(), given)
-    wait = min(judged.wait + _MARGIN, LONGEST_WAIT) if judged.wait > reorder else 0.0
-    return ClockAlignment(judged.corrections, list(judged.faults), [], wait)
+    times = log.times()
+    judged = judge_clocks(times, given)
+    alignment = ClockAlignment(dict(judged.corrections), list(judged.faults))
+    late = judged.wait
+    if len(judged.lags) > 1:
+        late = _align_by_people(log, alignment, judged, set(given)) or judged.wait
+    alignment.wait = min(late + _MARGIN, LONGEST_WAIT) if late > reorder else 0.0
+    return alignment
+
+
+def _align_by_people(
+    log: Log, alignment: ClockAlignment, judged: ClockJudgement, given: set[str]
+) -> float:
+    """Correct constant offsets that the people prove, where the lags of cameras differ.
+
+    Return by how much messages are late then, s; 0 if nothing changed.
+    """
+    usual = middle_of(judged.lags)
+    if max(abs(lag - usual) for lag in judged.lags.values()) < _ALIKE:
+        return 0.0
+    offsets = clock_offsets(alignment.correct(log.blocks()), judged.lags)
+    start = min(times.stamps[0] for times in judged.times.values())
+    times = dict(judged.times)
+    for name, lag in judged.lags.items():
+        found = offsets.get(name)
+        if name in given:
+            continue
+        if found is not None and found.is_proven:
+            own = alignment.corrections.get(name, ClockCorrection())
+            alignment.corrections[name] = own.plus(-found.seconds)
+            times[name] = times[name].moved(-found.seconds)
+            fault = ClockFault(name, OFFSET, found.seconds, int(start), corrected=True)
+            alignment.faults.append(fault)
+        elif found is None and abs(usual - lag) > _WORTH_A_WARNING:
+            fault = ClockFault(name, OFFSET, usual - lag, int(start), corrected=False)
+            alignment.faults.append(fault)
+    return longest_wait(times.values())
 
 
 def given_corrections(log: Log, config: Config) -> dict[str, float]:
@@ -105,22 +143,27 @@ def clock_notes(faults: Iterable[ClockFault], start: int) -> Iterator[str]:
     """Yield what was found in the clocks and matters less."""
     for fault in faults:
         if not _is_grave(fault):
-            yield f"{described(fault, start)}; hiros allowed for it"
+            done = "hiros allowed for it" if fault.corrected else "hiros kept its stamps"
+            yield f"{described(fault, start)}; {done}"
 
 
 def _is_grave(fault: ClockFault) -> bool:
     if fault.kind == LATE:
         return False
-    return fault.kind == DRIFT or abs(fault.seconds) >= _WORTH_A_WARNING
+    least = _WORTH_A_WARNING if fault.corrected else _LIKELY_NO_DELAY
+    return fault.kind == DRIFT or abs(fault.seconds) >= least
 
 
 def _remedy(fault: ClockFault) -> str:
-    if fault.kind == OFFSET:
+    option = f"--clock {fault.camera}={-fault.seconds:.3f}"
+    if not fault.corrected:
         return (
-            "hiros corrected the stamps; synchronize the clocks, or state the correction with "
-            f"--clock {fault.camera}={-fault.seconds:.3f}"
+            "hiros kept its stamps because nobody moves enough to tell; if the clock is wrong, "
+            f"process again with {option}"
         )
-    return "hiros corrected the stamps; synchronize the cameras' clocks (NTP or PTP)"
+    if fault.kind == OFFSET:
+        return f"hiros corrected its stamps, as {option} does; synchronize the clocks"
+    return "hiros corrected its stamps; synchronize the clocks (NTP or PTP)"
 
 
 def _corrected(block: Block, corrections: Mapping[str, ClockCorrection]) -> Block:

@@ -96,7 +96,6 @@ class Report:
             if lost > _LARGEST_LOSS * camera.messages:
                 yield _loss(camera, lost)
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
-        yield from self.clocks.undecided
 
     def _person(self, person: int, presence: Presence) -> PersonSummary:
         return PersonSummary(
