@@ -3,7 +3,7 @@
     python benchmarks/clocks.py [--quick] [LOG TRUTH ...]
 
 Without a log, two people walk before three simulated cameras. Every fault is put into each of the
-first three cameras in turn. A row holds: messages of the other cameras that were used, error of the
+first three cameras in turn. A row holds: messages of the other cameras and of this one that were used, error of the
 run, of the healthy run and of the run without the camera (mm), and the warnings about the camera.
 """
 
@@ -119,7 +119,9 @@ def table(log: Path, truth: Truth, folder: Path, faults: dict[str, Change]) -> N
     with open_log(log) as opened:
         topics = tuple(camera.channel.topic for camera in opened.cameras)
     healthy, _ = error(log, truth)
-    print(f"{'fault':18} {'camera':9} {'others used':>13} {'mm':>6} {'healthy':>7} {'without':>7}")
+    print(
+        f"{'fault':18} {'camera':9} {'others used':>13} {'own':>5} {'mm':>6} {'healthy':>7} {'without':>7}"
+    )
     failed = 0
     for topic in topics[:3]:
         others = tuple(other for other in topics if other != topic)
@@ -129,11 +131,13 @@ def table(log: Path, truth: Truth, folder: Path, faults: dict[str, Change]) -> N
             changed(log, faulty, topic, change)
             found, summary = error(faulty, truth)
             rest = [camera for camera in summary.cameras if camera.topic != topic]
+            (own,) = (camera for camera in summary.cameras if camera.topic == topic)
             used, sent = sum(c.used for c in rest), sum(c.messages for c in rest)
             is_good = used == sent and found <= 1.2 * without
             failed += not is_good
             print(
-                f"{name:18} {topic.split('/')[1]:9} {used:6}/{sent:6} {found:6.1f} {healthy:7.1f} "
+                f"{name:18} {topic.split('/')[1]:9} {used:6}/{sent:6} "
+                f"{own.used / own.messages:5.0%} {found:6.1f} {healthy:7.1f} "
                 f"{without:7.1f} {'  ' if is_good else '!!'} {' | '.join(said(summary, topic))}",
                 flush=True,
             )

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import POSITION, Flags, Floats
+from hiros_mcap.skeletons import POSITION, Floats
 
 _NEAR = 0.4  # m: farthest that a person goes between two messages
 _GAP = 0.25  # s: longest pause of a track
@@ -122,10 +122,10 @@ def person_tracks(blocks: Iterable[Block], seconds: float) -> dict[str, Tracks]:
 def _means(block: Block) -> Floats:
     """(P, 3) mean marker position of each person of a block, m."""
     positions = block.people.markers[:, :, POSITION]
-    known: Flags = np.logical_not(np.isnan(positions[:, :, :1]))
-    n = np.maximum(known.sum(axis=1), 1)
-    means: Floats = np.where(known, positions, 0.0).sum(axis=1) / n
-    means[~known.any(axis=1)[:, 0]] = np.nan
+    known = ~np.isnan(positions[:, :, :1])
+    counts = np.asarray(known.sum(axis=1))
+    means: Floats = np.where(known, positions, 0.0).sum(axis=1) / np.maximum(counts, 1)
+    means[counts[:, 0] == 0] = np.nan
     return means
 
 

@@ -32,16 +32,17 @@ LATE, WRONG = "late delivery", "wrong time"
 
 _LEAST = 10  # messages of a camera that say anything
 _NEAR = 30  # messages on each side of a step that give its size
-_LEAST_AFTER = 5  # messages that confirm a step
+LEAST_AFTER = 5  # messages that confirm a step
 _FAR = 10.0  # s: a lag that has not lasted so long may be a late delivery
-_IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
+IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
 _LEAST_STEP = 0.03  # s
 _PAUSE = 1.0  # s: whoever pauses longer may do so for any time
 _LATE = 0.5  # s
+_TOLD = 0.05  # s
 LONGEST_WAIT = 60.0
 """s: so much of a log is held in memory at most until late messages have come."""
 _FUTURE = 0.5  # s: no delivery is so much faster than the fastest
-_LONGEST_DELAY = 10.0  # s: no delivery takes so much longer than another camera's
+LONGEST_DELAY = 10.0  # s: no delivery takes so much longer than another camera's
 _LEAST_DRIFT = 0.7e-3  # s/s: cheap crystals are off by a tenth of that
 _LEAST_DRIFTED = 0.01  # s
 _LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
@@ -79,14 +80,16 @@ class ClockCorrection:
     """Added per unit of the camera's time since ``origin``."""
     origin: int = 0
     """ns, of the camera's clock after the steps."""
-    floor: int = 0
+    floor: int | None = None
     """Least lag of corrected messages, ns. One that does not fit it at all gets it."""
 
     def apply(self, stamps: Stamps, log_times: Stamps) -> Stamps:
         """Return the corrected stamps of messages, (N,) ns."""
         right = self.follow(stamps, log_times)
-        wrong = self.wrong(right, log_times)
-        return np.where(wrong, log_times - self.floor, right) if wrong.any() else right
+        if self.floor is not None:
+            wrong = self.wrong(right, log_times)
+            right = np.where(wrong, log_times - self.floor, right)
+        return right
 
     def follow(self, stamps: Stamps, log_times: Stamps) -> Stamps:
         """Return the stamps without the clock's steps and drift, (N,) ns."""
@@ -98,15 +101,20 @@ class ClockCorrection:
 
     def wrong(self, stamps: Stamps, log_times: Stamps) -> Flags:
         """(N,) whether a message cannot have been sent at a corrected stamp."""
-        beyond = (log_times - stamps - self.floor) * 1e-9
+        beyond = (log_times - stamps - (self.floor or 0)) * 1e-9
         wrong: Flags = (beyond < -_FUTURE) | (beyond > LONGEST_WAIT)
         return wrong
+
+    def changes(self, times: CameraTimes) -> bool:
+        """Whether the correction does anything to a camera's messages."""
+        return bool((self.apply(*_pair(times)) != times.stamps).any())
 
     def plus(self, seconds: float) -> ClockCorrection:
         """Return the correction with a constant more."""
         more = round(seconds * 1e9)
         offsets = tuple(offset + more for offset in self.offsets)
-        return replace(self, offsets=offsets, floor=self.floor - more)
+        floor = None if self.floor is None else self.floor - more
+        return replace(self, offsets=offsets, floor=floor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +122,7 @@ class ClockJudgement:
     """What is known of all clocks of a log."""
 
     corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
-    """By camera; one that is missing is right."""
+    """By camera."""
     faults: tuple[ClockFault, ...] = ()
     """In the order of their times."""
     times: Mapping[str, CameraTimes] = field(default_factory=dict)
@@ -160,7 +168,7 @@ def judge_clocks(
         if name in fixed:
             fixed[name] = replace(fixed[name].plus(seconds), floor=fixed[name].floor)
     return ClockJudgement(
-        {name: one for name, one in fixed.items() if _changes(one, cameras[name])},
+        fixed,
         tuple(sorted(faults, key=lambda fault: (fault.at_ns, fault.camera))),
         right,
         longest_wait(right.values()),
@@ -179,11 +187,6 @@ def _pair(times: CameraTimes) -> tuple[Stamps, Stamps]:
     return times.stamps, times.log_times
 
 
-def _changes(correction: ClockCorrection, times: CameraTimes) -> bool:
-    """Whether a correction does anything."""
-    return bool((correction.apply(*_pair(times)) != times.stamps).any())
-
-
 def _wrong(
     cameras: Mapping[str, CameraTimes], fixed: Mapping[str, ClockCorrection]
 ) -> Iterator[ClockFault]:
@@ -194,7 +197,7 @@ def _wrong(
         if len(wrong):
             errors = (stamps - fixed[name].apply(*_pair(times)))[wrong] * 1e-9
             worst = float(errors[np.argmax(np.abs(errors))])
-            first = int(times.log_times[wrong[0]]) - fixed[name].floor
+            first = int(fixed[name].apply(*_pair(times))[wrong[0]])
             yield ClockFault(name, WRONG, worst, first, corrected=True, messages=len(wrong))
 
 
@@ -258,12 +261,16 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
     period = _period(stamps)
     intervals, lags = np.diff(stamps), logged - stamps
     noise = 1.48 * float(np.median(np.abs(intervals - period)))
-    odd = np.flatnonzero(np.abs(intervals - period) > _IRREGULAR) + 1
+    jumps = -np.diff(lags)
+    jitter = 1.48 * float(np.median(np.abs(jumps)))
+    odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
     found: list[tuple[float, _Step]] = []
-    for k in odd[(odd >= _LEAST_AFTER) & (odd <= len(lags) - _LEAST_AFTER)].tolist():
+    for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
         before, after = lags[max(0, k - _NEAR) : k], lags[k : k + _NEAR]
         shift = float(np.median(before) - np.median(after))
-        if abs(shift) >= _LEAST_STEP + _LARGEST_DRIFT * max(0.0, float(intervals[k - 1])):
+        least = _LEAST_STEP + _LARGEST_DRIFT * max(0.0, float(intervals[k - 1]))
+        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
+        if abs(shift) >= least and at_once:
             error = float(np.hypot(_error(before), _error(after)))
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
@@ -318,7 +325,7 @@ def _lasts(step: _Step, stamps: Floats, logged: Floats) -> bool:
     lags, k = logged - stamps, step.place
     before = lags[:k][logged[:k] > logged[k] - _FAR]
     after = lags[k:][logged[k:] < logged[k] + _FAR]
-    if min(before.size, after.size) < _LEAST_AFTER:
+    if min(before.size, after.size) < LEAST_AFTER:
         return False
     change = float(np.quantile(before, 0.1) - np.quantile(after, 0.1))
     return change / step.seconds > 0.5
@@ -369,7 +376,7 @@ def _level(
     usual = middle_of(lags)
     result = dict(fixed)
     for name, lag in lags.items():
-        if abs(lag - usual) > _LONGEST_DELAY and name not in given:
+        if abs(lag - usual) > LONGEST_DELAY and name not in given:
             result[name] = fixed[name].plus(lag - usual)
             first = int(cameras[name].log_times[0] - round(usual * 1e9))
             faults.append(ClockFault(name, OFFSET, usual - lag, first, corrected=True))
@@ -393,25 +400,27 @@ def _without_drift(
     faults: list[ClockFault],
 ) -> dict[str, ClockCorrection]:
     """Correct and name clocks that run faster or slower than the others."""
-    if len(cameras) < 2:
-        return fixed
-    start = min(int(times.log_times[0]) for times in cameras.values())
-    least = {
-        name: _least_lags(_followed(times, fixed[name]), start) for name, times in cameras.items()
-    }
-    n = max(len(lags) for lags in least.values())
-    table = np.full((len(least), n), np.nan)
-    for row, lags in zip(table, least.values(), strict=True):
-        row[: len(lags)] = lags
+    known = {name: _followed(times, fixed[name]) for name, times in cameras.items()}
     result = dict(fixed)
-    for (name, times), lags in zip(cameras.items(), table - _common(table), strict=True):
-        slope = _slope(lags)
-        if slope:
-            first = int(_followed(times, fixed[name]).stamps[0])
-            # The log's time is taken as right: a clock ahead by more and more has shrinking lags.
-            result[name] = replace(fixed[name], drift=slope / (1 - slope), origin=first)
-            faults.append(ClockFault(name, DRIFT, -slope, first, corrected=True))
+    for name, slope in find_drifts(known).items():
+        first = int(known[name].stamps[0])
+        # The log's time is taken as right: a clock ahead by more and more has shrinking lags.
+        result[name] = replace(fixed[name], drift=slope / (1 - slope), origin=first)
+        faults.append(ClockFault(name, DRIFT, -slope, first, corrected=True))
     return result
+
+
+def find_drifts(cameras: Mapping[str, CameraTimes]) -> dict[str, float]:
+    """Camera -> by how much its lag grows, s per s, more than that of the others; if it does."""
+    if len(cameras) < 2:
+        return {}
+    start = min(int(times.log_times[0]) for times in cameras.values())
+    least = [_least_lags(times, start) for times in cameras.values()]
+    table = np.full((len(least), max(map(len, least))), np.nan)
+    for row, lags in zip(table, least, strict=True):
+        row[: len(lags)] = lags
+    slopes = map(_slope, table - _common(table))
+    return {name: slope for name, slope in zip(cameras, slopes, strict=True) if slope}
 
 
 def _least_lags(times: CameraTimes, start: int) -> Floats:
@@ -475,11 +484,11 @@ def _late(cameras: Mapping[str, CameraTimes]) -> Iterator[ClockFault]:
     for name, times in cameras.items():
         late = times.lags - np.quantile(times.lags, 0.1)
         places = np.flatnonzero(late > _LATE)
-        if len(places) >= _LEAST_AFTER:
+        if len(places) >= LEAST_AFTER:
             late -= _lateness(_but(name, cameras), times.log_times)
             places = places[late[places] > _LATE]
         for group in np.split(places, np.flatnonzero(np.diff(times.stamps[places]) > 2e9) + 1):
-            if len(group) >= _LEAST_AFTER:
+            if len(group) >= LEAST_AFTER:
                 worst = float(late[group].max())
                 first = int(times.stamps[group].min())
                 yield ClockFault(name, LATE, worst, first, corrected=True, messages=len(group))
@@ -528,3 +537,19 @@ def described(fault: ClockFault, start: int) -> str:
         return f"{fault.camera}: {some} arrived up to {size} late, from {at} of the log on"
     some = quantity(fault.messages, "message")
     return f"{fault.camera}: {some} with a wrong time (by up to {size}), {at} of the log"
+
+
+def clocks_in_words(judged: ClockJudgement, start: int) -> tuple[str, ...]:
+    """Return everything that times alone say about the clocks of a log, in words."""
+    texts = [described(fault, start) for fault in judged.faults]
+    lags = judged.lags
+    for name, lag in lags.items() if len(lags) > 1 else ():
+        ahead = middle_of(lags) - lag
+        if abs(ahead) > _TOLD:
+            size = ClockFault(name, OFFSET, ahead, start, corrected=False).size.lstrip("+-")
+            which = "ahead, or its delivery is faster" if ahead > 0 else "behind, or it is slower"
+            texts.append(
+                f"{name}: messages come {size} {'sooner' if ahead > 0 else 'later'} after their "
+                f"stamps than those of the other cameras; its clock is {which}"
+            )
+    return tuple(texts)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.summary import plain
 
@@ -68,6 +69,8 @@ class Overview:
     """Notes about the log."""
     skipped: Mapping[str, Mapping[str, int]]
     """Messages that give nothing, by topic and reason."""
+    clocks: tuple[str, ...]
+    """What the times of the messages say about the cameras' clocks."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not finite are None."""
@@ -136,6 +139,7 @@ def look(
             fault=fault,
             remarks=log.remarks,
             skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
+            clocks=clocks_in_words(judge_clocks(log.times()), start),
         )
 
 

@@ -9,7 +9,7 @@ A run of a file judges every clock first, by the times of all messages
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from hiros_mcap.io.camera_clock import (
     middle_of,
 )
 from hiros_mcap.io.log import Log
+from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Stamps
 from hiros_mcap.stages.time_order import late_in_order
 from hiros_mcap.summary import ClockFault
@@ -50,9 +51,16 @@ class ClockAlignment:
     faults: list[ClockFault] = field(default_factory=list)
     wait: float = 0.0
     """s: how late messages are; 0 if no later than the stages can take."""
+    given: Mapping[str, float] | None = None
+    """Camera -> seconds that the user adds, of a causal run; None if the whole log was judged."""
+    reorder: float = 0.0
+    """Longest time, s, by which the stages take messages that are late."""
 
     def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield blocks with right stamps, in an order that the stages can take."""
+        if self.given is not None:
+            self.faults.clear()
+            blocks = ClockFollower(self.given, self.faults, self.reorder).correct(blocks)
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
         yield from late_in_order(blocks, self.wait) if self.wait else blocks
@@ -73,14 +81,20 @@ def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
     """
     given = given_corrections(log, config)
     if config.input.clocks == "off":
-        fixed = {name: ClockCorrection(offsets=(round(s * 1e9),)) for name, s in given.items()}
-        return ClockAlignment(fixed)
+        return ClockAlignment({name: ClockCorrection().plus(s) for name, s in given.items()})
+    if config.input.clocks == "causal":
+        return ClockAlignment(given=given, reorder=reorder)
     times = log.times()
     judged = judge_clocks(times, given)
     alignment = ClockAlignment(dict(judged.corrections), list(judged.faults))
     late = judged.wait
     if len(judged.lags) > 1:
         late = _align_by_people(log, alignment, judged, set(given)) or judged.wait
+    alignment.corrections = {
+        name: one
+        for name, one in alignment.corrections.items()
+        if name in times and one.changes(times[name])
+    }
     alignment.wait = min(late + _MARGIN, LONGEST_WAIT) if late > reorder else 0.0
     return alignment
 
@@ -103,8 +117,7 @@ def _align_by_people(
         if name in given:
             continue
         if found is not None and found.is_proven:
-            own = alignment.corrections.get(name, ClockCorrection())
-            alignment.corrections[name] = own.plus(-found.seconds)
+            alignment.corrections[name] = judged.corrections[name].plus(-found.seconds)
             times[name] = times[name].moved(-found.seconds)
             fault = ClockFault(name, OFFSET, found.seconds, int(start), corrected=True)
             alignment.faults.append(fault)
@@ -176,9 +189,4 @@ def _corrected(block: Block, corrections: Mapping[str, ClockCorrection]) -> Bloc
     for name in concerned:
         own = np.flatnonzero(sources == name)
         stamps[own] = corrections[name].apply(block.stamps[own], block.log_times[own])
-    times = block.people.stamps.copy()
-    shifts = (stamps - block.stamps).tolist()
-    for shift, (begin, end) in zip(shifts, block.rows.tolist(), strict=True):
-        if shift:
-            times[begin:end][times[begin:end] > 0] += shift
-    return replace(block, stamps=stamps, people=block.people._replace(stamps=times))
+    return block.restamped(stamps)

@@ -31,9 +31,10 @@ _IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
 _LARGEST_LOSS = 0.05
 _REMEDIES = {
-    TOO_LATE: "let messages wait longer: --set track.reorder=3",
-    DAMAGED: "see the first faulty message below",
-    STALE: "the camera repeats old skeletons; look at its driver",
+    TOO_LATE: "let messages wait longer with --set track.reorder=3, or correct the camera's clock "
+    "with --clock CAMERA=SECONDS",
+    DAMAGED: "the notes name the first faulty message",
+    STALE: "check the camera's driver: it sends the same skeletons again",
 }
 """Reason why messages were skipped -> what to do."""
 
@@ -144,10 +145,12 @@ class Report:
 
 def _loss(camera: CameraSummary, lost: int) -> str:
     """Return in words that much of a camera was not used, and the remedy."""
-    reason, n = max(camera.skipped.items(), key=lambda item: item[1])
+    worst = max(camera.skipped, key=lambda reason: camera.skipped[reason])
+    reasons = ", ".join(f"{n} {reason}" for reason, n in camera.skipped.items())
+    share = f"{100 * lost / camera.messages:.0f} %"
     return (
-        f"{camera.topic}: {lost} of {quantity(camera.messages, 'message')} "
-        f"({lost / camera.messages:.0%}) were not used, {n} of them: {reason}; {_REMEDIES[reason]}"
+        f"{camera.topic}: {share} of {quantity(camera.messages, 'message')} not used ({reasons}); "
+        f"{_REMEDIES[worst]}"
     )
 
 

@@ -111,6 +111,7 @@ def _facts(overview: Overview) -> list[str]:
     elif overview.fault:
         lines.append(f"fixed frame: none; {overview.fault}")
     lines += overview.remarks
+    lines += overview.clocks
     for topic, reasons in overview.skipped.items():
         lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
     return lines
