@@ -3,8 +3,9 @@
     python benchmarks/clocks.py [--quick] [LOG TRUTH ...]
 
 Without a log, two people walk before three simulated cameras. Every fault is put into each of the
-first three cameras in turn. A row holds: messages of the other cameras and of this one that were used, error of the
-run, of the healthy run and of the run without the camera (mm), and the warnings about the camera.
+first three cameras in turn. A row holds: messages of the other cameras and of this one that were
+used, error of the run, of the healthy run and of the run without the camera (mm), and the warnings
+about the camera.
 """
 
 from __future__ import annotations
@@ -120,7 +121,8 @@ def table(log: Path, truth: Truth, folder: Path, faults: dict[str, Change]) -> N
         topics = tuple(camera.channel.topic for camera in opened.cameras)
     healthy, _ = error(log, truth)
     print(
-        f"{'fault':18} {'camera':9} {'others used':>13} {'own':>5} {'mm':>6} {'healthy':>7} {'without':>7}"
+        f"{'fault':18} {'camera':9} {'others used':>13} {'own':>5} {'mm':>6} {'healthy':>7} "
+        f"{'without':>7}"
     )
     failed = 0
     for topic in topics[:3]:

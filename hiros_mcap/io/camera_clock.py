@@ -270,7 +270,7 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
         shift = float(np.median(before) - np.median(after))
         least = _LEAST_STEP + _LARGEST_DRIFT * max(0.0, float(intervals[k - 1]))
         at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
-        if abs(shift) >= least and at_once:
+        if abs(shift) >= least and at_once and _parts(lags, k, shift):
             error = float(np.hypot(_error(before), _error(after)))
             seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
             if seconds:
@@ -279,6 +279,13 @@ def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
         if _lasts(step, stamps, logged):
             return step
     return None
+
+
+def _parts(lags: Floats, k: int, shift: float) -> bool:
+    """Whether all lags next to message ``k`` lie on their side, unlike those of mixed messages."""
+    before, after = lags[k - LEAST_AFTER : k], lags[k : k + LEAST_AFTER]
+    gap = before.min() - after.max() if shift > 0 else after.min() - before.max()
+    return bool(gap > 0.3 * abs(shift))
 
 
 def _period(stamps: Floats) -> float:
@@ -373,6 +380,8 @@ def _level(
         name: float(np.median(_followed(times, fixed[name]).lags))
         for name, times in cameras.items()
     }
+    if not lags:
+        return fixed
     usual = middle_of(lags)
     result = dict(fixed)
     for name, lag in lags.items():
@@ -487,6 +496,7 @@ def _late(cameras: Mapping[str, CameraTimes]) -> Iterator[ClockFault]:
         if len(places) >= LEAST_AFTER:
             late -= _lateness(_but(name, cameras), times.log_times)
             places = places[late[places] > _LATE]
+        places = places[np.argsort(times.stamps[places], kind="stable")]
         for group in np.split(places, np.flatnonzero(np.diff(times.stamps[places]) > 2e9) + 1):
             if len(group) >= LEAST_AFTER:
                 worst = float(late[group].max())
