@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ _SEARCH = np.arange(-3.0, 3.01, 0.1)  # s
 _LEAST_SCORE = 0.3
 _LEAST_SAMPLES = 40  # in each half of the log
 _LEAST_SPEED = 0.1  # m/s, root mean square in each half
+_LEAST_CORRELATION = 0.3  # of the cameras' velocities: noise looks like motion, too
 _LARGEST_ERROR = 0.02  # s: a pair of cameras that is less certain says nothing
 _ROUNDS = 12
 _LEAST_OFFSET = 0.02  # s: what is corrected; people walk 2 cm in it
@@ -159,7 +161,9 @@ class _Samples(NamedTuple):
     differences: Floats
     """(N, 3) place in the first camera - in the second one, m, less the mean of the person."""
     velocities: Floats
-    """(N, 3) m/s, less the mean of the person."""
+    """(N, 3) m/s in the second camera, less the mean of the person."""
+    own_velocities: Floats
+    """(N, 3) the same in the first camera."""
     score: float
     """How well the cameras agree, at most 1."""
 
@@ -193,37 +197,47 @@ def pair_offset(first: Tracks, second: Tracks, hint: float) -> PairOffset | None
 
 def _sample(first: Tracks, second: Tracks, offset: float) -> _Samples:
     """Compare the first camera's people with the second one's, whose clock is ahead."""
-    times, differences, velocities, score, n = [], [], [], 0.0, 0
+    parts: list[tuple[Floats, ...]] = []
+    score, n = 0.0, 0
     for at, places in first:
-        chosen = np.flatnonzero(np.diff(np.floor(at / _SPACING), prepend=-1.0) > 0)
-        at, places = at[chosen], places[chosen]
-        best: tuple[float, tuple[Floats, Floats, Floats]] | None = None
-        for other_at, other in second:
-            shifted = other_at - offset
-            seen = (at > shifted[0] + _HALF_BASE) & (at < shifted[-1] - _HALF_BASE)
-            if np.count_nonzero(seen) < _LEAST_SAMPLES // 4:
-                continue
-            t = at[seen]
-            here, before, after = (
-                _at(t + shift, shifted, other) for shift in (0.0, -_HALF_BASE, _HALF_BASE)
-            )
-            gap = places[seen] - here
-            distance = np.linalg.norm(gap, axis=1)
-            fit = float(np.maximum(0.0, 1.0 - distance / _SAME).sum())
-            if np.median(distance) < _SAME and (best is None or fit > best[0]):
-                best = fit, (t, gap, (after - before) / (2 * _HALF_BASE))
-        n += len(at)
-        if best is not None:
-            t, gap, velocity = best[1]
-            score += best[0]
-            times.append(t)
-            differences.append(gap - gap.mean(axis=0))
-            velocities.append(velocity - velocity.mean(axis=0))
-    if not times:
-        return _Samples(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), 0.0)
-    return _Samples(
-        np.concatenate(times), np.concatenate(differences), np.concatenate(velocities), score / n
-    )
+        chosen = at[np.diff(np.floor(at / _SPACING), prepend=-1.0) > 0]
+        fits = [
+            _compare(chosen, (at, places), (other_at - offset, other)) for other_at, other in second
+        ]
+        n += len(chosen)
+        fit, part = max(fits, key=itemgetter(0), default=(0.0, ()))
+        if fit:
+            score += fit
+            parts.append(part)
+    if not parts:
+        none = np.empty((0, 3))
+        return _Samples(np.empty(0), none, none, none, 0.0)
+    times, gaps, velocities, own = (np.concatenate(some) for some in zip(*parts, strict=True))
+    return _Samples(times, gaps, velocities, own, score / n)
+
+
+_Track = tuple[Floats, Floats]
+
+
+def _compare(times: Floats, first: _Track, second: _Track) -> tuple[float, tuple[Floats, ...]]:
+    """Return how well two tracks agree, 0 if they are of two people, and their samples."""
+    begin, end = (max(first[0][0], second[0][0]), min(first[0][-1], second[0][-1]))
+    t = times[(times > begin + _HALF_BASE) & (times < end - _HALF_BASE)]
+    if len(t) < _LEAST_SAMPLES // 4:
+        return 0.0, ()
+    gap = _at(t, *first) - _at(t, *second)
+    distance = np.linalg.norm(gap, axis=1)
+    if np.median(distance) >= _SAME:
+        return 0.0, ()
+    vectors = (gap, _velocity(t, *second), _velocity(t, *first))
+    fit = float(np.maximum(0.0, 1.0 - distance / _SAME).sum())
+    return fit, (t, *(each - each.mean(axis=0) for each in vectors))
+
+
+def _velocity(times: Floats, known: Floats, places: Floats) -> Floats:
+    """(N, 3) m/s at some times."""
+    after, before = (_at(times + shift, known, places) for shift in (_HALF_BASE, -_HALF_BASE))
+    return (after - before) / (2 * _HALF_BASE)
 
 
 def _at(times: Floats, known: Floats, places: Floats) -> Floats:
@@ -242,19 +256,26 @@ def _regress(some: _Samples) -> float:
 def _halves(some: _Samples) -> tuple[_Samples, _Samples]:
     """Return the earlier and the later samples."""
     early = some.times <= np.median(some.times)
+    times, gaps, velocities, own, score = some
     first, second = (
-        _Samples(some.times[own], some.differences[own], some.velocities[own], some.score)
-        for own in (early, ~early)
+        _Samples(times[part], gaps[part], velocities[part], own[part], score)
+        for part in (early, ~early)
     )
     return first, second
 
 
 def _tells(some: _Samples) -> bool:
     """Whether enough people move in both halves."""
-    return len(some.times) >= 2 * _LEAST_SAMPLES and all(
-        len(half.times) >= _LEAST_SAMPLES and _rms(half.velocities) > _LEAST_SPEED
-        for half in _halves(some)
-    )
+    return len(some.times) >= 2 * _LEAST_SAMPLES and all(map(_moves, _halves(some)))
+
+
+def _moves(some: _Samples) -> bool:
+    """Whether both cameras see the same motion."""
+    if len(some.times) < _LEAST_SAMPLES:
+        return False
+    common = float((some.velocities * some.own_velocities).sum(axis=1).mean())
+    least = _LEAST_CORRELATION * _rms(some.velocities) * _rms(some.own_velocities)
+    return common > max(_LEAST_SPEED**2, least)
 
 
 def _rms(vectors: Floats) -> float:

@@ -39,7 +39,7 @@ from hiros_mcap.summary import ClockFault
 _WORTH_A_WARNING = 0.05  # s
 _LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less
 _MARGIN = 0.1  # s
-_ALIKE = 0.01  # s: cameras whose lags differ by less have the same clock
+_ALIKE = 0.01  # s: cameras whose usual and least lags differ by less have the same clock
 
 
 @dataclass(slots=True)
@@ -107,7 +107,8 @@ def _align_by_people(
     Return by how much messages are late then, s; 0 if nothing changed.
     """
     usual = middle_of(judged.lags)
-    if max(abs(lag - usual) for lag in judged.lags.values()) < _ALIKE:
+    least = {name: float(np.quantile(t.lags, 0.05)) for name, t in judged.times.items()}
+    if max(map(_spread, (judged.lags, least))) < _ALIKE:
         return 0.0
     offsets = clock_offsets(alignment.correct(log.blocks()), judged.lags)
     start = min(times.stamps[0] for times in judged.times.values())
@@ -125,6 +126,10 @@ def _align_by_people(
             fault = ClockFault(name, OFFSET, usual - lag, int(start), corrected=False)
             alignment.faults.append(fault)
     return longest_wait(times.values())
+
+
+def _spread(values: Mapping[str, float]) -> float:
+    return max(values.values()) - min(values.values())
 
 
 def given_corrections(log: Log, config: Config) -> dict[str, float]:

@@ -48,6 +48,8 @@ class _FollowedClock:
     """Added per unit of time since ``origin``."""
     origin: int = 0
     """Stamp, ns, before the correction."""
+    latest: int = 0
+    """Stamp of the last message, ns, before the correction."""
     stamps: list[int] = field(default_factory=list)
     """Corrected stamps of the last messages, ns."""
     log_times: list[int] = field(default_factory=list)
@@ -138,29 +140,30 @@ class ClockFollower:
                 break
         least = {source: min(some) for source, some in sorted(lags.items())}
         for source, lag in least.items():
-            self._meet(source, lag, {k: v for k, v in least.items() if k != source})
+            others = {name: other for name, other in least.items() if name != source}
+            self._meet(source, until - _FIRST, lag, others)
         return looked
 
-    def _meet(self, source: str, lag: float, others: Mapping[str, float]) -> None:
-        """Start with a camera; align it if no delivery explains its lag, s."""
+    def _meet(self, source: str, log_time: int, lag: float, others: Mapping[str, float]) -> None:
+        """Start with a camera at a log time; align it if no delivery explains its lag, s."""
         clock = self._clocks[source] = _FollowedClock(round(self._given.get(source, 0.0) * 1e9))
         if not others or source in self._given:
             return
         usual = max(others.values()) if len(others) == 1 else middle_of(others)
         if lag < usual - self._reorder or lag > usual + LONGEST_DELAY:
             clock.offset += round((lag - usual) * 1e9)
+            self._tell(source, OFFSET, usual - lag, log_time - round(usual * 1e9))
 
     def _take(self, stamp: int, source: str, log_time: int, n_people: int) -> int:
         """Return the corrected stamp of a message."""
         if source not in self._clocks:
             own = (log_time - stamp) * 1e-9 - self._given.get(source, 0.0)
             lags = {name: c.lag for name, c in self._clocks.items() if c.stamps}
-            self._meet(source, own, lags)
+            self._meet(source, log_time, own, lags)
         clock = self._clocks[source]
         right = clock.corrected(stamp)
-        if clock.offset and not clock.stamps and source not in self._given:
-            self._tell(source, OFFSET, -clock.offset * 1e-9, right)
         if n_people and (not clock.stamps or right != clock.stamps[-1]):
+            clock.latest = stamp
             right = self._judge(clock, source, right, log_time)
         return right
 
@@ -212,9 +215,8 @@ class ClockFollower:
             clock, times = self._clocks[name], known[name]
             passed = times.stamps - times.stamps[0]
             clock.stamps = (times.stamps + np.round(passed * slope).astype(np.int64)).tolist()
-            now = int(times.stamps[-1]) - clock.offset
-            clock.offset = clock.stamps[-1] - now
-            clock.origin, clock.drift = now, clock.drift + slope
+            clock.offset, clock.origin = clock.stamps[-1] - clock.latest, clock.latest
+            clock.drift += slope
             if not any(f.kind == DRIFT and f.camera == name for f in self._faults):
                 self._tell(name, DRIFT, -slope, clock.stamps[0])
 
