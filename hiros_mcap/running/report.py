@@ -25,14 +25,14 @@ from hiros_mcap.summary import (
     cleaned,
     quantity,
 )
-from hiros_mcap.systems import Run
+from hiros_mcap.systems import Run, sections_of
 
 _IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
 _LARGEST_LOSS = 0.05
 _REMEDIES = {
-    TOO_LATE: "let messages wait longer with --set track.reorder=3, or correct the camera's clock "
-    "with --clock CAMERA=SECONDS",
+    TOO_LATE: "let messages wait longer with --set {stage}.reorder=3, or correct the camera's "
+    "clock with --clock CAMERA=SECONDS",
     DAMAGED: "the notes name the first faulty message",
     STALE: "check the camera's driver: it sends the same skeletons again",
 }
@@ -92,10 +92,11 @@ class Report:
 
     def _warnings(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
         """Yield what makes the result doubtful: what was lost, then the clocks."""
+        stage = "track" if "track" in sections_of(self.run.system) else "associate"
         for camera in cameras:
             lost = sum(camera.skipped.values())
             if lost > _LARGEST_LOSS * camera.messages:
-                yield _loss(camera, lost)
+                yield _loss(camera, lost, stage)
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
 
     def _person(self, person: int, presence: Presence) -> PersonSummary:
@@ -143,14 +144,17 @@ class Report:
         yield from clock_notes(self.clocks.faults, self.log.span[0])
 
 
-def _loss(camera: CameraSummary, lost: int) -> str:
-    """Return in words that much of a camera was not used, and the remedy."""
+def _loss(camera: CameraSummary, lost: int, stage: str) -> str:
+    """Return in words that much of a camera was not used, and the remedy.
+
+    ``stage`` is the section of the configuration that says how long messages wait.
+    """
     worst = max(camera.skipped, key=lambda reason: camera.skipped[reason])
     reasons = ", ".join(f"{n} {reason}" for reason, n in camera.skipped.items())
     share = f"{100 * lost / camera.messages:.0f} %"
     return (
         f"{camera.topic}: {share} of {quantity(camera.messages, 'message')} not used ({reasons}); "
-        f"{_REMEDIES[worst]}"
+        f"{_REMEDIES[worst].format(stage=stage)}"
     )
 
 

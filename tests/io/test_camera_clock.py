@@ -201,6 +201,15 @@ def test_a_camera_may_pause() -> None:
     assert judge_clocks(cameras).faults == ()
 
 
+def test_a_slow_delivery_that_ends_with_a_loss_is_no_step() -> None:
+    times = camera(2)
+    sent = (times.stamps - START) * 1e-9
+    times.log_times[(sent > 8) & (sent < 10.7)] += 300_000_000
+    kept = (sent < 10.7) | (sent > 11)
+    cameras = {**three(), "b": CameraTimes(times.stamps[kept], times.log_times[kept])}
+    assert judge_clocks(cameras).faults == ()
+
+
 def test_nothing_is_known_of_nobody() -> None:
     assert judge_clocks({}).wait == 0.0
     empty = CameraTimes(np.empty(0, np.int64), np.empty(0, np.int64))
