@@ -12,10 +12,10 @@ import textwrap
 import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
@@ -44,6 +44,25 @@ class InputParams(Params):
     fixed_frame: str = Field(
         "", description="Frame of all results. Empty: the root of the cameras' transforms."
     )
+
+    clocks: Literal["lookahead", "causal", "off"] = Field(
+        "lookahead",
+        description="How the cameras' clocks are judged. lookahead: by the whole log and by the "
+        "people in it. causal: each message by those before it, as a live system has to. off: "
+        "stamps are taken as they are.",
+    )
+
+
+class ClockParams(Params):
+    """What is added to the stamps of cameras, by camera."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[float, Field(allow_inf_nan=False)]]
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Camera -> s to add to its stamps."""
+        return dict(self.__pydantic_extra__)
 
 
 class OutputParams(Params):
@@ -74,6 +93,9 @@ class Config(Params):
     """Every parameter of a run, one section per step."""
 
     input: InputParams = Field(InputParams(), description="Reading the cameras.")
+    clock: ClockParams = Field(
+        ClockParams(), description="Seconds to add to the stamps of a camera: camera = seconds."
+    )
     output: OutputParams = Field(OutputParams(), description="Writing the results.")
     track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
     merge: MergeParams = Field(
@@ -144,6 +166,7 @@ _PAPER: Table = {
 PRESETS: Mapping[str, Table] = {
     "default": {},
     "realtime": {
+        "input": {"clocks": "causal"},
         "track": {"lookahead": 0.0, "reorder": 0.1},
         "optimize": {"lookahead": 0.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0},
@@ -283,6 +306,8 @@ def _check_names(table: Mapping[str, Any], origin: str) -> None:
             )
         if not isinstance(values, Mapping):
             raise ConfigError(f"{origin}: {section} is a section, not a value")
+        if _section(section).model_config.get("extra") == "allow":
+            continue
         known = _section(section).model_fields
         for name in values:
             if name not in known:
@@ -332,6 +357,9 @@ def to_toml(
             name for name in type(params).model_fields if everything or _is_shown(params, name)
         ]
         hidden += len(type(params).model_fields) - len(names)
+        if params.model_extra:
+            title = f"# {Config.model_fields[section].description}\n[{section}]\n"
+            blocks.append(title + tomli_w.dumps(params.model_extra))
         if names:
             schema = params.model_json_schema()["properties"]
             blocks.append(f"# {Config.model_fields[section].description}\n[{section}]\n")

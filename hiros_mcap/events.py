@@ -61,8 +61,8 @@ class Event:
 
     @property
     def is_warning(self) -> bool:
-        """Whether something was lost or refused."""
-        return any(word in self.kind for word in ("lost", "doubted", "rejected"))
+        """Whether something was lost, refused or wrong."""
+        return any(word in self.kind for word in ("lost", "doubted", "rejected", "clock"))
 
 
 @dataclass(slots=True)

@@ -8,7 +8,7 @@ makes one call for all of them. Results do not depend on how the frames are cut 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -74,6 +74,17 @@ class Block:
             self.rows[chosen],
             self.people,
         )
+
+    def restamped(self, stamps: Stamps) -> Block:
+        """Return the same frames at other times, (N,) ns; people's times change with them."""
+        if np.array_equal(stamps, self.stamps):
+            return self
+        times = self.people.stamps.copy()
+        shifts = (stamps - self.stamps).tolist()
+        for shift, (begin, end) in zip(shifts, self.rows.tolist(), strict=True):
+            own = times[begin:end]
+            own[own > 0] += shift
+        return replace(self, stamps=stamps, people=self.people._replace(stamps=times))
 
     def frames(self) -> Iterator[Frame]:
         """Every frame, in order."""

@@ -18,6 +18,34 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockFault:
+    """Something wrong with the times of a camera's messages."""
+
+    camera: str
+    kind: str
+    """"clock step", "clock drift", "clock offset", "late delivery" or "wrong time"."""
+    seconds: float
+    """By how much the clock went or is ahead, s (a drift: s per s; a late delivery: the delay)."""
+    at_ns: int
+    """Corrected stamp of the first message that it concerns, ns since the epoch."""
+    corrected: bool
+    """Whether the results are free of it."""
+    messages: int = 0
+    """Messages that were late."""
+
+    @property
+    def size(self) -> str:
+        """How large it is, with sign and unit: +2.00 s, -105 ms, +1.2 ms per s."""
+        if self.kind == "clock drift":
+            return f"{1000 * self.seconds:+.1f} ms per s"
+        if abs(self.seconds) < 0.9995:
+            return f"{1000 * self.seconds:+.0f} ms"
+        sign = "-" if self.seconds < 0 else "+"
+        long = abs(self.seconds) >= 3600
+        return f"{sign}{duration(abs(self.seconds))}" if long else f"{self.seconds:+.2f} s"
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSummary:
     """What became of the messages of one camera's channel: ``messages`` = used + skipped."""
 
@@ -35,6 +63,8 @@ class CameraSummary:
     """Detections left out because left and right were swapped."""
     outliers: int = 0
     """Markers and links left out because the other cameras disagreed."""
+    clock: tuple[ClockFault, ...] = ()
+    """What is wrong with the times of its messages."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
     printed = tomllib.loads(text)
     for section in Config.model_fields:
         params = getattr(Config(), section)
-        assert set(printed[section]) == set(type(params).model_fields)
+        assert set(printed.get(section, ())) == set(type(params).model_fields)
         for name, field in type(params).model_fields.items():
             assert field.description, f"{section}.{name} has no description"
             # What it cites, a user must be able to look up: a paper's section, an equation.
@@ -61,7 +61,7 @@ def test_a_system_states_the_sections_that_it_reads(name: str) -> None:
     stages = system(name).stages(Run(MODEL, config=cast(Config, reads)))
     left_out = {"predict"} if len(stages) > len(system(name).chains[-1]) else set()  # of lee
     assert reads.sections - left_out == {*system(name).sections}
-    assert sections_of(name) == ("input", "output", *system(name).sections)
+    assert sections_of(name) == ("input", "clock", "output", *system(name).sections)
 
 
 def test_only_the_sections_asked_for_are_printed() -> None:
@@ -183,3 +183,19 @@ def test_an_unknown_preset_lists_the_known_ones() -> None:
 def test_a_changed_parameter_shows_its_default_too() -> None:
     text = to_toml(load_config(overrides=["filter.cutoff=8"]))
     assert "# Default: 4.5.\ncutoff = 8.0\n" in text
+
+
+def test_the_table_of_clocks_has_a_camera_of_any_name(tmp_path: Path) -> None:
+    path = tmp_path / "hiros.toml"
+    path.write_text('[clock]\n"camera_1" = -1.5\n"/kinect.2/skeletons" = 2\n')
+    config = load_config(path, ["clock.camera_3=0.1"])
+    seconds = {"camera_1": -1.5, "/kinect.2/skeletons": 2.0, "camera_3": 0.1}
+    assert config.clock.seconds == seconds
+    path.write_text(to_toml(config, everything=False))
+    assert load_config(path) == config
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "'soon'"])
+def test_a_correction_of_a_clock_is_a_number(value: str) -> None:
+    with pytest.raises(ConfigError, match="camera_1"):
+        load_config(overrides=[f"clock.camera_1={value}"])

@@ -292,6 +292,23 @@ class Decoder:
             batch.until,
         )
 
+    def read_times(self, batch: Batch) -> npt.NDArray[np.int64]:
+        """(N, 4) of each message with a header: channel, log time, header.stamp and src_time, ns.
+
+        src_time is that of the first person. A time is 0 if there is none.
+        """
+        n = sum(len(records.messages) for records in batch.records)
+        first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
+        rows = np.zeros((n, 4), np.int64)
+        sections = self._sections(batch.records, {})
+        for section, records in zip(sections, batch.records, strict=True):
+            batch_kernels.read_headers(*section, first, reports)
+            own = slice(section.message, section.message + len(records.messages))
+            rows[own, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
+            rows[own, 3] = _source_times(section, reports[own])
+        rows[:, 2] = reports[:, cdr.HEADER_STAMP]
+        return np.maximum(rows[reports[:, cdr.FRAME] > 0], 0)
+
     def _people(
         self,
         sections: Sequence[_Section],
@@ -377,6 +394,20 @@ class _Section(NamedTuple):
     """(n, 2) first byte of each message, and the one after its last."""
     message: int
     """Number of the first message in the batch."""
+
+
+def _source_times(section: _Section, reports: cdr.Table) -> cdr.Table:
+    """(n,) src_time of the first person of each message whose header was read, ns; 0 = none."""
+    times = np.zeros(len(reports), np.int64)
+    at = section.places[:, 0] + ((reports[:, cdr.AT] + 3) & ~3) + 4  # behind the id
+    known = np.flatnonzero((reports[:, cdr.COUNT] > 0) & (at + 8 <= section.places[:, 1]))
+    places = at[known, None] + np.arange(8)
+    words = section.data[places].view("<u4").astype(np.int64)
+    swap = section.data[section.places[known, 0] + 1] == 0
+    words[swap] = section.data[places[swap]].view(">u4")
+    seconds = words[:, 0].astype(np.int32)  # it is signed
+    times[known] = seconds.astype(np.int64) * cdr.NANO + words[:, 1]
+    return times
 
 
 def _by_source(

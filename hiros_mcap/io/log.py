@@ -12,10 +12,11 @@ from __future__ import annotations
 import difflib
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -34,6 +35,7 @@ from hiros_mcap.body.transforms import (
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.bags import BagReader, SplitReader, kind_of, parts_of
+from hiros_mcap.io.camera_clock import CameraTimes
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
@@ -56,7 +58,7 @@ from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
-from hiros_mcap.skeletons import Frame, People, SkeletonModel
+from hiros_mcap.skeletons import Frame, People, SkeletonModel, Stamps
 from hiros_mcap.summary import quantity
 
 STALE = "stale repeat"
@@ -293,6 +295,29 @@ class Log:
         for _, block in self._fixed_blocks():
             yield block
 
+    def times(self) -> dict[str, CameraTimes]:
+        """Return when the messages of each camera were stamped and logged, in log order.
+
+        A stamp is that of a frame (see :meth:`frames`). Where some messages have people with a
+        source time and others do not, only the kind that is more frequent is in there: detectors
+        may fill in header.stamp when they are done.
+
+        Only the beginning of each message is read, if every channel has one camera. Messages that
+        are damaged are left out, and so are those without a time.
+        """
+        if any(len(c.sources) != 1 or not c.layout.is_published for c in self.cameras):
+            rows = ((f.source, f.log_time, f.stamp, 0) for f in self.frames())
+            return _times_of(sorted(rows, key=itemgetter(1)))
+        names = {c.channel.id: next(iter(c.sources.values())) for c in self.cameras}
+        decoder = Decoder(self.model)
+        with _named(self.path):
+            tables = map(decoder.read_times, self.reader.batches(names))
+            table = np.concatenate([*tables, np.empty((0, 4), np.int64)])
+        table = table[np.argsort(table[:, 1], kind="stable")]
+        return {
+            name: _camera_times(table[table[:, 0] == ident, 1:]) for ident, name in names.items()
+        }
+
     def _fixed_blocks(self) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks in the fixed frame, with the topic of each frame."""
         fixed = self.fixed_frame
@@ -352,6 +377,26 @@ class Log:
             )
         if fault is not None:
             raise fault
+
+
+def _times_of(rows: Iterable[tuple[str, int, int, int]]) -> dict[str, CameraTimes]:
+    """Gather by camera: name, log time, header.stamp, source time."""
+    found: dict[str, list[tuple[int, ...]]] = {}
+    for name, *times in rows:
+        found.setdefault(name, []).append(tuple(times))
+    return {name: _camera_times(np.array(some, np.int64)) for name, some in found.items()}
+
+
+def _camera_times(rows: Stamps) -> CameraTimes:
+    """Return the times that tell of a clock; (n, 3) log time, header.stamp, source time, 0 = none.
+
+    A repeated stamp tells nothing.
+    """
+    log_times, headers, sources = rows.T
+    stamps = sources if 2 * np.count_nonzero(sources) >= np.count_nonzero(headers) else headers
+    kept = stamps > 0
+    kept[1:] &= stamps[1:] != stamps[:-1]
+    return CameraTimes(stamps[kept], log_times[kept])
 
 
 class _Row(NamedTuple):

@@ -17,9 +17,12 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
     OUTPUT_TOPICS,
+    PROVENANCE,
     TRUTH_PREFIX,
     ChannelInfo,
     channels_of,
@@ -143,6 +146,8 @@ class Overview:
     """Notes about the log."""
     skipped: Mapping[str, Mapping[str, int]]
     """Messages that give nothing, by topic and reason."""
+    clocks: tuple[str, ...]
+    """What the times of the messages say about the cameras' clocks."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not finite are None."""
@@ -232,6 +237,7 @@ def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
         warnings=log.warnings if fixed else (),
         remarks=log.remarks,
         skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
+        clocks=clocks_in_words(judge_clocks(log.times()), start),
     )
 
 
@@ -258,6 +264,7 @@ def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Ove
         warnings=(),
         remarks=(),
         skipped={},
+        clocks=(),
     )
 
 
@@ -353,7 +360,7 @@ def _people(path: str | os.PathLike[str], channels: Iterable[ChannelInfo]) -> tu
 
 def _run(reader: McapReader) -> RunRow:
     """Read what a result says about itself; whatever is missing or odd stays empty."""
-    facts = dict(reader.contents.metadata).get("hiros.provenance", {})
+    facts = dict(reader.contents.metadata).get(PROVENANCE, {})
     system = facts.get("system", "")
     preset, changed = _changed(_flat(_table(reader)), system)
     return RunRow(
@@ -368,7 +375,7 @@ def _run(reader: McapReader) -> RunRow:
 
 
 def _table(reader: McapReader) -> Mapping[str, Any]:
-    text = (reader.attachment("hiros/config.toml") or b"").decode(errors="replace")
+    text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:

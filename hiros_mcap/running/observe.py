@@ -3,54 +3,39 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED
-from hiros_mcap.summary import duration, quantity
 
 DETECTIONS = "detections"
 """Name of what goes into the first stage."""
 _GAP = 1_000_000_000  # ns: a longer pause of a camera does not count for its rate
-_JUMP = 10_000_000_000  # ns: no recorder delays one message so much more than the one before
 _SAMPLED_FRAMES = 20  # of each camera
-_SAMPLED_LAGS = 500  # messages of each camera
-_CLOCKS_DIFFER = 0.2  # s
 _TOO_LARGE = 50.0  # m: no laboratory is so large
 
 
 @dataclass(slots=True)
-class CameraClock:
-    """When the messages of a camera were stamped and logged."""
+class MessageRate:
+    """How often a camera sends messages."""
 
     last: int = 0
     intervals: int = 0
     time: int = 0
-    lag: int = 0
-    jumps: int = 0
-    longest_jump: int = 0
     """ns."""
-    lags: list[int] = field(default_factory=list)
-    """ns from the stamp to the log time of the first messages."""
 
-    def add(self, stamp: int, log_time: int) -> None:
+    def add(self, stamp: int) -> None:
         """Take note of a message."""
-        lag = log_time - stamp
-        if len(self.lags) < _SAMPLED_LAGS:
-            self.lags.append(lag)
-        if self.last and abs(lag - self.lag) > _JUMP:
-            self.jumps += 1
-            self.longest_jump = max(self.longest_jump, abs(lag - self.lag))
         if self.last and 0 < stamp - self.last < _GAP:
             self.intervals += 1
             self.time += stamp - self.last
-        self.lag, self.last = lag, stamp
+        self.last = stamp
 
     @property
-    def rate(self) -> float:
+    def hertz(self) -> float:
         """Messages per second of the camera's own time, Hz; NaN below two messages."""
         return self.intervals / self.time * 1e9 if self.time else float("nan")
 
@@ -110,13 +95,13 @@ class Observer:
 
     Attributes
     ----------
-    clocks : by source. people : by id. seen_by : ids that the tracker gave, by source.
+    rates : by source. people : by id. seen_by : ids that the tracker gave, by source.
     written : frames by channel. sample : the first detections.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
         self.chain = tuple(chain)
-        self.clocks: defaultdict[str, CameraClock] = defaultdict(CameraClock)
+        self.rates: defaultdict[str, MessageRate] = defaultdict(MessageRate)
         self.people: dict[int, Presence] = {}
         self.seen_by: defaultdict[str, set[int]] = defaultdict(set)
         self.written: Counter[str] = Counter()
@@ -126,8 +111,8 @@ class Observer:
         """Take note of what goes into the first stage, or comes out of any."""
         if channel == DETECTIONS:
             self.sample.add(block)
-            for stamp, source, log_time, _ in block.messages():
-                self.clocks[source].add(stamp, log_time)
+            for stamp, source in zip(block.stamps.tolist(), block.sources, strict=True):
+                self.rates[source].add(stamp)
             return
         self.written[channel] += len(block)
         if channel == "tracked":
@@ -148,20 +133,3 @@ def _ids(block: Block) -> list[list[int]]:
     """Return the ids of the people of each frame."""
     ids = block.people.ids.tolist()
     return [ids[begin:end] for begin, end in block.rows.tolist()]
-
-
-def clock_notes(clocks: Mapping[str, CameraClock]) -> Iterator[str]:
-    """Yield what is plainly wrong with the cameras' clocks, which no stage can correct."""
-    for source, clock in sorted(clocks.items()):
-        if clock.jumps:
-            yield (
-                f"the clock of {source} jumps ({quantity(clock.jumps, 'time')}, by up to "
-                f"{duration(clock.longest_jump * 1e-9)}); the clock was set, or messages have a "
-                "wrong time"
-            )
-    lags = {source: sorted(clock.lags)[len(clock.lags) // 2] for source, clock in clocks.items()}
-    if len(lags) > 1:
-        early, late = min(lags, key=lambda s: lags[s]), max(lags, key=lambda s: lags[s])
-        difference = (lags[late] - lags[early]) * 1e-9
-        if difference > _CLOCKS_DIFFER:
-            yield f"the clocks of {early} and {late} seem to differ by {difference:.2f} s"

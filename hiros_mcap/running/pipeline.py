@@ -21,6 +21,7 @@ from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
+from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent, Watcher
 from hiros_mcap.running.report import Report
@@ -90,12 +91,18 @@ def process(
             kept = kept_channels(log, options)
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
         run = _set_up(log, config, options)
-        _calibrate_first(log, run, chain)
+        with watch.timing("read"):
+            clocks = align_clocks(log, config, _reorder_of(run))
+        _calibrate_first(log, run, chain, clocks)
         observer = Observer(chain)
-        report = Report(log, run, observer, watch, unmatched_globs(log, options))
+        report = Report(log, run, observer, watch, clocks, unmatched_globs(log, options))
         with open_output(path, log, run, chain, options) as output:
             sinks = [observer.see, *_shown_to(watcher, log, chain), output.write]
-            _consume(_stream(log, run, chain, watch, sinks), log, progress or Silent())
+            detections = clocks.correct(log.blocks())
+            blocks = _stream(detections, run, chain, watch, sinks)
+            _consume(blocks, log, progress or Silent())
+            watch.charge("read", log.reader.cpu_s)
+            clocks.tell(run.events)
             if options.strict:
                 _refuse_skipped(log, report.summary(None))
             with watch.timing("write"):
@@ -162,18 +169,24 @@ def _set_up(log: Log, config: Config, options: ProcessOptions) -> Run:
     return Run(log.model, config, Events(), limbs, cameras, log.fixed_frame, options.system)
 
 
+def _reorder_of(run: Run) -> float:
+    """Return the longest time, s, by which the first stage takes messages that are late."""
+    first = run.config.track if "track" in sections_of(run.system) else run.config.associate
+    return first.reorder
+
+
 def _stages(run: Run, chain: Sequence[str]) -> Stages:
     table = system(run.system).stages(run)
     return {name: table[name] for name in chain}
 
 
-def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> None:
+def _calibrate_first(log: Log, run: Run, chain: Sequence[str], clocks: ClockAlignment) -> None:
     """Measure the limbs on the whole log before the run, if it is to have two passes."""
     wanted = "optimize" in sections_of(run.system) and "optimized" in chain
     if not wanted or run.config.optimize.calibration != "two-pass" or run.limbs.people:
         return
     first_pass = replace(run, events=Events(), limbs=LimbTable())
-    blocks = log.blocks()
+    blocks = clocks.correct(log.blocks())
     for stage in _stages(first_pass, chain[: chain.index("optimized")]).values():
         blocks = stage(blocks)
     table = calibrate_limbs(frames_of(blocks), run.model, run.config.optimize, run.events)
@@ -181,7 +194,11 @@ def _calibrate_first(log: Log, run: Run, chain: Sequence[str]) -> None:
 
 
 def _stream(
-    log: Log, run: Run, chain: Sequence[str], watch: Stopwatch, sinks: Sequence[Sink]
+    detections: Iterator[Block],
+    run: Run,
+    chain: Sequence[str],
+    watch: Stopwatch,
+    sinks: Sequence[Sink],
 ) -> Iterator[Block]:
     """Join the stages: each pulls from the one before it, and the sinks see every block."""
 
@@ -189,11 +206,10 @@ def _stream(
         for sink in sinks:
             sink(channel, block)
 
-    blocks = watch.timed("read", log.blocks(), partial(see, DETECTIONS))
+    blocks = watch.timed("read", detections, partial(see, DETECTIONS))
     for name, stage in _stages(run, chain).items():
         blocks = watch.timed(name, stage(blocks), partial(see, name))
     yield from blocks
-    watch.charge("read", log.reader.cpu_s)
 
 
 def _shown_to(watcher: Watcher | None, log: Log, chain: Sequence[str]) -> Iterator[Sink]:

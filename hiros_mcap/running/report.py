@@ -12,8 +12,9 @@ import numpy as np
 
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import DAMAGED, Account, CameraChannel, Log
-from hiros_mcap.running.observe import Observer, Presence, clock_notes
+from hiros_mcap.io.log import DAMAGED, STALE, Account, CameraChannel, Log
+from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
+from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import (
     CameraSummary,
@@ -24,10 +25,18 @@ from hiros_mcap.summary import (
     cleaned,
     quantity,
 )
-from hiros_mcap.systems import Run
+from hiros_mcap.systems import Run, sections_of
 
 _IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
+_LARGEST_LOSS = 0.05
+_REMEDIES = {
+    TOO_LATE: "let messages wait longer with --set {stage}.reorder=3, or correct the camera's "
+    "clock with --clock CAMERA=SECONDS",
+    DAMAGED: "the notes name the first faulty message",
+    STALE: "check the camera's driver: it sends the same skeletons again",
+}
+"""Reason why messages were skipped -> what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +47,7 @@ class Report:
     run: Run
     observer: Observer
     watch: Stopwatch
+    clocks: ClockAlignment
     notes: Sequence[str] = ()
     """What the summary says first."""
 
@@ -46,26 +56,27 @@ class Report:
         start, end = self.log.span
         people, chain, cpu = self.observer.people, self.observer.chain, self.watch.cpu
         steps = [name for name in ("read", *chain, "write") if name in cpu]
+        cameras = tuple(map(self._camera, self.log.cameras))
         return Summary(
             source=str(self.log.path),
             target=target,
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - self.watch.started,
-            cameras=tuple(map(self._camera, self.log.cameras)),
+            cameras=cameras,
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
-            warnings=tuple(self._warnings()),
             losses=self.log.recovery.loss if self.log.recovery else "",
+            warnings=tuple(self._warnings(cameras)),
             notes=tuple(self._all_notes()),
         )
 
     def _camera(self, camera: CameraChannel) -> CameraSummary:
         """Return what became of a camera's messages."""
-        counts, clocks = self.run.events.counts, self.observer.clocks
+        counts, hertz = self.run.events.counts, self.observer.rates
         account = self.log.accounts[camera.channel.topic]
         sources = sorted(camera.sources.values())
-        rates = [clocks[source].rate for source in sources if source in clocks]
+        rates = [hertz[source].hertz for source in sources if source in hertz]
         # Cameras that share messages: the one that lost most, since each lost a part of them.
         late = max(counts[TOO_LATE, source] for source in sources)
         return CameraSummary(
@@ -77,6 +88,7 @@ class Report:
             skipped={**account.skipped, **({TOO_LATE: late} if late else {})},
             flips=sum(counts["flip", source] for source in sources),
             outliers=sum(counts["outlier", source] for source in sources),
+            clock=tuple(fault for fault in self.clocks.faults if fault.camera in sources),
         )
 
     def _person(self, person: int, presence: Presence) -> PersonSummary:
@@ -103,14 +115,16 @@ class Report:
                 return LimbSummary(0, math.nan, math.nan, "", accepted=False, reason=event.detail)
         return None
 
-    def _warnings(self) -> Iterator[str]:
-        """Yield what makes the result doubtful or incomplete, with the remedy."""
+    def _warnings(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
+        """Yield what makes the result doubtful or incomplete, with the remedy; losses first."""
         if self.log.losses:
             damaged = "is damaged" if self.log.recovery else "was damaged before it was recovered"
             yield f"the recording {damaged}; {self.log.losses}"
-        yield from self.log.warnings
-        if not self.observer.people:
-            yield from self._nobody()
+        stage = "track" if "track" in sections_of(self.run.system) else "associate"
+        for camera in cameras:
+            lost = sum(camera.skipped.values())
+            if lost > _LARGEST_LOSS * camera.messages:
+                yield _loss(camera, lost, stage)
         for account in self.log.accounts.values():
             if account.first_error:
                 n = account.skipped[DAMAGED]
@@ -118,6 +132,10 @@ class Report:
                     f"{account.topic}: {quantity(n, 'faulty message')} left out; the first: "
                     f"{account.first_error}. Look for the fault at its source; --strict refuses it"
                 )
+        yield from clock_warnings(self.clocks.faults, self.log.span[0])
+        yield from self.log.warnings
+        if not self.observer.people:
+            yield from self._nobody()
 
     def _nobody(self) -> Iterator[str]:
         """Yield why nobody was found in detections of somebody."""
@@ -145,7 +163,21 @@ class Report:
         optimized = self.observer.people and "optimized" in self.observer.chain
         if windows and optimized and not measured:
             yield "limb lengths not calibrated: nobody was seen in the calibration windows"
-        yield from clock_notes(self.observer.clocks)
+        yield from clock_notes(self.clocks.faults, self.log.span[0])
+
+
+def _loss(camera: CameraSummary, lost: int, stage: str) -> str:
+    """Return in words that much of a camera was not used, and the remedy.
+
+    ``stage`` is the section of the configuration that says how long messages wait.
+    """
+    worst = max(camera.skipped, key=lambda reason: camera.skipped[reason])
+    reasons = ", ".join(f"{n} {reason}" for reason, n in camera.skipped.items())
+    share = f"{100 * lost / camera.messages:.0f} %"
+    return (
+        f"{camera.topic}: {share} of {quantity(camera.messages, 'message')} not used ({reasons}); "
+        f"{_REMEDIES[worst].format(stage=stage)}"
+    )
 
 
 def _input_notes(account: Account) -> Iterator[str]:

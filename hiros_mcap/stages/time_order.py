@@ -5,8 +5,12 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Generic, TypeVar
 
+import numpy as np
+
+from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.skeletons import Frame
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
@@ -26,15 +30,16 @@ class TimeOrder(Generic[T]):
     Parameters
     ----------
     delay : longest wait, s in time of the data.
+    patient : every message waits so long. Messages of a file may be late without a warning.
     """
 
-    def __init__(self, delay: float) -> None:
+    def __init__(self, delay: float, *, patient: bool = False) -> None:
         self._waiting: list[tuple[int, str, int, T]] = []
         self._latest_of: dict[str, int] = {}
         """Camera to its latest stamp, ns."""
         self._latest = self._now = self._begin = 0
         self._patience = round(delay * 1e9)
-        self._delay = min(self._patience, _USUAL_DELAY)
+        self._delay = self._patience if patient else min(self._patience, _USUAL_DELAY)
         """ns: how late the latest message was."""
         self._count = itertools.count()
 
@@ -79,3 +84,18 @@ def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
             yield ready.replace(log_time=now)
     for ready, now in order.rest():
         yield ready.replace(log_time=now)
+
+
+def late_in_order(blocks: Iterable[Block], delay: float) -> Iterator[Block]:
+    """Sort the frames of a file in which some are up to ``delay``, s, older than the one before."""
+    order: TimeOrder[Part] = TimeOrder(delay, patient=True)
+    for block in blocks:
+        ready = [pair for message in block.messages() for pair in order.push(*message)]
+        yield from _joined(ready)
+    yield from _joined(order.rest())
+
+
+def _joined(ready: list[tuple[Part, int]]) -> Iterator[Block]:
+    if ready:
+        block = join([part for part, _ in ready])
+        yield replace(block, log_times=np.array([now for _, now in ready], np.int64))

@@ -98,7 +98,7 @@ def system(name: str) -> System:
 
 def sections_of(name: str) -> tuple[str, ...]:
     """Return the sections of the configuration that a system reads; ConfigError as in system."""
-    return ("input", "output", *system(name).sections)
+    return ("input", "clock", "output", *system(name).sections)
 
 
 def chain_of(name: str, stages: str = "") -> tuple[str, ...]:

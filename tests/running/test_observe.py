@@ -18,12 +18,12 @@ from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import COUNTED, TOO_LATE, counted
 from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log
+from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import (
     DETECTIONS,
-    CameraClock,
     DetectionSample,
+    MessageRate,
     Observer,
-    clock_notes,
 )
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -33,34 +33,21 @@ from hiros_mcap.systems import Run
 MS, S = 1_000_000, 1_000_000_000
 
 
-def clock(*times: tuple[float, float]) -> CameraClock:
-    """A clock that got messages stamped and logged at these times, s."""
-    result = CameraClock()
-    for stamp, logged in times:
-        result.add(round((100 + stamp) * S), round((100 + logged) * S))
+def rate(*stamps: float) -> MessageRate:
+    """A camera that sent messages stamped at these times, s."""
+    result = MessageRate()
+    for stamp in stamps:
+        result.add(round((100 + stamp) * S))
     return result
 
 
 def test_the_rate_is_that_of_the_intervals_without_pauses() -> None:
-    assert clock((0, 0), (0.1, 0.1), (0.2, 0.2), (5.0, 5.0), (5.1, 5.1)).rate == pytest.approx(10)
-    assert np.isnan(clock((0, 0)).rate)
+    assert rate(0, 0.1, 0.2, 5.0, 5.1).hertz == pytest.approx(10)
+    assert np.isnan(rate(0).hertz)
 
 
 def test_a_message_out_of_order_does_not_count_for_the_rate() -> None:
-    assert clock((0, 0), (0.1, 0.1), (0.05, 0.2), (0.15, 0.3)).rate == pytest.approx(10)
-
-
-def test_a_clock_jumps_if_the_delay_changes_by_more_than_ten_seconds() -> None:
-    assert clock((0, 0), (0.1, 10.0), (0.2, 10.1)).jumps == 0
-    assert clock((0, 0), (20.0, 0.1), (0.2, 0.2)).jumps == 2
-    (note,) = clock_notes({"k1": clock((0, 0), (20.0, 0.1), (20.1, 0.2))})
-    assert note.startswith("the clock of k1 jumps (1 time, by up to 19.9 s)")
-
-
-def test_clocks_that_differ_are_named_the_earlier_lag_first() -> None:
-    clocks = {"a": clock((0, 0.5), (1, 1.5)), "b": clock((0, 0.1)), "c": clock((0, 0.2))}
-    assert list(clock_notes(clocks)) == ["the clocks of b and a seem to differ by 0.40 s"]
-    assert list(clock_notes({"a": clock((0, 0.25)), "b": clock((0, 0.1))})) == []
+    assert rate(0, 0.1, 0.05, 0.15).hertz == pytest.approx(10)
 
 
 def sample(scale: float, confidence: float) -> DetectionSample:
@@ -158,7 +145,8 @@ def test_a_duration_has_the_unit_that_fits(seconds: float, text: str) -> None:
 
 
 def report_on(run: Run) -> Report:
-    return Report(cast(Log, None), run, Observer(["tracked", "optimized"]), Stopwatch())
+    observer = Observer(["tracked", "optimized"])
+    return Report(cast(Log, None), run, observer, Stopwatch(), ClockAlignment())
 
 
 def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:

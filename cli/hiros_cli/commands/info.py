@@ -196,6 +196,7 @@ def _facts(overview: Overview) -> list[str]:
     if not overview.has_checksums:
         lines.append("no checksums: nobody would notice a damaged message")
     lines += overview.remarks
+    lines += overview.clocks
     for topic, reasons in overview.skipped.items():
         lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
     return lines

@@ -84,6 +84,13 @@ def process(
         str | None,
         typer.Option(metavar="FRAME", help="Frame of the output. Default: root of the transforms."),
     ] = None,
+    clock: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAMERA=SECONDS",
+            help="Add seconds to the stamps of a camera; may be repeated.",
+        ),
+    ] = None,
     limbs: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Use these limb lengths of an earlier session."),
@@ -161,6 +168,8 @@ def process(
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
+    if clock:
+        shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     prepare(quiet=quiet, roots=RUN)
 
     if output is None:
@@ -259,6 +268,16 @@ def _shortcuts(
     if solver is not None:
         named["--solver"] = {"optimize": {"solver": solver}}
     return named
+
+
+def _clock(text: str) -> tuple[str, float]:
+    camera, equals, seconds = text.rpartition("=")
+    try:
+        if not (equals and camera):
+            raise ValueError
+        return camera, float(seconds)
+    except ValueError:
+        raise ConfigError(f"--clock: {text!r} is not of the form CAMERA=SECONDS") from None
 
 
 def _window(text: str) -> tuple[float, float]:

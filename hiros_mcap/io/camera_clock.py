@@ -1,0 +1,565 @@
+"""What is wrong with a camera's clock, from the times of its messages alone.
+
+A message has two times: the camera stamps it, and the recorder logs it on its own, one clock. The
+lag is the difference, log time minus stamp: the delay of the delivery minus the error of the
+camera's clock.
+
+- **Step.** The clock was set: the lag changes for good, and one interval between stamps is odd
+  while log times go on regularly.
+- **Late delivery.** The lag grows for a while, and stamps go on regularly. The clock is right.
+- **Drift.** The lag grows or shrinks steadily. Delays vary to one side only, so the least lag of
+  each second counts.
+- **Offset.** The lag differs from that of the other cameras from the first message on. Times alone
+  cannot tell a wrong clock from a slow delivery; see :mod:`hiros_mcap.calibrate.clock_offset`. Only
+  a difference that no delivery explains is taken as one of the clocks.
+
+What all cameras share is the recorder's: it may stall, or its clock may be set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from hiros_mcap.skeletons import Flags, Floats, Stamps
+from hiros_mcap.summary import ClockFault, quantity
+
+STEP, DRIFT, OFFSET = "clock step", "clock drift", "clock offset"
+LATE, WRONG = "late delivery", "wrong time"
+
+_LEAST = 10  # messages of a camera that say anything
+_NEAR = 30  # messages on each side of a step that give its size
+LEAST_AFTER = 5  # messages that confirm a step
+_FAR = 10.0  # s: a lag that has not lasted so long may be a late delivery
+IRREGULAR = 0.025  # s: an interval between stamps that differs so much from the usual one is odd
+_LEAST_STEP = 0.03  # s
+_PAUSE = 1.0  # s: whoever pauses longer may do so for any time
+_LATE = 0.5  # s
+_TOLD = 0.05  # s
+LONGEST_WAIT = 60.0
+"""s: so much of a log is held in memory at most until late messages have come."""
+_FUTURE = 0.5  # s: no delivery is so much faster than the fastest
+LONGEST_DELAY = 10.0  # s: no delivery takes so much longer than another camera's
+_LEAST_DRIFT = 0.7e-3  # s/s: cheap crystals are off by a tenth of that
+_LEAST_DRIFTED = 0.01  # s
+_LARGEST_DRIFT = 0.01  # s/s: what changes less over a pause is no step
+_ROUNDS = 100  # steps of one camera
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTimes:
+    """When a camera's N messages were stamped and logged, in the order of the log."""
+
+    stamps: Stamps
+    """(N,) ns, camera's clock."""
+    log_times: Stamps
+    """(N,) ns, recorder's clock."""
+
+    @property
+    def lags(self) -> Floats:
+        """(N,) log time - stamp, s."""
+        return np.asarray((self.log_times - self.stamps) * 1e-9, np.float64)
+
+    def moved(self, seconds: float) -> CameraTimes:
+        """Return the same with later stamps."""
+        return replace(self, stamps=self.stamps + round(seconds * 1e9))
+
+
+@dataclass(frozen=True, slots=True)
+class ClockCorrection:
+    """What is added to the stamps of a camera: steps, and a drift on top of them."""
+
+    begins: tuple[int, ...] = (-(2**63),)
+    """Log times, ns, from which each of ``offsets`` holds."""
+    offsets: tuple[int, ...] = (0,)
+    """ns."""
+    drift: float = 0.0
+    """Added per unit of the camera's time since ``origin``."""
+    origin: int = 0
+    """ns, of the camera's clock after the steps."""
+    floor: int | None = None
+    """Least lag of corrected messages, ns. One that does not fit it at all gets it."""
+
+    def apply(self, stamps: Stamps, log_times: Stamps) -> Stamps:
+        """Return the corrected stamps of messages, (N,) ns."""
+        right = self.follow(stamps, log_times)
+        if self.floor is not None:
+            wrong = self.wrong(right, log_times)
+            right = np.where(wrong, log_times - self.floor, right)
+        return right
+
+    def follow(self, stamps: Stamps, log_times: Stamps) -> Stamps:
+        """Return the stamps without the clock's steps and drift, (N,) ns."""
+        place = np.searchsorted(np.array(self.begins), log_times, "right") - 1
+        right: Stamps = stamps + np.array(self.offsets)[place]
+        if self.drift:
+            right = right + np.round((right - self.origin) * self.drift).astype(np.int64)
+        return right
+
+    def wrong(self, stamps: Stamps, log_times: Stamps) -> Flags:
+        """(N,) whether a message cannot have been sent at a corrected stamp."""
+        beyond = (log_times - stamps - (self.floor or 0)) * 1e-9
+        wrong: Flags = (beyond < -_FUTURE) | (beyond > LONGEST_WAIT)
+        return wrong
+
+    def changes(self, times: CameraTimes) -> bool:
+        """Whether the correction does anything to a camera's messages."""
+        return bool((self.apply(*_pair(times)) != times.stamps).any())
+
+    def plus(self, seconds: float) -> ClockCorrection:
+        """Return the correction with a constant more."""
+        more = round(seconds * 1e9)
+        offsets = tuple(offset + more for offset in self.offsets)
+        floor = None if self.floor is None else self.floor - more
+        return replace(self, offsets=offsets, floor=floor)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockJudgement:
+    """What is known of all clocks of a log."""
+
+    corrections: Mapping[str, ClockCorrection] = field(default_factory=dict)
+    """By camera."""
+    faults: tuple[ClockFault, ...] = ()
+    """In the order of their times."""
+    times: Mapping[str, CameraTimes] = field(default_factory=dict)
+    """By camera, after the corrections."""
+    wait: float = 0.0
+    """Longest time, s, that a message has to wait for older ones of other cameras."""
+
+    @property
+    def lags(self) -> dict[str, float]:
+        """Usual lag of each camera after the corrections, s."""
+        return {name: float(np.median(times.lags)) for name, times in self.times.items()}
+
+
+def judge_clocks(
+    cameras: Mapping[str, CameraTimes], given: Mapping[str, float] | None = None
+) -> ClockJudgement:
+    """Judge the clocks of a log by the times of all its messages.
+
+    ``given`` are seconds that the user adds to the stamps of some cameras. Their offsets are taken
+    as right, their steps and drifts are looked for all the same.
+    """
+    given = given or {}
+    known = {
+        name: times.moved(given.get(name, 0.0))
+        for name, times in sorted(cameras.items())
+        if len(times.stamps)
+    }
+    steps = {name: find_steps(times, _but(name, known)) for name, times in known.items()}
+    levels = {name: _usual(times.lags, steps[name]) for name, times in known.items()}
+    faults: list[ClockFault] = []
+    fixed: dict[str, ClockCorrection] = {}
+    for name, times in known.items():
+        others = [levels[other][0] for other in known if other != name]
+        fixed[name], named = _stepped(name, times, steps[name], levels[name], others)
+        faults += named
+    fixed = _level(known, fixed, faults, set(given))
+    fixed = _without_drift(known, fixed, faults)
+    fixed = {name: _with_floor(fixed[name], times) for name, times in known.items()}
+    right = {name: replace(t, stamps=fixed[name].apply(*_pair(t))) for name, t in known.items()}
+    faults += _late(right)
+    faults += _wrong(known, fixed)
+    for name, seconds in given.items():
+        if name in fixed:
+            fixed[name] = replace(fixed[name].plus(seconds), floor=fixed[name].floor)
+    return ClockJudgement(
+        fixed,
+        tuple(sorted(faults, key=lambda fault: (fault.at_ns, fault.camera))),
+        right,
+        longest_wait(right.values()),
+    )
+
+
+def _followed(times: CameraTimes, correction: ClockCorrection) -> CameraTimes:
+    return replace(times, stamps=correction.follow(*_pair(times)))
+
+
+def _but(name: str, cameras: Mapping[str, CameraTimes]) -> list[CameraTimes]:
+    return [times for other, times in cameras.items() if other != name]
+
+
+def _pair(times: CameraTimes) -> tuple[Stamps, Stamps]:
+    return times.stamps, times.log_times
+
+
+def _wrong(
+    cameras: Mapping[str, CameraTimes], fixed: Mapping[str, ClockCorrection]
+) -> Iterator[ClockFault]:
+    """Yield which cameras have single messages with times that make no sense."""
+    for name, times in cameras.items():
+        stamps = fixed[name].follow(*_pair(times))
+        wrong = np.flatnonzero(fixed[name].wrong(stamps, times.log_times))
+        if len(wrong):
+            errors = (stamps - fixed[name].apply(*_pair(times)))[wrong] * 1e-9
+            worst = float(errors[np.argmax(np.abs(errors))])
+            first = int(fixed[name].apply(*_pair(times))[wrong[0]])
+            yield ClockFault(name, WRONG, worst, first, corrected=True, messages=len(wrong))
+
+
+def _with_floor(correction: ClockCorrection, times: CameraTimes) -> ClockCorrection:
+    lags = times.log_times - correction.follow(*_pair(times))
+    return replace(correction, floor=int(np.quantile(lags, 0.05, method="lower")))
+
+
+# Steps
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """The clock was set before message ``place``."""
+
+    place: int
+    seconds: float
+    """How far the clock went ahead."""
+
+
+def find_steps(times: CameraTimes, others: Sequence[CameraTimes]) -> list[_Step]:
+    """Find the steps of a clock, the largest first, each on what the former ones leave."""
+    if len(times.stamps) < _LEAST:
+        return []
+    start = int(times.log_times[0])
+    stamps = np.asarray((times.stamps - start) * 1e-9, np.float64)
+    logged = np.asarray((times.log_times - start) * 1e-9, np.float64)
+    logged_alone: Floats = logged - _recorder(others, times.log_times)
+    steps: list[_Step] = []
+    for _ in range(_ROUNDS):
+        found = _largest_step(stamps, logged_alone)
+        if found is None:
+            break
+        steps.append(found)
+        stamps[found.place :] -= found.seconds
+    return sorted(steps, key=lambda step: step.place)
+
+
+def _recorder(others: Sequence[CameraTimes], log_times: Stamps) -> Floats:
+    """(N,) by how much the recorder is late at some log times, s: what the other cameras' lags do.
+
+    It is smooth, without the delays of single messages.
+    """
+    rows = [
+        np.interp(log_times, other.log_times, _smooth(other.lags - np.median(other.lags)))
+        for other in others
+        if len(other.lags) >= _LEAST
+    ]
+    return np.asarray(np.median(rows, axis=0)) if rows else np.zeros(len(log_times))
+
+
+def _smooth(values: Floats) -> Floats:
+    """(N,) median of each value and its neighbours."""
+    padded = np.pad(values, 1, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 3)
+    return np.asarray(np.median(windows, axis=1))
+
+
+def _largest_step(stamps: Floats, logged: Floats) -> _Step | None:
+    """Return the largest step of a clock, None if there is none."""
+    period = _period(stamps)
+    intervals, lags = np.diff(stamps), logged - stamps
+    noise = 1.48 * float(np.median(np.abs(intervals - period)))
+    jumps = -np.diff(lags)
+    jitter = 1.48 * float(np.median(np.abs(jumps)))
+    odd = np.flatnonzero(np.abs(intervals - period) > IRREGULAR) + 1
+    found: list[tuple[float, _Step]] = []
+    for k in odd[(odd >= LEAST_AFTER) & (odd <= len(lags) - LEAST_AFTER)].tolist():
+        before, after = lags[max(0, k - _NEAR) : k], lags[k : k + _NEAR]
+        shift = float(np.median(before) - np.median(after))
+        least = _LEAST_STEP + _LARGEST_DRIFT * max(0.0, float(intervals[k - 1]))
+        at_once = abs(jumps[k - 1] - shift) <= max(0.3 * abs(shift), 4 * jitter, 0.02)
+        if abs(shift) >= least and at_once and _parts(lags, k, shift):
+            error = float(np.hypot(_error(before), _error(after)))
+            seconds = _explained(float(intervals[k - 1]), shift, (period, noise, error))
+            if seconds:
+                found.append((abs(seconds), _Step(k, seconds)))
+    for _, step in sorted(found, key=lambda pair: -pair[0]):
+        if _lasts(step, stamps, logged):
+            return step
+    return None
+
+
+def _parts(lags: Floats, k: int, shift: float) -> bool:
+    """Whether all lags next to message ``k`` lie on their side, unlike those of mixed messages."""
+    before, after = lags[k - LEAST_AFTER : k], lags[k : k + LEAST_AFTER]
+    gap = before.min() - after.max() if shift > 0 else after.min() - before.max()
+    return bool(gap > 0.3 * abs(shift))
+
+
+def _period(stamps: Floats) -> float:
+    """Return the usual interval between stamps, s."""
+    intervals = np.diff(stamps)
+    usual = intervals[(intervals > 0) & (intervals < _PAUSE)]
+    return float(np.median(usual)) if usual.size else _PAUSE
+
+
+def _error(values: Floats) -> float:
+    """Return the SD of a median, from the values' median deviation."""
+    return float(1.86 * np.median(np.abs(values - np.median(values))) / np.sqrt(len(values)))
+
+
+def _explained(interval: float, shift: float, usual: tuple[float, float, float]) -> float:
+    """Return the step that explains an odd interval better than lost messages do, 0 if none does.
+
+    ``usual`` are the period, its SD, and the SD of ``shift``, by which the lag falls; all in s.
+    """
+    period, noise, error = usual
+    if abs(shift) < 4 * error:
+        return 0.0
+    spread = max(0.004, noise, error)
+    if _oddity(interval, period, spread) - _oddity(interval - shift, period, spread) < 1.5:
+        return 0.0
+    n = max(1, round((interval - shift) / period))
+    near = n < 10 and abs(interval - shift - n * period) < period / 3 and error < period / 8
+    # The stamps of a regular camera tell the step more exactly than the delays do.
+    return interval - n * period if near and noise < 0.004 else shift
+
+
+def _oddity(interval: float, period: float, spread: float) -> float:
+    """Return how odd an interval between stamps is: lost messages and the rest, in SDs."""
+    if interval < 0.3 * period:
+        return 20.0
+    if interval > _PAUSE:
+        return 10.0
+    n = max(1, round(interval / period))
+    return min(n - 1, 5) + min(abs(interval - n * period) / spread, 6.0)
+
+
+def _lasts(step: _Step, stamps: Floats, logged: Floats) -> bool:
+    """Whether the least lag changes, too: a late delivery ends where it began."""
+    lags, k = logged - stamps, step.place
+    before = lags[:k][logged[:k] > logged[k] - _FAR]
+    after = lags[k:][logged[k:] < logged[k] + _FAR]
+    if min(before.size, after.size) < LEAST_AFTER:
+        return False
+    change = float(np.quantile(before, 0.1) - np.quantile(after, 0.1))
+    return change / step.seconds > 0.5
+
+
+def _usual(lags: Floats, steps: list[_Step]) -> list[float]:
+    """Return the usual lag between steps, s."""
+    places = [0, *(step.place for step in steps), len(lags)]
+    return [float(np.median(lags[a:b])) for a, b in pairwise(places)]
+
+
+def _stepped(
+    name: str, times: CameraTimes, steps: list[_Step], levels: list[float], others: list[float]
+) -> tuple[ClockCorrection, list[ClockFault]]:
+    """Return the correction of steps, and what to say of them.
+
+    The part of the log whose lag is most like the other cameras' keeps its stamps; the first one
+    if they are alike.
+    """
+    ahead = np.cumsum([0.0, *(step.seconds for step in steps)])
+    usual = float(np.median(others)) if others else levels[0]
+    strange = [abs(level - usual) for level in levels]
+    right = 0 if strange[0] <= min(strange) + _LEAST_STEP else int(np.argmin(strange))
+    offsets = np.round((ahead[right] - ahead) * 1e9).astype(np.int64)
+    begins = [int(times.log_times[step.place]) for step in steps]
+    correction = ClockCorrection((-(2**63), *begins), tuple(offsets.tolist()))
+    stamps = correction.follow(*_pair(times))
+    return correction, [
+        ClockFault(name, STEP, step.seconds, int(stamps[step.place]), corrected=True)
+        for step in steps
+    ]
+
+
+# Offsets that no delivery explains
+
+
+def _level(
+    cameras: Mapping[str, CameraTimes],
+    fixed: dict[str, ClockCorrection],
+    faults: list[ClockFault],
+    given: set[str],
+) -> dict[str, ClockCorrection]:
+    """Align clocks that differ by more than any delivery takes, and name them."""
+    lags = {
+        name: float(np.median(_followed(times, fixed[name]).lags))
+        for name, times in cameras.items()
+    }
+    if not lags:
+        return fixed
+    usual = middle_of(lags)
+    result = dict(fixed)
+    for name, lag in lags.items():
+        if abs(lag - usual) > LONGEST_DELAY and name not in given:
+            result[name] = fixed[name].plus(lag - usual)
+            first = int(cameras[name].log_times[0] - round(usual * 1e9))
+            faults.append(ClockFault(name, OFFSET, usual - lag, first, corrected=True))
+    return result
+
+
+def middle_of(values: Mapping[str, float]) -> float:
+    """Return the median; of two values the one nearer to 0, as a right clock's lag is."""
+    ordered = sorted(values.values())
+    if len(ordered) == 2:
+        return min(ordered, key=abs)
+    return ordered[(len(ordered) - 1) // 2]
+
+
+# Drifts
+
+
+def _without_drift(
+    cameras: Mapping[str, CameraTimes],
+    fixed: dict[str, ClockCorrection],
+    faults: list[ClockFault],
+) -> dict[str, ClockCorrection]:
+    """Correct and name clocks that run faster or slower than the others."""
+    known = {name: _followed(times, fixed[name]) for name, times in cameras.items()}
+    result = dict(fixed)
+    for name, slope in find_drifts(known).items():
+        first = int(known[name].stamps[0])
+        # The log's time is taken as right: a clock ahead by more and more has shrinking lags.
+        result[name] = replace(fixed[name], drift=slope / (1 - slope), origin=first)
+        faults.append(ClockFault(name, DRIFT, -slope, first, corrected=True))
+    return result
+
+
+def find_drifts(cameras: Mapping[str, CameraTimes]) -> dict[str, float]:
+    """Camera -> by how much its lag grows, s per s, more than that of the others; if it does."""
+    if len(cameras) < 2:
+        return {}
+    start = min(int(times.log_times[0]) for times in cameras.values())
+    least = [_least_lags(times, start) for times in cameras.values()]
+    table = np.full((len(least), max(map(len, least))), np.nan)
+    for row, lags in zip(table, least, strict=True):
+        row[: len(lags)] = lags
+    slopes = map(_slope, table - _common(table))
+    return {name: slope for name, slope in zip(cameras, slopes, strict=True) if slope}
+
+
+def _least_lags(times: CameraTimes, start: int) -> Floats:
+    """(n,) least lag of each second of the log, s; NaN where there is no message."""
+    seconds = (times.log_times - start) // 1_000_000_000
+    least = np.full(int(seconds[-1]) + 1, np.inf)
+    np.minimum.at(least, seconds, times.lags)
+    least[np.isinf(least)] = np.nan
+    return least
+
+
+def _common(table: Floats) -> Floats:
+    """(n,) How the lags of most of (C, n) cameras change; the recorder does that.
+
+    Of two cameras, it is the one whose lags change less.
+    """
+    own = table - np.nanmedian(table, axis=1, keepdims=True)
+    if len(table) == 2:
+        steady = int(np.argmin([abs(_line(row)[0]) for row in own]))
+        return np.asarray(own[steady])
+    known = ~np.isnan(own)
+    common = np.full(own.shape[1], np.nan)
+    for k in np.flatnonzero(known.sum(axis=0) > 1):
+        common[k] = np.median(own[known[:, k], k])
+    return common
+
+
+def _slope(lags: Floats) -> float:
+    """Return a drift of (n,) lags, one a second, 0 if they do not follow a line throughout."""
+    known = np.flatnonzero(~np.isnan(lags))
+    if len(known) < 8:
+        return 0.0
+    slope, error = _line(lags)
+    span = float(known[-1] - known[0])
+    if abs(slope) < max(_LEAST_DRIFT, 6 * error) or abs(slope) * span < _LEAST_DRIFTED:
+        return 0.0
+    middle = known[len(known) // 2]
+    halves = [_line(lags[:middle]), _line(lags[middle:])]
+    worst = max(abs(half - slope) - 2 * sd for half, sd in halves)
+    return slope if worst < 0.3 * abs(slope) else 0.0
+
+
+def _line(values: Floats) -> tuple[float, float]:
+    """Return the slope of values at 0, 1, 2, ..., some NaN, by Theil and Sen, and its SD."""
+    at = np.flatnonzero(~np.isnan(values))
+    at = at[:: max(1, len(at) // 300)]
+    if len(at) < 3:
+        return 0.0, np.inf
+    first, second = np.triu_indices(len(at), 1)
+    slope = float(np.median((values[at[second]] - values[at[first]]) / (at[second] - at[first])))
+    rest = values[at] - slope * at
+    spread = max(0.0005, 1.48 * float(np.median(np.abs(rest - np.median(rest)))))
+    return slope, 1.25 * spread / (float(np.std(at)) * np.sqrt(len(at)))
+
+
+# Late deliveries, wrong times
+
+
+def _late(cameras: Mapping[str, CameraTimes]) -> Iterator[ClockFault]:
+    """Yield the deliveries of a camera that were late while those of the others were not."""
+    for name, times in cameras.items():
+        late = times.lags - np.quantile(times.lags, 0.1)
+        places = np.flatnonzero(late > _LATE)
+        if len(places) >= LEAST_AFTER:
+            late -= _lateness(_but(name, cameras), times.log_times)
+            places = places[late[places] > _LATE]
+        places = places[np.argsort(times.stamps[places], kind="stable")]
+        for group in np.split(places, np.flatnonzero(np.diff(times.stamps[places]) > 2e9) + 1):
+            if len(group) >= LEAST_AFTER:
+                worst = float(late[group].max())
+                first = int(times.stamps[group].min())
+                yield ClockFault(name, LATE, worst, first, corrected=True, messages=len(group))
+
+
+def _lateness(cameras: list[CameraTimes], log_times: Stamps) -> Floats:
+    """(N,) s by which messages of other cameras are late at some times of the log."""
+    if not cameras:
+        return np.zeros(len(log_times))
+    rows = []
+    for times in cameras:
+        late = times.lags - np.quantile(times.lags, 0.1)
+        rows.append(np.interp(log_times, times.log_times, late))
+    return np.asarray(np.median(rows, axis=0))
+
+
+def longest_wait(cameras: Iterable[CameraTimes]) -> float:
+    """Return the longest time, s, by which a message is older than one that came before it."""
+    some = list(cameras)
+    if not some:
+        return 0.0
+    stamps = np.concatenate([times.stamps for times in some])
+    order = np.argsort(np.concatenate([times.log_times for times in some]), kind="stable")
+    ordered = stamps[order]
+    late = (np.maximum.accumulate(ordered) - ordered) * 1e-9
+    return float(late[late < LONGEST_WAIT].max())
+
+
+# Words
+
+
+def described(fault: ClockFault, start: int) -> str:
+    """Return a fault in words; ``start``, ns, is when the log starts."""
+    at = f"{max(0.0, (fault.at_ns - start) * 1e-9):.1f} s after the start"
+    size, way = fault.size.lstrip("+-"), "ahead" if fault.seconds > 0 else "back"
+    if fault.kind == STEP:
+        return f"the clock of {fault.camera} was set {way} by {size}, {at} of the log"
+    if fault.kind == DRIFT:
+        pace = "fast" if fault.seconds > 0 else "slow"
+        return f"the clock of {fault.camera} runs {pace}: {fault.size}"
+    if fault.kind == OFFSET:
+        way = "ahead" if fault.seconds > 0 else "behind"
+        return f"the clock of {fault.camera} is {size} {way} of the other cameras"
+    if fault.kind == LATE:
+        some = quantity(fault.messages, "message")
+        return f"{fault.camera}: {some} arrived up to {size} late, from {at} of the log on"
+    some = quantity(fault.messages, "message")
+    return f"{fault.camera}: {some} with a wrong time (by up to {size}), {at} of the log"
+
+
+def clocks_in_words(judged: ClockJudgement, start: int) -> tuple[str, ...]:
+    """Return everything that times alone say about the clocks of a log, in words."""
+    texts = [described(fault, start) for fault in judged.faults]
+    lags = judged.lags
+    for name, lag in lags.items() if len(lags) > 1 else ():
+        ahead = middle_of(lags) - lag
+        if abs(ahead) > _TOLD:
+            size = ClockFault(name, OFFSET, ahead, start, corrected=False).size.lstrip("+-")
+            which = "ahead, or its delivery is faster" if ahead > 0 else "behind, or it is slower"
+            texts.append(
+                f"{name}: messages come {size} {'sooner' if ahead > 0 else 'later'} after their "
+                f"stamps than those of the other cameras; its clock is {which}"
+            )
+    return tuple(texts)

@@ -1,0 +1,238 @@
+"""What is wrong with a camera's clock, from the times of its messages; and what is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hiros_mcap.io.camera_clock import (
+    DRIFT,
+    LATE,
+    OFFSET,
+    STEP,
+    WRONG,
+    CameraTimes,
+    ClockJudgement,
+    clocks_in_words,
+    judge_clocks,
+)
+from hiros_mcap.skeletons import Floats
+from hiros_mcap.summary import ClockFault
+
+START = 1_700_000_000 * 10**9
+Delay = Callable[[np.random.Generator, Floats], Floats]
+
+
+def usual(rng: np.random.Generator, sent: Floats) -> Floats:
+    return rng.uniform(0.02, 0.04, len(sent))
+
+
+def wifi(rng: np.random.Generator, sent: Floats) -> Floats:
+    """0 to 150 ms at random."""
+    return rng.uniform(0.0, 0.15, len(sent))
+
+
+def bursts(rng: np.random.Generator, sent: Floats) -> Floats:
+    """Every 5 s nothing comes for 0.4 s."""
+    return np.where(sent % 5 < 0.4, 0.4 - sent % 5, 0.0) + rng.uniform(0.005, 0.02, len(sent))
+
+
+def camera(
+    seed: int, *, rate: float = 30.0, seconds: float = 20.0, begin: float = 0.0,
+    delay: Delay = usual, clock: Callable[[Floats], Floats] = np.zeros_like,
+) -> CameraTimes:  # fmt: skip
+    """A camera that loses some messages; ``clock`` is the error of its clock at true times, s."""
+    rng = np.random.default_rng(seed)
+    sent = begin + (np.arange(int((seconds - begin) * rate)) + rng.random()) / rate
+    sent = (sent + rng.normal(0, 0.001, len(sent)))[rng.random(len(sent)) > 0.02]
+    logged = np.maximum.accumulate(sent + delay(rng, sent))
+    stamps = np.round((sent + clock(sent)) * 1e9).astype(np.int64)
+    return CameraTimes(START + stamps, START + np.round(logged * 1e9).astype(np.int64))
+
+
+def unordered(times: CameraTimes, late_from: float, late_by: float) -> CameraTimes:
+    """The same, but 3 s of messages come later than those after them."""
+    sent = (times.stamps - START) * 1e-9
+    is_late = (sent > late_from) & (sent < late_from + 3)
+    logged = times.log_times + np.where(is_late, round(late_by * 1e9), 0)
+    order = np.argsort(logged, kind="stable")
+    return CameraTimes(times.stamps[order], logged[order])
+
+
+def three(**faulty: object) -> dict[str, CameraTimes]:
+    return {"a": camera(1), "b": camera(2, **faulty), "c": camera(3)}  # type: ignore[arg-type]
+
+
+def only(judged: ClockJudgement) -> ClockFault:
+    (fault,) = judged.faults
+    return fault
+
+
+def worst(cameras: dict[str, CameraTimes], judged: ClockJudgement, right: CameraTimes) -> float:
+    """Largest error of a corrected stamp of camera b, s."""
+    stamps = judged.corrections["b"].apply(cameras["b"].stamps, cameras["b"].log_times)
+    return float(np.abs(stamps - right.stamps).max() * 1e-9)
+
+
+@pytest.mark.parametrize("seconds", [-5, -2, -0.5, -0.1, 0.1, 0.5, 1, 2, 10, 30, 86400])
+def test_a_step_is_found_at_its_message_and_corrected(seconds: float) -> None:
+    cameras = three(clock=lambda t: np.where(t > 10, seconds, 0.0))
+    judged = judge_clocks(cameras)
+    fault = only(judged)
+    assert (fault.camera, fault.kind) == ("b", STEP)
+    assert fault.seconds == pytest.approx(seconds, abs=0.005)
+    assert fault.at_ns == pytest.approx(START + 10**10, abs=10**8)
+    assert worst(cameras, judged, camera(2)) < 0.005
+    assert not judged.corrections["a"].changes(cameras["a"])
+
+
+def test_a_step_is_found_behind_random_delays() -> None:
+    cameras = {name: camera(k, delay=wifi) for k, name in enumerate("ac")}
+    cameras["b"] = camera(7, delay=wifi, clock=lambda t: np.where(t > 10, 0.5, 0.0))
+    assert only(judge_clocks(cameras)).seconds == pytest.approx(0.5, abs=0.05)
+
+
+def test_two_steps_are_both_corrected() -> None:
+    cameras = three(clock=lambda t: np.where(t > 6, 2.0, 0.0) - np.where(t > 12, 1.0, 0.0))
+    judged = judge_clocks(cameras)
+    assert [round(fault.seconds, 1) for fault in judged.faults] == [2.0, -1.0]
+    assert worst(cameras, judged, camera(2)) < 0.005
+
+
+def test_the_part_that_agrees_with_the_other_cameras_keeps_its_stamps() -> None:
+    cameras = three(clock=lambda t: np.where(t < 10, 3.0, 0.0))
+    assert worst(cameras, judge_clocks(cameras), camera(2)) < 0.005
+
+
+@pytest.mark.parametrize("rate", [-5e-3, -1e-3, 1e-3, 5e-3])
+def test_a_drift_is_followed(rate: float) -> None:
+    cameras = three(clock=lambda t: rate * t)
+    judged = judge_clocks(cameras)
+    fault = only(judged)
+    assert (fault.camera, fault.kind) == ("b", DRIFT)
+    assert fault.seconds == pytest.approx(rate, rel=0.1)
+    assert worst(cameras, judged, camera(2)) < 0.004
+
+
+@pytest.mark.parametrize("seconds", [-7200.0, 20.0])
+def test_clocks_that_no_delivery_explains_are_aligned(seconds: float) -> None:
+    cameras = three(clock=lambda t: np.full_like(t, seconds))
+    judged = judge_clocks(cameras)
+    assert (only(judged).kind, only(judged).camera) == (OFFSET, "b")
+    assert worst(cameras, judged, camera(2)) < 0.01
+
+
+@pytest.mark.parametrize("seconds", [-1.5, 0.1])
+def test_other_constant_offsets_are_told_and_not_corrected(seconds: float) -> None:
+    judged = judge_clocks(three(clock=lambda t: np.full_like(t, seconds)))
+    assert judged.faults == ()
+    (text,) = clocks_in_words(judged, START)
+    assert text.startswith("b: messages come ")
+    assert ("1.50 s later" if seconds < 0 else " ms sooner") in text
+
+
+def held(rng: np.random.Generator, sent: Floats) -> Floats:
+    """Nothing comes for 3 s, then everything at once."""
+    return np.where((sent > 8) & (sent < 11), 11.0 - sent, 0.0) + usual(rng, sent)
+
+
+LATE_ONES = {
+    "1 s": unordered(camera(2), 8, 1.0),
+    "3 s": unordered(camera(2), 8, 3.0),
+    "all at once": camera(2, delay=held),
+}
+
+
+@pytest.mark.parametrize("name", LATE_ONES)
+def test_a_late_delivery_is_no_fault_of_the_clock(name: str) -> None:
+    cameras = {**three(), "b": LATE_ONES[name]}
+    judged = judge_clocks(cameras)
+    assert (only(judged).kind, only(judged).camera) == (LATE, "b")
+    assert not any(judged.corrections[name].changes(cameras[name]) for name in cameras)
+    assert judged.wait == pytest.approx(only(judged).seconds, abs=0.1)
+
+
+def test_single_wrong_times_are_replaced() -> None:
+    cameras = three()
+    cameras["b"].stamps[100] += 10**17
+    judged = judge_clocks(cameras)
+    assert (only(judged).kind, only(judged).messages) == (WRONG, 1)
+    assert worst(cameras, judged, camera(2)) < 0.04
+
+
+def test_what_the_recorder_does_to_all_cameras_is_no_fault() -> None:
+    cameras = three()
+    for times in cameras.values():
+        times.log_times[times.log_times > START + 10**10] += 2 * 10**9
+    assert judge_clocks(cameras).faults == ()
+
+
+HEALTHY: dict[str, list[CameraTimes]] = {
+    "usual": [camera(k) for k in range(3)],
+    "random delays": [camera(k, delay=wifi) for k in range(3)],
+    "bursts": [camera(k, delay=bursts) for k in range(2)] + [camera(9)],
+    "slow and fast cameras": [camera(1, rate=5), camera(2, rate=60), camera(3)],
+    "joins late": [camera(1), camera(2, begin=12), camera(3)],
+    "stamps are log times": [camera(k, delay=lambda rng, t: np.zeros_like(t)) for k in range(3)],
+    "replayed later": [
+        camera(k, delay=lambda rng, t: usual(rng, t) + 7200) for k in range(3)
+    ],
+    "one camera": [camera(1, delay=bursts)],
+    "one message": [camera(1), camera(2, seconds=0.05), camera(3)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_healthy_clocks_are_left_alone(name: str) -> None:
+    cameras = {f"camera {k}": times for k, times in enumerate(HEALTHY[name])}
+    judged = judge_clocks(cameras)
+    assert judged.faults == ()
+    assert not any(judged.corrections[c].changes(cameras[c]) for c in cameras)
+
+
+def test_a_camera_may_pause() -> None:
+    cameras = three()
+    kept = (cameras["b"].stamps < START + 5 * 10**9) | (cameras["b"].stamps > START + 9 * 10**9)
+    cameras["b"] = CameraTimes(cameras["b"].stamps[kept], cameras["b"].log_times[kept])
+    assert judge_clocks(cameras).faults == ()
+
+
+def test_a_slow_delivery_that_ends_with_a_loss_is_no_step() -> None:
+    times = camera(2)
+    sent = (times.stamps - START) * 1e-9
+    times.log_times[(sent > 8) & (sent < 10.7)] += 300_000_000
+    kept = (sent < 10.7) | (sent > 11)
+    cameras = {**three(), "b": CameraTimes(times.stamps[kept], times.log_times[kept])}
+    assert judge_clocks(cameras).faults == ()
+
+
+def test_nothing_is_known_of_nobody() -> None:
+    assert judge_clocks({}).wait == 0.0
+    empty = CameraTimes(np.empty(0, np.int64), np.empty(0, np.int64))
+    assert judge_clocks({"a": empty}).faults == ()
+
+
+def test_what_the_user_gives_is_added_and_not_judged() -> None:
+    cameras = three(clock=lambda t: np.full_like(t, 1.5))
+    judged = judge_clocks(cameras, {"b": -1.5})
+    assert judged.faults == ()
+    assert worst(cameras, judged, camera(2)) < 1e-6
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([usual, wifi, bursts]), st.sampled_from([5, 15, 60]))
+def test_no_delay_makes_a_clock_wrong(seed: int, delay: Delay, rate: float) -> None:
+    cameras = {n: camera(seed + k, delay=delay, rate=rate) for k, n in enumerate("abc")}
+    assert [fault for fault in judge_clocks(cameras).faults if fault.kind != LATE] == []
+
+
+def test_a_fault_has_a_sign_and_a_unit() -> None:
+    def size(kind: str, seconds: float) -> str:
+        return ClockFault("a", kind, seconds, 0, corrected=True).size
+
+    assert (size(STEP, 2.0), size(STEP, -0.105)) == ("+2.00 s", "-105 ms")
+    assert (size(DRIFT, 0.0012), size(OFFSET, -7200)) == ("+1.2 ms per s", "-2.0 hours")

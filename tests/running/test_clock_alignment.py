@@ -1,0 +1,218 @@
+"""Runs over logs with a camera whose clock is wrong: what is used, what is found, what is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from odd_logs import changed, later
+
+from hiros_mcap.config import load_config
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate import load_truth
+from hiros_mcap.evaluate.logs import evaluate_log, read_channel
+from hiros_mcap.events import events_from_json
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT
+from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.log import open_log
+from hiros_mcap.io.overview import look
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.skeletons import Frame
+from hiros_mcap.summary import Summary
+
+S = 10**9
+HALF = 180  # messages of a camera before the middle
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three cameras see somebody walk for 12 s."""
+    path = tmp_path_factory.mktemp("clocks") / "walk.mcap"
+    write_log(path, SimulateParams(people=1, cameras=3, seconds=12.0, seed=4))
+    return path
+
+
+def step(seconds: float) -> Callable[[Frame, int], Frame]:
+    return lambda f, sent: later_people(f, seconds if sent >= HALF else 0)
+
+
+def offset(seconds: float) -> Callable[[Frame, int], Frame]:
+    return lambda f, sent: later_people(f, seconds)
+
+
+def later_people(frame: Frame, seconds: float) -> Frame:
+    return later(frame, round(seconds * S)) if frame.source == "camera_1" else frame
+
+
+def error(out: Path, truth: Path) -> float:
+    found = evaluate_log(out, load_truth(truth), ["/hiros/filtered"])
+    return found["/hiros/filtered"].scores.mean
+
+
+def run(walk: Path, folder: Path, change: object, *settings: str, system: str = "hiros") -> Summary:
+    source = changed(walk, folder / "wrong.mcap", change)  # type: ignore[arg-type]
+    config = load_config(None, settings, system=system)
+    return process(source, folder / "out.mcap", config=config, options=ProcessOptions(system))
+
+
+@pytest.fixture(scope="module")
+def without(walk: Path) -> float:
+    """Error, mm, of a run without the camera."""
+    out = walk.with_name("without.mcap")
+    topics = ("/camera_0/*", "/camera_2/*")
+    process(walk, out, options=ProcessOptions(topics=topics))
+    return error(out, walk)
+
+
+@pytest.mark.parametrize("seconds", [-0.1, 2.0])
+def test_a_step_of_one_clock_costs_nothing(
+    seconds: float, walk: Path, without: float, tmp_path: Path
+) -> None:
+    summary = run(walk, tmp_path, step(seconds))
+    assert summary.skipped == 0
+    assert error(tmp_path / "out.mcap", walk) < 1.05 * without
+    (fault,) = summary.cameras[1].clock
+    assert fault.seconds == pytest.approx(seconds, abs=0.005)
+    assert summary.cameras[0].clock == summary.cameras[2].clock == ()
+    assert summary.warnings[0].startswith("the clock of camera_1 was set")
+
+
+@pytest.mark.parametrize("seconds", [-1.5, 0.1])
+def test_people_who_walk_prove_an_offset(
+    seconds: float, walk: Path, without: float, tmp_path: Path
+) -> None:
+    summary = run(walk, tmp_path, offset(seconds))
+    assert summary.skipped == 0
+    assert error(tmp_path / "out.mcap", walk) < 1.05 * without
+    (fault,) = summary.cameras[1].clock
+    assert (fault.kind, fault.corrected) == ("clock offset", True)
+    assert fault.seconds == pytest.approx(seconds, abs=0.008)
+    assert "--clock camera_1=" in summary.warnings[0]
+
+
+def test_people_who_stand_still_prove_nothing_and_nothing_is_changed(
+    walk: Path, tmp_path: Path
+) -> None:
+    first: dict[str, Frame] = {}
+
+    def frozen(frame: Frame, _: int) -> Frame:
+        if frame.n_people:
+            pose = first.setdefault(frame.source, frame)
+            frame = pose.replace(stamp=frame.stamp, stamps=pose.stamps - pose.stamp + frame.stamp)
+        return later_people(frame, 0.5)
+
+    summary = run(walk, tmp_path, frozen)
+    assert summary.skipped == 0
+    (fault,) = summary.cameras[1].clock
+    assert (fault.corrected, round(fault.seconds, 1)) == (False, 0.5)
+    assert "nobody moves enough to tell" in summary.warnings[0]
+    assert f"--clock camera_1={-fault.seconds:.3f}" in summary.warnings[0]
+
+
+def test_a_correction_by_the_user_is_taken_as_right(walk: Path, tmp_path: Path) -> None:
+    summary = run(walk, tmp_path, offset(1.5), "clock.camera_1=-1.5")
+    assert summary.warnings == ()
+    plain = process(walk, tmp_path / "plain.mcap")
+    assert summary.written == plain.written
+    for name in ("plain.mcap", "out.mcap"):
+        frames, _, _ = read_channel(tmp_path / name, "/hiros/filtered")
+        poses = np.concatenate([frame.positions for frame in frames])
+        assert np.isfinite(poses).all()
+    assert error(tmp_path / "out.mcap", walk) == error(tmp_path / "plain.mcap", walk)
+
+
+def test_a_camera_goes_by_its_topic_too_and_others_are_refused(walk: Path, tmp_path: Path) -> None:
+    assert run(walk, tmp_path, offset(1.0), "clock./camera_1/skeletons=-1.0").warnings == ()
+    with pytest.raises(ConfigError, match=r"no camera 'x' \(there are: camera_0, camera_1, cam"):
+        process(walk, config=load_config(None, ["clock.x=1"]))
+
+
+def test_the_output_has_right_stamps_and_the_input_as_it_was(walk: Path, tmp_path: Path) -> None:
+    run(walk, tmp_path, step(30.0))
+    tracked, _, _ = read_channel(tmp_path / "out.mcap", "/hiros/tracked")
+    assert max(frame.stamp for frame in tracked) - min(frame.stamp for frame in tracked) < 13 * S
+    assert max(int(frame.stamps.max(initial=0)) for frame in tracked) == tracked[-1].stamp
+    with McapReader(tmp_path / "wrong.mcap") as given, McapReader(tmp_path / "out.mcap") as copy:
+        topic = {c.topic: i for i, c in given.channels.items()}["/camera_1/skeletons"]
+        also = {c.topic: i for i, c in copy.channels.items()}["/camera_1/skeletons"]
+        sent = [bytes(message.data) for message in given.messages({topic})]
+        assert [bytes(message.data) for message in copy.messages({also})] == sent
+
+
+def test_a_fault_is_an_event_and_in_info(walk: Path, tmp_path: Path) -> None:
+    summary = run(walk, tmp_path, step(2.0))
+    with McapReader(tmp_path / "out.mcap") as reader:
+        events = events_from_json((reader.attachment(EVENTS_ATTACHMENT) or b"").decode())
+    (event,) = (event for event in events if event.kind == "clock step")
+    assert (event.source, event.detail) == ("camera_1", "+2.00 s")
+    (text,) = look(tmp_path / "wrong.mcap").clocks
+    assert summary.warnings[0].startswith(f"{text}; ")
+    assert look(walk).clocks == ()
+
+
+def late_delivery(walk: Path, target: Path) -> Path:
+    """Copy the log; 3 s of one camera are logged 3 s later."""
+    with open_log(walk) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        begin = log.span[0] + 4 * S
+        rows = []
+        for m in log.reader.messages():
+            named = log.reader.channels[m.channel_id].topic == "/camera_1/skeletons"
+            is_late = named and begin < m.log_time < begin + 3 * S
+            rows.append((m.log_time + 3 * S * is_late, m.channel_id, bytes(m.data)))
+        for time, channel, data in sorted(rows):
+            writer.write(channel, time, data)
+        writer.commit()
+    return target
+
+
+def test_late_messages_of_a_file_are_waited_for(walk: Path, tmp_path: Path) -> None:
+    summary = process(late_delivery(walk, tmp_path / "late.mcap"), tmp_path / "out.mcap")
+    assert (summary.skipped, summary.warnings) == (0, ())
+    (note,) = (note for note in summary.notes if "late" in note)
+    assert note.startswith("camera_1: ")
+    assert "arrived up to 3.0" in note
+
+
+def test_late_messages_of_a_live_system_are_lost_and_told(walk: Path, tmp_path: Path) -> None:
+    source = late_delivery(walk, tmp_path / "late.mcap")
+    config = load_config(system="hiros-realtime")
+    summary = process(source, config=config, options=ProcessOptions("hiros-realtime"))
+    assert summary.cameras[0].skipped == summary.cameras[2].skipped == {}
+    assert summary.cameras[1].skipped["too late to be merged"] > 80
+    assert summary.warnings[0].startswith("/camera_1/skeletons: 2")
+
+
+@pytest.mark.parametrize("seconds", [-5.0, 0.5])
+def test_a_live_system_corrects_a_step_from_the_past(
+    seconds: float, walk: Path, tmp_path: Path
+) -> None:
+    summary = run(walk, tmp_path, step(seconds), system="hiros-realtime")
+    assert summary.cameras[0].skipped == summary.cameras[2].skipped == {}
+    assert sum(summary.cameras[1].skipped.values()) <= (40 if seconds < 0 else 0)
+    (fault,) = summary.cameras[1].clock
+    assert fault.seconds == pytest.approx(seconds, abs=0.01)
+
+
+@pytest.mark.parametrize("seconds", [0.2, 7200.0])
+def test_a_live_system_is_not_carried_away_by_a_clock_that_is_ahead(
+    seconds: float, walk: Path, tmp_path: Path
+) -> None:
+    summary = run(walk, tmp_path, offset(seconds), system="hiros-realtime")
+    assert summary.skipped == 0
+    (fault,) = summary.cameras[1].clock
+    assert fault.seconds == pytest.approx(seconds, abs=0.01)
+
+
+def test_a_live_system_leaves_healthy_clocks_alone(walk: Path, tmp_path: Path) -> None:
+    options, out = ProcessOptions("hiros-realtime"), []
+    for clocks in ("causal", "off"):
+        config = load_config(None, [f"input.clocks={clocks}"], system="hiros-realtime")
+        process(walk, tmp_path / clocks, config=config, options=options)
+        with McapReader(tmp_path / clocks) as reader:
+            out.append([(m.log_time, bytes(m.data)) for m in reader.messages()])
+    assert out[0] == out[1]
