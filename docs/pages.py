@@ -22,7 +22,7 @@ WIDTH = 78
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages to those of the folder."""
-    for path, text in generated().items():
+    for path, text in {**generated(), "walkthrough.md": walkthrough()}.items():
         files.append(File.generated(config, path, content=text))
     return files
 
@@ -37,6 +37,34 @@ def generated() -> dict[str, str]:
         "reference/python.md": python,
     }
     return {path: page() for path, page in pages.items()}
+
+
+def walkthrough() -> str:
+    """Run the notebook; return its cells and what they gave."""
+    import nbclient
+    import nbformat
+
+    notebook: Any = nbformat.read(ROOT / "docs" / "walkthrough.ipynb", as_version=4)
+    nbclient.NotebookClient(notebook, resources={"metadata": {"path": ROOT}}).execute()
+    parts = []
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            parts.append(cell.source)
+        else:
+            parts.append(f"```python\n{cell.source}\n```")
+            parts += map(_shown, cell.outputs)
+    parts.append("[The notebook](walkthrough.ipynb)")
+    return "\n\n".join(parts) + "\n"
+
+
+def _shown(output: Any) -> str:
+    """Markdown of what a cell gave: a picture, a table, else text."""
+    data = output.get("data", {})
+    if "image/png" in data:
+        return f"![Result of the cell above](data:image/png;base64,{data['image/png'].strip()})"
+    if "text/html" in data:
+        return str(data["text/html"])
+    return f"```text\n{output.get('text', data.get('text/plain', '')).rstrip()}\n```"
 
 
 def changes() -> str:

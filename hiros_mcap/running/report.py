@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import DAMAGED, STALE, Account, CameraChannel, Log
+from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -33,8 +33,8 @@ _LARGEST_LOSS = 0.05
 _REMEDIES = {
     TOO_LATE: "let messages wait longer with --set {stage}.reorder=3, or correct the camera's "
     "clock with --clock CAMERA=SECONDS",
-    DAMAGED: "the notes name the first faulty message",
-    STALE: "check the camera's driver: it sends the same skeletons again",
+    DAMAGED: "look for the fault at its source",
+    FAR_FUTURE: "correct the recorder's clock",
 }
 """Reason why messages were skipped -> what to do."""
 
@@ -122,8 +122,9 @@ class Report:
             yield f"the recording {damaged}; {self.log.losses}"
         stage = "track" if "track" in sections_of(self.run.system) else "associate"
         for camera in cameras:
-            lost = sum(camera.skipped.values())
-            if lost > _LARGEST_LOSS * camera.messages:
+            # A repeat of old skeletons holds nothing that could be lost.
+            lost = {reason: n for reason, n in camera.skipped.items() if reason != STALE}
+            if sum(lost.values()) > _LARGEST_LOSS * camera.messages:
                 yield _loss(camera, lost, stage)
         for account in self.log.accounts.values():
             if account.first_error:
@@ -166,14 +167,15 @@ class Report:
         yield from clock_notes(self.clocks.faults, self.log.span[0])
 
 
-def _loss(camera: CameraSummary, lost: int, stage: str) -> str:
+def _loss(camera: CameraSummary, lost: Mapping[str, int], stage: str) -> str:
     """Return in words that much of a camera was not used, and the remedy.
 
-    ``stage`` is the section of the configuration that says how long messages wait.
+    ``lost`` counts by reason. ``stage`` is the section of the configuration that says how long
+    messages wait.
     """
-    worst = max(camera.skipped, key=lambda reason: camera.skipped[reason])
-    reasons = ", ".join(f"{n} {reason}" for reason, n in camera.skipped.items())
-    share = f"{100 * lost / camera.messages:.0f} %"
+    worst = max(lost, key=lambda reason: lost[reason])
+    reasons = ", ".join(f"{n} {reason}" for reason, n in lost.items())
+    share = f"{100 * sum(lost.values()) / camera.messages:.0f} %"
     return (
         f"{camera.topic}: {share} of {quantity(camera.messages, 'message')} not used ({reasons}); "
         f"{_REMEDIES[worst].format(stage=stage)}"
