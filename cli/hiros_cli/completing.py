@@ -105,7 +105,8 @@ def _fields(name: str, classes: Mapping[str, ast.ClassDef]) -> Iterator[tuple[st
         yield from _fields(ast.unparse(base), classes)
     for line in classes[name].body:
         if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
-            yield line.target.id, ast.unparse(line.annotation)
+            if not line.target.id.startswith("__"):
+                yield line.target.id, ast.unparse(line.annotation)
 
 
 def _keys(path: str, name: str) -> list[str]:
