@@ -18,6 +18,7 @@ Kind = Literal[
     "JUnit report",
     "Markdown summary",
     "limb table",
+    "camera file",
     "PNG picture",
     "export",
 ]
@@ -26,6 +27,7 @@ HTML_MARK = '<meta name="generator" content="hiros">'
 JUNIT_MARK = "<!-- hiros check -->"
 MARKDOWN_MARK = "### hiros check: "
 LIMBS_MARK = "# hiros limb lengths\n"
+CAMERAS_MARK = "# hiros cameras\n"
 
 _HEAD = 1024  # bytes, within which every mark lies
 _MCAP = b"\x89MCAP0\r\n"
@@ -123,6 +125,7 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "JUnit report": lambda head: JUNIT_MARK.encode() in head,
     "Markdown summary": lambda head: head.startswith(MARKDOWN_MARK.encode()),
     "limb table": lambda head: head.startswith(LIMBS_MARK.encode()),
+    "camera file": lambda head: head.startswith(CAMERAS_MARK.encode()),
     "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
     # Most formats have no place for a mark, so nobody knows who wrote the file.
     "export": lambda head: False,

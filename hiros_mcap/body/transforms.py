@@ -277,6 +277,7 @@ class _Extrinsics(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     camera: Annotated[list[_Camera], Field(min_length=1)]
+    clock: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
 
 
 def read_extrinsics(path: str | Path) -> TransformTree:
@@ -289,6 +290,8 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         parent = "world"                          # the default
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
+
+    A table ``[clock]``, as ``hiros calibrate people`` writes it, may follow; it is checked only.
 
     Raises ConfigError naming the file and the key.
     """
