@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,13 +22,15 @@ from hiros_mcap.calibrate.joint_refinement import (
 from hiros_mcap.calibrate.pair_pose import FIT_M, LEAST_MOTION
 from hiros_mcap.calibrate.sampling import Rig, group, instants_of, placed, sample
 from hiros_mcap.calibrate.verdict import Evidence
-from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 INSTANTS = 400
 """Of the joint refinement."""
 DRIFT_S = 120.0
 """In a shorter log the drift of a clock cannot be told from its offset."""
 LEAST_POINTS = 100
+WHOLE = 8
+"""Bodies are compared by at least so many joints."""
 
 
 class Found(NamedTuple):
@@ -41,6 +44,17 @@ class Found(NamedTuple):
     timed: Flags
     """(C,) whether motion tells the camera's clock."""
     evidence: list[Evidence]
+
+
+class Bodies(NamedTuple):
+    """How each camera's people compare with the same people in the other cameras, (C,) each."""
+
+    sizes: Floats
+    """Ratio of their sizes, the root mean square distance of joints from the body's middle."""
+    wander: Floats
+    """Median distance of the bodies' middles, m."""
+    limbs: Floats
+    """Correlation of the joints' velocities against the body's middle, -1 to 1."""
 
 
 class _Shared(NamedTuple):
@@ -82,8 +96,16 @@ def refine_together(
         errors = standard_errors(residuals, points, free)
     halves = _halves(views, rig, instants, mirror, free)
     shared = _shared(views, rig, instants, mirror)
+    bodies = compare_bodies(residuals, points)
+    evidence = [_evidence(c, shared, residuals, bodies, rival) for c, rival in enumerate(rivals)]
     evidence = [
-        _evidence(c, shared, residuals, errors, halves, rival) for c, rival in enumerate(rivals)
+        replace(
+            one,
+            error_deg=float(np.degrees(np.linalg.norm(errors[c, :3]))),
+            halves_deg=float(halves[c]),
+            limbs=float(bodies.limbs[c]) if timed[c] else 1.0,
+        )
+        for c, one in enumerate(evidence)
     ]
     return Found(rig, points, residuals, errors, timed, evidence)
 
@@ -142,9 +164,9 @@ def _shared(views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Int
 
 
 def _evidence(
-    c: int, shared: _Shared, residuals: RigResiduals, errors: Floats, halves: Floats, rival: bool
+    c: int, shared: _Shared, residuals: RigResiduals, bodies: Bodies, rival: bool
 ) -> Evidence:
-    others = np.arange(len(errors)) != c
+    others = np.arange(len(shared.seconds)) != c
     common = shared.common[c, others].sum()
     distances = camera_distances(residuals)[c]
     known = distances[~np.isnan(distances)]
@@ -152,11 +174,47 @@ def _evidence(
         share=float(shared.fitting[c, others].sum() / common) if common else 0.0,
         residual=float(np.median(known)) if len(known) else np.inf,
         rival=rival,
-        error_deg=float(np.degrees(np.linalg.norm(errors[c, :3]))),
-        halves_deg=float(halves[c]),
         seconds=float(shared.seconds[c]),
         spread=float(shared.spread[c]),
+        size=float(bodies.sizes[c]),
+        wander=float(bodies.wander[c]),
     )
+
+
+def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
+    """Compare whole bodies, where :func:`camera_distances` compares joints.
+
+    Two people who walk alike at the same time may fit each other joint by joint. But they are not
+    of one size, their middles drift apart, or their limbs swing out of step.
+    """
+    n, n_people = len(residuals.weights), int(points.people.max(initial=-1)) + 1
+    total = residuals.weights.sum(axis=0)
+    sizes, wander, inside = np.ones(n), np.full(n, np.inf), residuals.velocities.copy()
+    for c, weights in enumerate(residuals.weights):
+        rest = total - weights
+        seen = (weights > 0.0) & (rest > 1e-12)
+        counts = np.bincount(points.people[seen], minlength=n_people)
+        whole = counts >= WHOLE
+        kept = np.flatnonzero(seen)[whole[points.people[seen]]]
+        if not len(kept):
+            continue
+        people = points.people[kept]
+
+        def middle(numbers: Floats, people: Stamps = people) -> Floats:
+            sums = np.zeros((n_people, 3))
+            np.add.at(sums, people, numbers)
+            return np.asarray(
+                sums / np.maximum(np.bincount(people, minlength=n_people), 1)[:, None]
+            )
+
+        apart = residuals.offsets[c, kept] * (total / np.maximum(rest, 1e-12))[kept, None]
+        own = residuals.means[kept] + residuals.offsets[c, kept]
+        other = own - apart
+        spans = [np.sum((one - middle(one)[people]) ** 2) for one in (own, other)]
+        sizes[c] = np.sqrt(spans[0] / spans[1])
+        wander[c] = np.median(np.linalg.norm(middle(apart)[np.unique(people)], axis=1))
+        inside[c, kept] -= middle(residuals.velocities[c, kept])[people]
+    return Bodies(sizes, wander, common_motion(residuals._replace(velocities=inside)))
 
 
 def camera_distances(residuals: RigResiduals) -> Floats:

@@ -16,6 +16,12 @@ UNCERTAIN_DEG = 0.7
 """Largest standard error of a pose that is believed."""
 HALVES_ERRORS, HALVES_DEG = 4.2, 0.3
 """The halves of a log may differ by so many standard errors and degrees."""
+OTHER_SIZE = 0.015
+"""The same person is of the same size to a hundredth, in most pairs of real cameras, too."""
+WANDER_M = 0.033
+"""The middle of a body averages over the joints' errors: 1 cm simulated, 1 to 3 cm in reality."""
+OTHER_LIMBS = 0.3
+"""0.45 to 0.95 for the same person."""
 SHORT_S = 8.0
 NARROW_M = 0.25
 MOVED = 2.0
@@ -35,14 +41,20 @@ class Evidence:
     """Median distance, m, of a person in this camera and in others."""
     rival: bool
     """Whether a quite different pose explains the data nearly as well."""
-    error_deg: float
-    """Standard error of the orientation, degrees."""
-    halves_deg: float
-    """Difference of the orientations found in each half of the log, degrees; NaN if not known."""
     seconds: float
     """Common view with other cameras, s."""
     spread: float
-    """How far the people move about in it: the square root of their variance, m."""
+    """How far the people spread in it: the square root of their variance, m."""
+    size: float = 1.0
+    """Size of the people in this camera against the others."""
+    wander: float = 0.0
+    """Distance of the bodies' middles in this camera and in the others, m."""
+    limbs: float = 1.0
+    """Correlation of the limbs' motion with that in the other cameras; 1 if nobody moves."""
+    error_deg: float = 0.0
+    """Standard error of the orientation, degrees."""
+    halves_deg: float = 0.0
+    """Difference of the orientations found in each half of the log, degrees."""
 
 
 def judge(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
@@ -80,8 +92,14 @@ def _doubt(e: Evidence) -> str:
     """Why a pose may be wrong although nothing speaks against it."""
     if e.seconds < SHORT_S:
         return f"only {e.seconds:.0f} s of common view"
+    if abs(e.size - 1.0) > OTHER_SIZE:
+        return f"its people are {abs(e.size - 1.0):.1%} of another size than in other cameras"
+    if e.wander > WANDER_M:
+        return f"its people's bodies are {100 * e.wander:.0f} cm from those in other cameras"
+    if e.limbs < OTHER_LIMBS:
+        return "its people's limbs move differently than in other cameras"
     if e.spread < NARROW_M:
-        return f"people moved about by {e.spread:.1f} m only"
+        return f"people spread by {e.spread:.1f} m only"
     return ""
 
 
