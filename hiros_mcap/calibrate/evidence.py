@@ -210,7 +210,8 @@ def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
         apart = residuals.offsets[c, kept] * (total / np.maximum(rest, 1e-12))[kept, None]
         own = residuals.means[kept] + residuals.offsets[c, kept]
         other = own - apart
-        spans = [np.sum((one - middle(one)[people]) ** 2) for one in (own, other)]
+        sure = np.minimum(weights, rest)[kept, None]
+        spans = [np.sum(sure * (one - middle(one)[people]) ** 2) for one in (own, other)]
         sizes[c] = np.sqrt(spans[0] / spans[1])
         wander[c] = np.median(np.linalg.norm(middle(apart)[np.unique(people)], axis=1))
         inside[c, kept] -= middle(residuals.velocities[c, kept])[people]

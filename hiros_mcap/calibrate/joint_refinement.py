@@ -166,15 +166,18 @@ def residuals_of(points: Points, rig: Rig, sampled: Rig | None = None) -> RigRes
         ] * points.seconds
         turned = turned - late[:, :, None] * velocities
     places = turned + rig.shifts[:, None]
-    weights = points.weights
-    for _ in range(2):  # the mean of all, then one without outliers
-        total = weights.sum(axis=0)
-        means = np.einsum("cp,cpi->pi", weights, places) / total[:, None]
-        offsets = places - means
-        lengths = np.sqrt(np.einsum("cpi,cpi->cp", offsets, offsets))
-        scale = CAUCHY * float(np.median(lengths[points.weights > 0.0])) + 1e-9
-        weights = points.weights / (1.0 + (lengths / scale) ** 2)
+    means, offsets = _about_mean(places, points.weights)
+    lengths = np.sqrt(np.einsum("cpi,cpi->cp", offsets, offsets))
+    scale = CAUCHY * float(np.median(lengths[points.weights > 0.0])) + 1e-9
+    weights = points.weights / (1.0 + (lengths / scale) ** 2)
+    means, offsets = _about_mean(places, weights)
     return RigResiduals(means, offsets, weights, turned, velocities)
+
+
+def _about_mean(places: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """(P, 3) weighted mean of (C, P, 3) places, and (C, P, 3) offsets from it."""
+    means = np.einsum("cp,cpi->pi", weights, places) / weights.sum(axis=0)[:, None]
+    return means, places - means
 
 
 def normal_equations(
