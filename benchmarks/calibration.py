@@ -102,7 +102,8 @@ def errors_of(scene: Scene, found: PeopleCalibration) -> Iterator[Error]:
             lag = other.clock_s - one.clock_s
             wanted = scene.clocks[one.name] - scene.clocks[other.name]
             first = i == 0
-            claimed = (other.error_deg, other.error_mm / 1000, other.error_ms / 1000)
+            clocks = np.nan_to_num([one.error_ms, other.error_ms]) / 1000
+            claimed = (other.error_deg, other.error_mm / 1000, float(np.hypot(*clocks)))
             yield Error(
                 float(np.degrees(angle(got.xyzw, true.xyzw))),
                 float(np.linalg.norm(got.translation - true.translation)),

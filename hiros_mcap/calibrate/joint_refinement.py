@@ -168,7 +168,8 @@ def residuals_of(points: Points, rig: Rig, sampled: Rig | None = None) -> RigRes
     places = turned + rig.shifts[:, None]
     means, offsets = _about_mean(places, points.weights)
     lengths = np.sqrt(np.einsum("cpi,cpi->cp", offsets, offsets))
-    scale = CAUCHY * float(np.median(lengths[points.weights > 0.0])) + 1e-9
+    known = lengths[points.weights > 0.0]
+    scale = CAUCHY * (float(np.median(known)) if len(known) else 0.0) + 1e-9
     weights = points.weights / (1.0 + (lengths / scale) ** 2)
     means, offsets = _about_mean(places, weights)
     return RigResiduals(means, offsets, weights, turned, velocities)

@@ -21,10 +21,11 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
 from hiros_mcap.calibrate.camera_views import CameraView, camera_views
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
-from hiros_mcap.calibrate.evidence import Found, camera_distances, refine_together
+from hiros_mcap.calibrate.evidence import Found, refine_together
 from hiros_mcap.calibrate.floor import find_floor
 from hiros_mcap.calibrate.gauge import moved, on_floor, on_transforms
 from hiros_mcap.calibrate.pair_pose import register_pair

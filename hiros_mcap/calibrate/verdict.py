@@ -16,8 +16,8 @@ UNCERTAIN_DEG = 0.7
 """Largest standard error of a pose that is believed."""
 HALVES_ERRORS, HALVES_DEG = 4.2, 0.3
 """The halves of a log may differ by so many standard errors and degrees."""
-OTHER_SIZE = 0.015
-"""The same person is of the same size to a hundredth, in most pairs of real cameras, too."""
+OTHER_SIZE = 0.01
+"""The same person is of the same size to a hundredth, in seven of eight real logs, too."""
 WANDER_M = 0.033
 """The middle of a body averages over the joints' errors: 1 cm simulated, 1 to 3 cm in reality."""
 OTHER_LIMBS = 0.3
@@ -39,8 +39,6 @@ class Evidence:
     """Share of the skeletons in common with other cameras that fit."""
     residual: float
     """Median distance, m, of a person in this camera and in others."""
-    rival: bool
-    """Whether a quite different pose explains the data nearly as well."""
     seconds: float
     """Common view with other cameras, s."""
     spread: float
@@ -51,6 +49,8 @@ class Evidence:
     """Distance of the bodies' middles in this camera and in the others, m."""
     limbs: float = 1.0
     """Correlation of the limbs' motion with that in the other cameras; 1 if nobody moves."""
+    rival: bool = False
+    """Whether a quite different pose explains the data nearly as well."""
     error_deg: float = 0.0
     """Standard error of the orientation, degrees."""
     halves_deg: float = 0.0

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rooms import late, mirrored, simulated, write
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle, multiply
@@ -16,7 +17,6 @@ from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import Simulation
-from rooms import late, mirrored, simulated, write
 
 CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 """s by which the stamps are late."""
