@@ -1,7 +1,7 @@
 """One least-squares problem for all poses and clocks; the joints of the people are eliminated.
 
 The model: joint j of a person at an instant is where every camera c sees it,
-``R_c x_c(t - d_c) + p_c``. With the velocity V of that point in the common frame, its derivative by
+``R_c x_c(t - d_c) + p_c``. With the velocity V of the joint in the common frame, its derivative by
 a small rotation, a shift and the clock d_c is ``[-[R x]x, I, -V]``. The best joint is the weighted
 mean of what the cameras see. Without it the normal equations are ``sum w J'J - sum (sum w J)'
 (sum w J) / sum w``, the latter over the joints of all instants.
@@ -73,6 +73,12 @@ class RigResiduals(NamedTuple):
         """(C, P) m; NaN where the camera does not see the joint."""
         lengths = np.sqrt(np.einsum("cpi,cpi->cp", self.offsets, self.offsets))
         return np.where(self.weights > 0.0, lengths, np.nan)
+
+    @property
+    def mean_velocities(self) -> Floats:
+        """(P, 3) of all cameras, m/s."""
+        sums = np.einsum("cp,cpi->pi", self.weights, self.velocities)
+        return np.asarray(sums / self.weights.sum(axis=0)[:, None])
 
 
 def refine(
@@ -192,7 +198,16 @@ def normal_equations(
     if clusters is None:
         clusters = np.zeros(len(seconds), np.int64)
     equations = RigEquations.zeros(len(free), int(clusters.max(initial=0)) + 1)
-    seen = SeenPoints(seconds, *residuals[1:])
+    # A camera's own velocity errs together with its position, above all where somebody re-appears.
+    # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
+    velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
+    seen = SeenPoints(
+        seconds,
+        residuals.offsets,
+        residuals.weights,
+        residuals.turned,
+        np.ascontiguousarray(velocities),
+    )
     add_points(seen, clusters, equations)
     upper = np.triu(equations.hessian)
     chosen = free[1:].ravel()

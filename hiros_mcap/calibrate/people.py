@@ -226,8 +226,7 @@ def _merged(found: Found, n_markers: int) -> tuple[Floats, Floats]:
     poses, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
     at = points.people, points.joints
     poses[at] = residuals.means
-    total = residuals.weights.sum(axis=0)[:, None]
-    velocities[at] = np.einsum("cp,cpi->pi", residuals.weights, residuals.velocities) / total
+    velocities[at] = residuals.mean_velocities
     return poses, velocities
 
 
