@@ -148,8 +148,8 @@ class TransformTree:
             return next(iter(by_root))
         if not self.frames:
             raise LogError(
-                "the log has no /tf or /tf_static, so the camera poses are unknown; record "
-                "/tf_static or pass --extrinsics cameras.toml"
+                "the log has no /tf or /tf_static, so the camera poses are unknown; pass them with "
+                "--extrinsics cameras.toml, or find them with hiros calibrate people"
             )
         groups = "; ".join(
             f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
