@@ -228,8 +228,8 @@ class TransformTree:
             return next(iter(by_root))
         if not self.frames:
             raise LogError(
-                "the log has no /tf or /tf_static, so the camera poses are unknown; record "
-                "/tf_static or pass --extrinsics cameras.toml"
+                "the log has no /tf or /tf_static, so the camera poses are unknown; pass them with "
+                "--extrinsics cameras.toml, or find them with hiros calibrate people"
             )
         groups = "; ".join(
             f"{', '.join(name or 'no name' for name in sorted(names))} in {root or 'no name'}"
@@ -364,6 +364,7 @@ class _Extrinsics(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     camera: Annotated[list[_Camera], Field(min_length=1)]
+    clock: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
 
 
 def read_extrinsics(path: str | Path) -> TransformTree:
@@ -376,6 +377,8 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         parent = "world"                          # the default
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
+
+    A table ``[clock]``, as ``hiros calibrate people`` writes it, may follow; it is checked only.
 
     Raises ConfigError naming the file and the key.
     """
