@@ -18,6 +18,7 @@ Kind = Literal[
     "JUnit report",
     "Markdown summary",
     "limb table",
+    "camera file",
     "PNG picture",
     "export",
     "rosbag2 folder",
@@ -29,6 +30,7 @@ JUNIT_MARK = "<!-- hiros check -->"
 MARKDOWN_MARK = "### hiros check: "
 BAG_MARK = "# hiros rosbag2 metadata\n"
 LIMBS_MARK = "# hiros limb lengths\n"
+CAMERAS_MARK = "# hiros cameras\n"
 
 _HEAD = 1024  # bytes, within which every mark lies
 _MCAP = b"\x89MCAP0\r\n"
@@ -158,6 +160,7 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "JUnit report": lambda head: JUNIT_MARK.encode() in head,
     "Markdown summary": lambda head: head.startswith(MARKDOWN_MARK.encode()),
     "limb table": lambda head: head.startswith(LIMBS_MARK.encode()),
+    "camera file": lambda head: head.startswith(CAMERAS_MARK.encode()),
     "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
     "rosbag2 folder": lambda head: False,
     "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),

@@ -246,8 +246,27 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
             raise RegistrationError(
                 "the points lie on a line: they do not determine the rotation about it"
             )
-    rotation, _ = Rotation.align_vectors(target - goal, source - start)
-    return Rigid(rotation.as_quat(canonical=True), goal - rotation.apply(start))
+    matrix, shift = kabsch(source, target)
+    return Rigid(Rotation.from_matrix(matrix).as_quat(canonical=True), shift)
+
+
+def kabsch(source: Floats, target: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
+    """Return the rotation (3, 3) and shift (3,) of :func:`rigid_fit`, of points that suffice.
+
+    Parameters
+    ----------
+    source, target : (N, 3) corresponding points, m, none of them NaN.
+    weights : (N,) not negative; None = all equal.
+    """
+    if weights is None:
+        weights = np.ones(len(source))
+    share = weights / weights.sum()
+    start, goal = share @ source, share @ target
+    covariance = (source - start).T @ (share[:, None] * (target - goal))
+    u, _, vt = np.linalg.svd(covariance)
+    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = vt.T @ (flip[:, None] * u.T)
+    return rotation, goal - rotation @ start
 
 
 def board_frame(centres: Floats) -> Rigid:

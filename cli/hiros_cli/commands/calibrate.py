@@ -1,4 +1,4 @@
-"""``hiros calibrate``: parameters measured on a log."""
+"""``hiros calibrate``: poses, clocks and parameters measured on a log."""
 
 from __future__ import annotations
 
@@ -7,18 +7,66 @@ from typing import Annotated
 
 import typer
 
-from hiros_cli.options import Json, seconds_range
-from hiros_mcap.errors import ConfigError
+from hiros_cli.options import Force, Json, seconds_range
+from hiros_mcap.errors import ConfigError, LogError
 
 STILL_M = 0.1
 """Detections of somebody who stands still scatter by less."""
 
-app = typer.Typer(help="Measure parameters on a log.", no_args_is_help=True)
+app = typer.Typer(help="Measure cameras and parameters on a log.", no_args_is_help=True)
 
 
 @app.callback()
 def calibrate() -> None:
-    """Measure parameters on a log."""
+    """Measure cameras and parameters on a log."""
+
+
+@app.command()
+def people(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of people who walk about.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write poses and clocks, for --extrinsics."
+        ),
+    ] = None,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
+    ] = None,
+    joints: Annotated[bool, typer.Option("--joints", help="Also print each joint.")] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Find the cameras' poses and clocks from the people whom they see.
+
+    No transforms are needed. Where the log has some, the rig as a whole stays where they put it.
+    """
+    from hiros_cli.compiling import prepare
+    from hiros_cli.output import check_outputs, print_json, warn
+
+    log.stat()
+    check_outputs((output, "camera file"), inputs=(log,), force=force)
+    prepare(quiet=json, roots=("hiros_mcap.calibrate.people",))
+    from hiros_cli.calibration_report import show_calibration
+    from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.calibrate.people import calibrate_people
+    from hiros_mcap.io.log import open_log
+
+    with open_log(log, topics=topic) as opened:
+        found = calibrate_people(opened)
+    doubt = found.verdict == "doubtful"
+    warnings = [f"{log}: the poses are doubtful: {found.reason}"] if doubt else []
+    if found.verdict == "impossible":
+        raise LogError(f"no poses can be found: {found.reason}", path=log)
+    if output is not None:
+        save_cameras(output, found)
+    if json:
+        print_json("calibrate.people", found.to_dict(), warnings)
+    else:
+        show_calibration(log, found, joints=joints)
+    for text in warnings:
+        warn(text)
 
 
 @app.command()

@@ -1,0 +1,328 @@
+"""Poses and clocks found from the people in a log, against the true ones.
+
+python benchmarks/calibration.py                accuracy, standard errors and time
+python benchmarks/calibration.py hostile        scenes that must not give a wrong pose silently
+python benchmarks/calibration.py LOG ...        real logs without their transforms: halves
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
+from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.skeletons import Frame, SkeletonModel
+
+WRONG_DEG, WRONG_M, WRONG_S = 3.0, 0.15, 0.1
+"""A pose or clock that is further off and passes for good is silently wrong."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What cameras see, and where they stand, by the cameras' names."""
+
+    model: SkeletonModel
+    frames: list[Frame]
+    poses: Mapping[str, Rigid]
+    clocks: Mapping[str, float]
+    """s that the stamps of each camera are too late."""
+
+    def write(self, path: Path) -> None:
+        """Write a log without transforms."""
+        encoder = Encoder(self.model)
+        with McapWriter(path) as writer:
+            channels: dict[str, int] = {}
+            for frame in sorted(self.frames, key=lambda frame: frame.log_time):
+                if frame.source not in channels:
+                    channels[frame.source] = add_skeleton_channel(writer, f"/{frame.source}/people")
+                writer.write(channels[frame.source], frame.log_time, encoder.encode(frame))
+            writer.commit()
+
+
+def simulated(seed: int, *, shift: float = 2.0, **params: object) -> Scene:
+    """Simulate a scene whose cameras' clocks are wrong by up to ``shift`` s; log times as well."""
+    simulation = simulate(SimulateParams.model_validate({"seed": seed, **params}))
+    rng = np.random.default_rng(seed)
+    clocks = {camera.name: rng.uniform(-shift, shift) for camera in simulation.cameras}
+    frames = [late(frame, clocks[frame.source]) for frame in simulation.detections]
+    poses = {camera.name: camera.pose for camera in simulation.cameras}
+    return Scene(simulation.model, frames, poses, clocks)
+
+
+def late(frame: Frame, seconds: float) -> Frame:
+    ns = round(1e9 * seconds)
+    return frame.replace(
+        stamp=frame.stamp + ns, log_time=frame.log_time + ns, stamps=frame.stamps + ns
+    )
+
+
+def calibrated(scene: Scene) -> tuple[PeopleCalibration, float]:
+    """Calibrate a scene, and return how long it took, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.mcap"
+        scene.write(path)
+        start = time.perf_counter()
+        with open_log(path) as log:
+            found = calibrate_people(log)
+        return found, time.perf_counter() - start
+
+
+@dataclass(frozen=True)
+class Error:
+    """Of one camera in the frame and time of another."""
+
+    degrees: float
+    metres: float
+    seconds: float
+    claimed: tuple[float, float, float]
+    """Standard errors of the same; NaN between cameras of which none is the first."""
+
+
+def errors_of(scene: Scene, found: PeopleCalibration) -> Iterator[Error]:
+    """Yield the errors of all pairs of cameras with a pose."""
+    known = [c for c in found.cameras if c.pose is not None and c.verdict != "impossible"]
+    for i, one in enumerate(known):
+        for other in known[i + 1 :]:
+            got = one.pose.inverse() @ other.pose
+            true = scene.poses[one.name].inverse() @ scene.poses[other.name]
+            lag = other.clock_s - one.clock_s
+            wanted = scene.clocks[one.name] - scene.clocks[other.name]
+            first = i == 0
+            clocks = np.nan_to_num([one.error_ms, other.error_ms]) / 1000
+            claimed = (other.error_deg, other.error_mm / 1000, float(np.hypot(*clocks)))
+            yield Error(
+                float(np.degrees(angle(got.xyzw, true.xyzw))),
+                float(np.linalg.norm(got.translation - true.translation)),
+                abs(lag - wanted),
+                claimed if first else (np.nan,) * 3,
+            )
+
+
+def accuracy(name: str, seeds: Sequence[int], **params: object) -> None:
+    """Print the errors, what was claimed, and the time of some scenes of one kind."""
+    rows, seconds, verdicts = [], [], []
+    for seed in seeds:
+        scene = simulated(seed, **params)
+        found, took = calibrated(scene)
+        rows.append(list(errors_of(scene, found)))
+        seconds.append(took)
+        verdicts.append(found.verdict)
+    every = [error for row in rows for error in row]
+    if not every:
+        print(f"{name:34} nothing found: {verdicts}")
+        return
+    table = np.array([(e.degrees, 100 * e.metres, 1000 * e.seconds) for e in every])
+    claims = np.array([e.claimed for e in every]) * [1, 100, 1000]
+    within = [
+        np.mean(table[~np.isnan(claims[:, k]), k] <= 2 * claims[~np.isnan(claims[:, k]), k])
+        for k in range(3)
+    ]
+    median, worst = np.nanmedian(table, axis=0), np.nanmax(table, axis=0)
+    print(
+        f"{name:34} median {median[0]:.2f} deg {median[1]:.1f} cm {median[2]:.1f} ms  "
+        f"worst {worst[0]:.2f} {worst[1]:.1f} {worst[2]:.1f}  within 2 SE "
+        f"{within[0]:.0%} {within[1]:.0%} {within[2]:.0%}  {np.median(seconds):.1f} s  "
+        f"{ {v: verdicts.count(v) for v in sorted(set(verdicts))} }",
+        flush=True,
+    )
+
+
+# -- scenes that do not determine the poses ----------------------------------------------------
+
+
+def frozen(seed: int, people: int = 1) -> Scene:
+    """People who never move: each camera repeats what it saw first, with noise."""
+    scene = simulated(seed, people=people, cameras=2, seconds=12.0, shift=0.3)
+    rng = np.random.default_rng(seed)
+    first: dict[str, Frame] = {}
+    frames = []
+    for frame in scene.frames:
+        if frame.n_people == people:
+            still = first.setdefault(frame.source, frame)
+            markers = still.markers.copy()
+            markers[:, :, :3] += rng.normal(0, 0.007, markers[:, :, :3].shape)
+            frames.append(frame.replace(markers=markers))
+    return replace(scene, frames=frames)
+
+
+def only(seed: int, joints: Sequence[int], *, still: bool = False) -> Scene:
+    """People of whom a few joints are known."""
+    scene = frozen(seed) if still else simulated(seed, people=1, cameras=2, seconds=12.0)
+    frames = []
+    for frame in scene.frames:
+        markers = np.full_like(frame.markers, np.nan)
+        markers[:, joints] = frame.markers[:, joints]
+        frames.append(frame.replace(markers=markers))
+    return replace(scene, frames=frames)
+
+
+def disjoint(seed: int) -> Scene:
+    """Cameras that see the person one after the other."""
+    scene = simulated(seed, people=1, cameras=2, seconds=20.0, shift=0.0)
+    half = np.median([frame.stamp for frame in scene.frames])
+    early = {name: k == 0 for k, name in enumerate(scene.poses)}
+    return replace(scene, frames=[f for f in scene.frames if (f.stamp < half) == early[f.source]])
+
+
+def strangers(seed: int, **params: object) -> Scene:
+    """Another person in each camera, who moves at the same time."""
+    scenes = [
+        simulated(s, people=1, cameras=2, seconds=12.0, shift=0.0, **params)
+        for s in (seed, seed + 500)
+    ]
+    one, other = scenes[0].poses.keys()
+    frames = [f for f in scenes[0].frames if f.source == one]
+    frames += [f for f in scenes[1].frames if f.source == other]
+    return replace(scenes[0], frames=frames)
+
+
+def phases(seed: int, **params: object) -> Scene:
+    """The same person in both cameras, but 7 s later in one of them."""
+    scene = simulated(seed, people=1, cameras=2, seconds=24.0, shift=0.0, **params)
+    one, other = scene.poses.keys()
+    frames = [f if f.source == one else late(f, -7.0) for f in scene.frames]
+    start = min(f.stamp for f in frames if f.source == one)
+    frames = [f for f in frames if 0 <= (f.stamp - start) / 1e9 <= 14.0]
+    return replace(scene, frames=frames, clocks={one: 0.0, other: -7.0})
+
+
+def swapped(seed: int, action: str) -> Scene:
+    """Two people, of whom each camera sees only one, and not the same."""
+    scene = simulated(seed, people=2, cameras=2, seconds=12.0, shift=0.0, action=action)
+    simulation = simulate(
+        SimulateParams(seed=seed, people=2, cameras=2, seconds=12.0, action=action)
+    )
+    truth = list(simulation.truth)
+    starts = truth[0].stamp
+    frames = []
+    for frame in scene.frames:
+        camera = next(c for c in simulation.cameras if c.name == frame.source)
+        true = truth[min(len(truth) - 1, max(0, round((frame.stamp - starts) / 1e9 * 30)))]
+        wanted = camera.points(true.positions[camera.index]).mean(axis=0)
+        middles = np.nanmean(frame.positions, axis=1)
+        away = np.linalg.norm(middles - wanted, axis=1)
+        if len(away) and away.min() < 0.3:
+            frames.append(frame.select([int(away.argmin())]))
+    return replace(scene, frames=frames)
+
+
+def lone(seed: int) -> Scene:
+    """One camera."""
+    return simulated(seed, people=1, cameras=1, seconds=8.0)
+
+
+HOSTILE: Mapping[str, Callable[[int], Scene]] = {
+    "a person who never moves": frozen,
+    "two people who never move": partial(frozen, people=2),
+    "one camera": lone,
+    "one camera after the other": disjoint,
+    "two joints only": partial(only, joints=(0, 3)),
+    "joints on a line, still": partial(only, joints=(0, 1, 2, 3, 26), still=True),
+    "another walker in each camera": strangers,
+    "another jogger in each camera": partial(strangers, action="jog"),
+    "another squatter in each camera": partial(strangers, action="squat"),
+    "the same walk, 7 s later": phases,
+    "the same squats, 7 s later": partial(phases, action="squat"),
+    "each camera sees another of two walkers": partial(swapped, action="walk"),
+    "each camera sees another of two who pass": partial(swapped, action="cross"),
+    "each camera sees another of two who circle": partial(swapped, action="circle"),
+}
+
+
+def hostile(seeds: Sequence[int]) -> None:
+    """Count the verdicts, and the wrong poses among those that pass for good."""
+    total = wrong = 0
+    for name, make in HOSTILE.items():
+        verdicts: list[str] = []
+        silent = 0
+        for seed in seeds:
+            scene = make(seed)
+            try:
+                found, _ = calibrated(scene)
+            except LogError:
+                verdicts.append("refused")
+                continue
+            verdicts.append(found.verdict)
+            sure = {"good", "improved"}
+            passed = replace(found, cameras=tuple(c for c in found.cameras if c.verdict in sure))
+            bad = [e for e in errors_of(scene, passed) if is_wrong(e)]
+            silent += bool(bad)
+            for e in bad[:1]:
+                print(
+                    f"  seed {seed}: {e.degrees:.1f} deg {100 * e.metres:.0f} cm {e.seconds:.2f} s"
+                )
+        total, wrong = total + len(verdicts), wrong + silent
+        counts = {v: verdicts.count(v) for v in sorted(set(verdicts))}
+        print(f"{name:42} {counts}  silently wrong: {silent}", flush=True)
+    print(f"{total} scenes, {wrong} silently wrong")
+
+
+def is_wrong(error: Error) -> bool:
+    """Whether an error is one of principle; no clock (NaN) is not."""
+    return error.degrees > WRONG_DEG or error.metres > WRONG_M or error.seconds > WRONG_S
+
+
+# -- real logs ---------------------------------------------------------------------------------
+
+
+def halves(path: Path) -> None:
+    """Compare the poses found in each half of a log, without its transforms."""
+    with open_log(path) as log:
+        frames, model = list(log.frames()), log.model
+    middle = float(np.median([frame.log_time for frame in frames]))
+    parts = [
+        Scene(model, [f for f in frames if (f.log_time < middle) == early], {}, {})
+        for early in (True, False)
+    ]
+    first, second = (calibrated(part)[0] for part in parts)
+    lines = []
+    for one, other, a, b in zip(
+        first.cameras, first.cameras[1:], second.cameras, second.cameras[1:], strict=False
+    ):
+        if None in (one.pose, other.pose, a.pose, b.pose):
+            lines.append(f"{other.name} not found")
+            continue
+        early, late_ = one.pose.inverse() @ other.pose, a.pose.inverse() @ b.pose
+        lines.append(
+            f"{np.degrees(angle(early.xyzw, late_.xyzw)):.2f} deg "
+            f"{100 * np.linalg.norm(early.translation - late_.translation):.1f} cm "
+            f"{1000 * abs(other.clock_s - one.clock_s - b.clock_s + a.clock_s):.0f} ms"
+        )
+    print(f"{path.name:46} {first.verdict}/{second.verdict}: {'; '.join(lines)}", flush=True)
+
+
+def main() -> None:
+    arguments = sys.argv[1:]
+    if arguments == ["hostile"]:
+        hostile(range(8))
+        return
+    if arguments:
+        for path in arguments:
+            halves(Path(path))
+        return
+    accuracy("2 people, 5 cameras, 30 s", range(5), people=2, cameras=5, seconds=30.0)
+    accuracy("1 walker, 2 cameras, 10 s", range(20), people=1, cameras=2, seconds=10.0)
+    accuracy("with many flips", range(20), people=1, cameras=2, seconds=10.0, flips=20.0)
+    accuracy("4 people, 5 cameras, 15 s", range(3), people=4, cameras=5, seconds=15.0)
+    accuracy(
+        "2 who pass, 3 cameras, 15 s", range(5), people=2, cameras=3, seconds=15.0, action="cross"
+    )
+    accuracy("1 walker, 5 cameras, 30 s", range(3), people=1, cameras=5, seconds=30.0)
+
+
+if __name__ == "__main__":
+    main()

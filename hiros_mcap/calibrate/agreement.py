@@ -1,0 +1,109 @@
+"""How well the cameras agree about the people, once their poses and clocks are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals, common_motion
+from hiros_mcap.calibrate.pair_pose import FIT_M
+from hiros_mcap.calibrate.sampling import Rig, group, placed, sample
+from hiros_mcap.skeletons import Floats, Ints, Stamps
+
+WHOLE = 8
+"""Bodies are compared by at least so many joints."""
+
+
+class Bodies(NamedTuple):
+    """How each camera's people compare with the same people in the other cameras, (C,) each."""
+
+    sizes: Floats
+    """Ratio of their sizes, the root mean square distance of joints from the body's middle."""
+    wander: Floats
+    """Median distance of the bodies' middles, m."""
+    limbs: Floats
+    """Correlation of the joints' velocities against the body's middle, -1 to 1."""
+
+
+class SharedView(NamedTuple):
+    """What C cameras have in common."""
+
+    common: Floats
+    """(C, C) skeletons that could be the same: the fewer of both cameras, over all instants."""
+    fitting: Floats
+    """(C, C) those that are."""
+    seconds: Floats
+    """(C,) s in which another camera sees the same people."""
+    spread: Floats
+    """(C,) how far these people move about, m."""
+
+
+def shared_view(
+    views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints
+) -> SharedView:
+    """Count what the cameras could have in common, and what they have, at (K,) instants, s."""
+    samples = sample(views, instants, rig)
+    places = placed(samples, rig)
+    groups = group(samples, places, mirror, FIT_M)
+    n = len(views)
+    seen = np.zeros((n, len(instants)))
+    np.add.at(seen, (samples.cameras, samples.instants), 1.0)
+    people = np.zeros((n, len(samples.cameras)), np.bool_)  # camera, first row of a person
+    people[samples.cameras, groups.people] = True
+    fitting = people.astype(np.float64) @ people.T
+    common = np.array([[np.minimum(a, b).sum() for b in seen] for a in seen])
+    cell = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
+    weights = samples.lines.weights > 0.0
+    middles = (places * weights[:, :, None]).sum(axis=1) / weights.sum(axis=1)[:, None]
+    seconds, spread = np.zeros(n), np.zeros(n)
+    for c in range(n):
+        both = people[c] & (people.sum(axis=0) > 1)
+        seconds[c] = cell * len(np.unique(samples.instants[both]))
+        spread[c] = np.sqrt(middles[both].var(axis=0).sum()) if both.any() else 0.0
+    return SharedView(common, fitting, seconds, spread)
+
+
+def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
+    """Compare whole bodies, where :func:`camera_distances` compares joints.
+
+    Two people who walk alike at the same time may fit each other joint by joint. But they are not
+    of one size, their middles drift apart, or their limbs swing out of step.
+    """
+    n = len(residuals.weights)
+    total = residuals.weights.sum(axis=0)
+    sizes, wander, inside = np.ones(n), np.full(n, np.inf), residuals.velocities.copy()
+    for c, weights in enumerate(residuals.weights):
+        rest = total - weights
+        seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
+        whole = np.bincount(points.people[seen], minlength=1) >= WHOLE
+        kept = seen[whole[points.people[seen]]]
+        if not len(kept):
+            continue
+        people = np.unique(points.people[kept], return_inverse=True)[1]
+        apart = residuals.offsets[c, kept] * (total[kept] / rest[kept])[:, None]
+        own = residuals.means[kept] + residuals.offsets[c, kept]
+        other = own - apart
+        sure = np.minimum(weights, rest)[kept, None]
+        spans = [np.sum(sure * (one - _middles(one, people)[people]) ** 2) for one in (own, other)]
+        sizes[c] = np.sqrt(spans[0] / spans[1])
+        wander[c] = np.median(np.linalg.norm(_middles(apart, people), axis=1))
+        speeds = residuals.velocities[c, kept]
+        inside[c, kept] = speeds - _middles(speeds, people)[people]
+    return Bodies(sizes, wander, common_motion(residuals._replace(velocities=inside)))
+
+
+def _middles(numbers: Floats, people: Stamps) -> Floats:
+    """(G, 3) mean of each person's points."""
+    sums = np.zeros((int(people.max()) + 1, 3))
+    np.add.at(sums, people, numbers)
+    return np.asarray(sums / np.bincount(people)[:, None])
+
+
+def camera_distances(residuals: RigResiduals) -> Floats:
+    """(C, P) distance of each camera's joint to the mean of the other cameras', m; NaN unseen."""
+    total = residuals.weights.sum(axis=0)
+    rest = np.maximum(total - residuals.weights, 1e-12)
+    return np.asarray(residuals.distances * total / rest)

@@ -1,0 +1,54 @@
+"""The cameras' poses and clocks as a file for ``--extrinsics``; see :func:`read_extrinsics`."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
+from hiros_mcap.outputs import CAMERAS_MARK, write_text
+
+
+def save_cameras(path: Path, found: PeopleCalibration) -> None:
+    """Write the file, or nothing at all; raises LogError if it cannot be written."""
+    write_text(path, CAMERAS_MARK + cameras_toml(found))
+
+
+def cameras_toml(found: PeopleCalibration) -> str:
+    """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
+    frame = found.fixed_frame
+    lines = [f"# verdict: {_said(found.verdict, found.reason)}"]
+    for camera in found.cameras:
+        if camera.pose is not None:
+            lines += ["", *_camera(camera, camera.pose, frame)]
+    known = [camera for camera in found.cameras if not math.isnan(camera.clock_s)]
+    if known:
+        lines += ["", "[clock]  # s to add to the stamps of each camera"]
+    lines += [f"{_text(camera.name)} = {camera.clock_s:.4f}" for camera in known]
+    return "\n".join([*lines, ""])
+
+
+def _camera(camera: CalibratedCamera, pose: Rigid, parent: str) -> list[str]:
+    comment = _said(camera.verdict, camera.reason)
+    if camera.verdict == "impossible":
+        comment += "; the pose is the log's"
+    elif not math.isnan(camera.error_deg):
+        comment += f"; standard error {camera.error_deg:.2f} degrees, {camera.error_mm:.0f} mm"
+    return [
+        f"[[camera]]  # {comment}",
+        f"frame = {_text(camera.frame)}",
+        f"parent = {_text(parent)}",
+        f"translation = [{', '.join(f'{x:.5f}' for x in pose.translation)}]  # m",
+        f"quaternion_xyzw = [{', '.join(f'{x:.7f}' for x in pose.xyzw)}]",
+    ]
+
+
+def _said(verdict: str, reason: str) -> str:
+    return f"{verdict} ({reason})" if reason else verdict
+
+
+def _text(value: str) -> str:
+    """Return a TOML string; JSON's escapes are TOML's, too."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,145 @@
+"""Who is who in two cameras, and the lag of their clocks, without the cameras' poses.
+
+A signature holds distances within a body: between left and right, and from the middle of both to
+the pelvis. It depends neither on the frame nor on confused sides. The same person has the same
+signature in both cameras, at the lag of their clocks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.symmetry import split_side, symmetry_of
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.sampling import lines_of
+from hiros_mcap.kernels.lagging import LagWork, correlate
+from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
+
+STEP_S = 0.05
+LONGEST_LAG_S = 5.0
+LEAST_OVERLAP_S = 2.0
+ENOUGH_OVERLAP_S = 10.0
+LEAST_CORRELATION = 0.4
+DIFFERENCE_M = 0.1
+"""Signatures of the same person differ by less."""
+LAGS = 10
+"""The right lag of somebody who walks is one of many: every step looks like the last one."""
+PAIRS = 3
+APART_S = 0.3
+_PELVIS = ("pelvis", "spinebase", "midhip", "hips", "spine_base")
+
+
+class Landmarks(NamedTuple):
+    """The joints that a signature needs."""
+
+    left: Stamps
+    """(F,) slots."""
+    right: Stamps
+    """(F,) slots."""
+    pelvis: Stamps
+    """Slots whose mean is the pelvis: one, both hips, or all joints of an unknown skeleton."""
+
+
+class Signature(NamedTuple):
+    """A tracklet as numbers that every camera agrees on."""
+
+    first: int
+    """Time of the first sample, in steps of 50 ms."""
+    features: Floats
+    """(F, T) m; NaN = unknown."""
+
+
+class LagCandidate(NamedTuple):
+    """A lag of two cameras, and the tracklets that speak for it."""
+
+    seconds: float
+    """Time on the second camera's clock less that on the first one's, s."""
+    pairs: list[tuple[int, int]]
+    """Tracklets of the first and the second camera, the most similar first."""
+
+
+def landmarks_of(model: SkeletonModel) -> Landmarks:
+    """Find the paired joints and the pelvis by their names; without names, all joints."""
+    symmetry = symmetry_of(model)
+    slots = np.arange(model.n_markers)
+    left = np.array(
+        [m for m in slots if symmetry.mirror[m] != m and _is_left(model.marker_names[m])], np.int64
+    )
+    parts = [split_side(name)[0] for name in model.marker_names]
+    pelvis = [m for m in slots if parts[m] in _PELVIS]
+    hips = [m for m in slots if parts[m] == "hip" and symmetry.mirror[m] != m]
+    if not len(left):
+        return Landmarks(slots, slots, slots)
+    return Landmarks(
+        left, symmetry.mirror[left].astype(np.int64), np.array(pelvis or hips or slots)
+    )
+
+
+def _is_left(name: str) -> bool:
+    return split_side(name)[1] == "left"
+
+
+def signatures_of(view: CameraView, landmarks: Landmarks) -> list[Signature]:
+    """Return the signature of each tracklet of a camera, at 20 Hz."""
+    return [_signature(view, k, landmarks) for k in range(len(view.tracks))]
+
+
+def _signature(view: CameraView, k: int, landmarks: Landmarks) -> Signature:
+    seconds = view.tracks[k].seconds
+    first, last = int(np.ceil(seconds[0] / STEP_S)), int(np.floor(seconds[-1] / STEP_S))
+    times: Floats = STEP_S * np.arange(first, last + 1, dtype=np.float64)
+    lines = lines_of(view, k, times)
+    positions = np.where(lines.weights[:, :, None] > 0.0, lines.positions, np.nan)
+    left, right = positions[:, landmarks.left], positions[:, landmarks.right]
+    pelvis = positions[:, landmarks.pelvis].mean(axis=1)[:, None]
+    across = np.linalg.norm(left - right, axis=2)
+    along = np.linalg.norm((left + right) / 2.0 - pelvis, axis=2)
+    return Signature(first, np.ascontiguousarray(np.concatenate([across, along], axis=1).T))
+
+
+def lag_candidates(ones: list[Signature], others: list[Signature]) -> list[LagCandidate]:
+    """Return the lags of two cameras at which their people move alike, the likeliest first.
+
+    All pairs of tracklets vote for lags; people who stand still cannot, and there may be none.
+    """
+    lags = np.arange(-round(LONGEST_LAG_S / STEP_S), round(LONGEST_LAG_S / STEP_S) + 1)
+    table = {
+        (i, j): scores
+        for i, one in enumerate(ones)
+        for j, other in enumerate(others)
+        if (scores := _scores(one, other, lags)).any()
+    }
+    if not table:
+        return []
+    votes = np.sum(list(table.values()), axis=0)
+    votes = np.convolve(votes, [0.5, 1.0, 0.5], "same")
+    found: list[LagCandidate] = []
+    while len(found) < LAGS and votes.max() > 0.0:
+        k = int(votes.argmax())
+        near = slice(max(0, k - 2), k + 3)
+        ranked = sorted(table, key=lambda pair: -float(table[pair][near].max()))
+        pairs = [pair for pair in ranked[:PAIRS] if table[pair][near].any()]
+        found.append(LagCandidate(STEP_S * float(lags[k]), pairs))
+        votes[_near(lags, int(lags[k]))] = 0.0
+    return found
+
+
+def _near(lags: Stamps, lag: int) -> Flags:
+    return np.abs(lags - lag) < APART_S / STEP_S
+
+
+def _scores(one: Signature, other: Signature, lags: Stamps) -> Floats:
+    """(L,) how alike two tracklets are at each lag; 0 where they are not, or hardly overlap."""
+    longest = STEP_S * min(one.features.shape[1], other.features.shape[1])
+    if longest < LEAST_OVERLAP_S:
+        return np.zeros(len(lags))
+    work = LagWork.allocate(len(lags))
+    offset = int(lags[0]) + one.first - other.first
+    correlate(one.features, other.features, offset, np.zeros(5), work)
+    overlaps = STEP_S * work.overlaps
+    alike = (overlaps >= LEAST_OVERLAP_S) & (work.correlations > LEAST_CORRELATION)
+    similar = np.exp(-((work.differences / DIFFERENCE_M) ** 2))
+    scores = work.correlations * np.minimum(overlaps, ENOUGH_OVERLAP_S) * similar
+    return np.where(alike, scores, 0.0)

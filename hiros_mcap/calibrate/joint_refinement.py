@@ -1,0 +1,287 @@
+"""One least-squares problem for all poses and clocks; the joints of the people are eliminated.
+
+The model: joint j of a person at an instant is where every camera c sees it,
+``R_c x_c(t - d_c) + p_c``. With the velocity V of the joint in the common frame, its derivative by
+a small rotation, a shift and the clock d_c is ``[-[R x]x, I, -V]``. The best joint is the weighted
+mean of what the cameras see. Without it the normal equations are ``sum w J'J - sum (sum w J)'
+(sum w J) / sum w``, the latter over the joints of all instants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
+from hiros_mcap.kernels.grouping import Groups
+from hiros_mcap.kernels.rig_equations import (
+    CLOCK,
+    DRIFT,
+    UNKNOWNS,
+    RigEquations,
+    SeenPoints,
+    add_points,
+)
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+
+GATES_M = (0.35, 0.3, 0.25, 0.25)
+"""Who is who is decided anew in each round, within a smaller distance."""
+STEPS = 2
+"""Gauss-Newton steps in each round."""
+CAUCHY = 1.5
+"""Scale of the robust weights, in median residuals."""
+BLOCK_S = 2.0
+"""Errors that are further apart in time are taken for independent."""
+
+
+class Points(NamedTuple):
+    """P joints of people at instants that at least two of C cameras see."""
+
+    seconds: Floats
+    """(P,) common time."""
+    people: Stamps
+    """(P,) which skeleton it belongs to: one person at one instant."""
+    joints: Stamps
+    """(P,) slot of the marker."""
+    positions: Floats
+    """(C, P, 3) in the cameras' frames, m."""
+    velocities: Floats
+    """(C, P, 3) in the cameras' frames, m/s."""
+    weights: Floats
+    """(C, P) 0 where a camera does not see it."""
+
+
+class RigResiduals(NamedTuple):
+    """How far P points of C cameras are from the joints' means."""
+
+    means: Floats
+    """(P, 3) common frame, m."""
+    offsets: Floats
+    """(C, P, 3) m; any number where the weight is 0."""
+    weights: Floats
+    """(C, P) robust weights."""
+    turned: Floats
+    """(C, P, 3) R x, m."""
+    velocities: Floats
+    """(C, P, 3) common frame, m/s."""
+
+    @property
+    def distances(self) -> Floats:
+        """(C, P) m; NaN where the camera does not see the joint."""
+        lengths = np.sqrt(np.einsum("cpi,cpi->cp", self.offsets, self.offsets))
+        return np.where(self.weights > 0.0, lengths, np.nan)
+
+    @property
+    def mean_velocities(self) -> Floats:
+        """(P, 3) of all cameras, m/s."""
+        sums = np.einsum("cp,cpi->pi", self.weights, self.velocities)
+        return np.asarray(sums / self.weights.sum(axis=0)[:, None])
+
+
+def refine(
+    views: Sequence[CameraView],
+    rig: Rig,
+    instants: Floats,
+    mirror: Ints,
+    *,
+    free: Flags,
+    gates: Sequence[float] = GATES_M,
+) -> tuple[Rig, Points]:
+    """Improve poses and clocks until all cameras agree about the people.
+
+    Parameters
+    ----------
+    instants : (K,) common times, s, increasing; not a multiple of the cameras' period, which
+        would bias the clocks.
+    mirror : (M,). free : (C, 8) the unknowns that may change, see :func:`free_unknowns`.
+
+    Returns
+    -------
+    The rig, and the points on which it was found.
+    """
+    points = common_points(views, rig, instants, mirror, gates[0])
+    for k, gate in enumerate(gates):
+        if k:
+            points = common_points(views, rig, instants, mirror, gate)
+        start = rig
+        for _ in range(STEPS):
+            if len(points.seconds):
+                residuals = residuals_of(points, rig, start)
+                rig = _stepped(rig, residuals, points, free)
+    return rig, common_points(views, rig, instants, mirror, gates[-1])
+
+
+def free_unknowns(n_cameras: int, *, clocks: Flags | bool = True, drifts: bool = False) -> Flags:
+    """(C, 8) all unknowns but those of camera 0, which defines the common frame and time."""
+    free = np.ones((n_cameras, UNKNOWNS), np.bool_)
+    free[:, CLOCK] = clocks
+    free[:, DRIFT] = drifts & free[:, CLOCK]
+    free[0] = False
+    return free
+
+
+def common_points(
+    views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints, gate: float
+) -> Points:
+    """Find the joints that at least two cameras see, by where the rig places them."""
+    samples = sample(views, instants, rig)
+    groups = group(samples, placed(samples, rig), mirror, gate)
+    return _points(samples, groups, instants, mirror, len(views))
+
+
+def _points(
+    samples: Samples, groups: Groups, instants: Floats, mirror: Ints, n_cameras: int
+) -> Points:
+    _, people, sizes = np.unique(groups.people, return_inverse=True, return_counts=True)
+    shared = sizes[people] > 1
+    people = np.unique(people[shared], return_inverse=True)[1]
+    lines, cameras = samples.lines, samples.cameras[shared]
+    n_people, n_markers = int(people.max(initial=-1)) + 1, len(mirror)
+    order = np.where(groups.mirrored[shared][:, None], mirror, np.arange(n_markers))
+    rows = np.flatnonzero(shared)[:, None]
+    dense = []
+    for numbers in lines:
+        table = np.zeros((n_cameras, n_people, n_markers, *numbers.shape[2:]))
+        table[cameras, people] = numbers[rows, order]
+        dense.append(table.reshape(n_cameras, n_people * n_markers, *numbers.shape[2:]))
+    seconds = np.zeros(n_people)
+    seconds[people] = instants[samples.instants[shared]]
+    seen = np.flatnonzero((dense[2] > 0.0).sum(axis=0) > 1)
+    return Points(
+        seconds[seen // n_markers],
+        seen // n_markers,
+        seen % n_markers,
+        *(np.ascontiguousarray(table[:, seen]) for table in dense),
+    )
+
+
+def residuals_of(points: Points, rig: Rig, sampled: Rig | None = None) -> RigResiduals:
+    """Return how far the cameras are from each joint's mean, with robust weights.
+
+    ``sampled`` is the rig at which the points were taken, if its clocks were others: the points
+    then move with their velocities.
+    """
+    back = np.ascontiguousarray(np.swapaxes(rig.rotations, 1, 2))
+    turned, velocities = points.positions @ back, points.velocities @ back
+    if sampled is not None:
+        late = (rig.clocks - sampled.clocks)[:, None] + (rig.drifts - sampled.drifts)[
+            :, None
+        ] * points.seconds
+        turned = turned - late[:, :, None] * velocities
+    places = turned + rig.shifts[:, None]
+    means, offsets = _about_mean(places, points.weights)
+    lengths = np.sqrt(np.einsum("cpi,cpi->cp", offsets, offsets))
+    known = lengths[points.weights > 0.0]
+    scale = CAUCHY * (float(np.median(known)) if len(known) else 0.0) + 1e-9
+    weights = points.weights / (1.0 + (lengths / scale) ** 2)
+    means, offsets = _about_mean(places, weights)
+    return RigResiduals(means, offsets, weights, turned, velocities)
+
+
+def _about_mean(places: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """(P, 3) weighted mean of (C, P, 3) places, and (C, P, 3) offsets from it."""
+    means = np.einsum("cp,cpi->pi", weights, places) / weights.sum(axis=0)[:, None]
+    return means, places - means
+
+
+def normal_equations(
+    residuals: RigResiduals, seconds: Floats, free: Flags, clusters: Stamps | None = None
+) -> tuple[Floats, Floats]:
+    """Return the Hessian (F, F) of the free unknowns, and the gradient (K, F) by cluster.
+
+    The joints' means are eliminated. Without clusters of the points, K is 1. The first camera has
+    no free unknowns.
+    """
+    if clusters is None:
+        clusters = np.zeros(len(seconds), np.int64)
+    equations = RigEquations.zeros(len(free), int(clusters.max(initial=0)) + 1)
+    # A camera's own velocity errs together with its position, above all where somebody re-appears.
+    # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
+    velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
+    seen = SeenPoints(
+        seconds,
+        residuals.offsets,
+        residuals.weights,
+        residuals.turned,
+        np.ascontiguousarray(velocities),
+    )
+    add_points(seen, clusters, equations)
+    upper = np.triu(equations.hessian)
+    chosen = free[1:].ravel()
+    hessian = (upper + upper.T - np.diag(np.diag(upper)))[np.ix_(chosen, chosen)]
+    return hessian, equations.slopes[:, chosen]
+
+
+def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> Rig:
+    """Return the rig after one Gauss-Newton step."""
+    hessian, slopes = normal_equations(residuals, points.seconds, free)
+    step = np.zeros(free.shape)
+    step[free] = -_inverse(hessian) @ slopes[0]
+    turns = np.stack([_rotation(vector) for vector in step[:, :3]])
+    return Rig(
+        turns @ rig.rotations,
+        rig.shifts + step[:, 3:6],
+        rig.clocks + step[:, CLOCK],
+        rig.drifts + step[:, DRIFT],
+    )
+
+
+def _inverse(hessian: Floats) -> Floats:
+    """Inverse of a Hessian whose unknowns have different units; nothing for what no data show."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12))
+    return np.asarray(
+        np.linalg.pinv(hessian * np.outer(scale, scale), rcond=1e-10, hermitian=True)
+        * np.outer(scale, scale)
+    )
+
+
+def _rotation(vector: Floats) -> Floats:
+    """Rotation matrix of a rotation vector (Rodrigues)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+
+
+def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Floats:
+    """(C, 8) standard errors of the unknowns; 0 for those that are fixed.
+
+    A sandwich ``H^-1 S H^-1`` (Huber 1967). The errors of a detector are not independent: those of
+    a joint last for seconds, and a part of them, which depends on the view, stays. S therefore
+    sums the slopes over blocks of 2 s and over joints before it squares them, and adds both
+    (Cameron, Gelbach and Miller 2011, without the part that both count).
+    """
+    blocks = np.floor((points.seconds - points.seconds.min()) / BLOCK_S).astype(np.int64)
+    meat = np.zeros((int(free.sum()), int(free.sum())))
+    for labels in (blocks, points.joints):
+        hessian, slopes = normal_equations(residuals, points.seconds, free, labels)
+        used = len(np.unique(labels))
+        meat += slopes.T @ slopes * used / max(used - 1, 1)
+    inverse = _inverse(hessian)
+    errors = np.zeros(free.shape)
+    errors[free] = np.sqrt(np.maximum(0.0, np.diag(inverse @ meat @ inverse)))
+    return errors
+
+
+def common_motion(residuals: RigResiduals) -> Floats:
+    """(C,) correlation of each camera's velocities with the mean of the others', -1 to 1.
+
+    Without motion it is about 0: velocities are then noise, and no clock can be read from them.
+    """
+    weights, speeds = residuals.weights, residuals.velocities
+    total = weights.sum(axis=0)
+    sums = np.einsum("cp,cpi->pi", weights, speeds)
+    found = np.zeros(len(weights))
+    for c, weight in enumerate(weights):
+        rest = total - weight
+        seen = (weight > 0.0) & (rest > 1e-12)
+        if not seen.any():
+            continue
+        own = speeds[c, seen]
+        others = (sums[seen] - weight[seen, None] * own) / rest[seen, None]
+        w = np.minimum(weight[seen], rest[seen])[:, None]
+        norm = np.sqrt(np.sum(w * own**2) * np.sum(w * others**2))
+        found[c] = np.sum(w * own * others) / norm if norm > 0.0 else 0.0
+    return found

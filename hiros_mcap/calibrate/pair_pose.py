@@ -1,0 +1,216 @@
+"""The pose of one camera in another, and the lag of their clocks, from the people both see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.coarse_clock import LagCandidate
+from hiros_mcap.calibrate.joint_refinement import (
+    GATES_M,
+    common_motion,
+    free_unknowns,
+    refine,
+    residuals_of,
+)
+from hiros_mcap.calibrate.registration import kabsch
+from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
+from hiros_mcap.skeletons import Floats, Ints
+
+FIT_M = 0.25
+"""Two skeletons fit if their mean joint distance is below."""
+BLIND_LAGS = (0.0, -0.1, 0.1)
+"""s, where no motion tells the lag."""
+BLIND_PAIRS = 6
+LEAST_INSTANTS = 3
+COARSE_INSTANTS = 50
+"""Enough to choose among poses."""
+ROUNDS = 5
+SHARP, SHARPEST_M = 2.5, 0.06
+"""Poses are compared at this many times the residual of the best, but at least 6 cm."""
+HOPELESS = 0.4
+"""A pose that has less of the best one's quality is not refined."""
+REFINED = 3
+"""So many of the best poses that differ are refined."""
+LEAST_MOTION = 0.3
+"""Correlation of the cameras' velocities from which on they tell the clocks."""
+SAME_DEG, SAME_M, SAME_S = 20.0, 0.4, 0.3
+"""Poses that are nearer to each other count as one."""
+
+
+class PairFit(NamedTuple):
+    """How well one pose and lag of two cameras explain what both see."""
+
+    rig: Rig
+    """The first camera stands at the origin."""
+    distances: Floats
+    """Distances, m, of the skeletons that fit."""
+    common: int
+    """Skeletons that could fit: the fewer people of both cameras, summed over the instants."""
+    motion: float = 0.0
+    """Correlation of the cameras' velocities."""
+    quality: float = 0.0
+    """Sum over the skeletons that fit of max(0, 1 - (distance / scale)^2)."""
+
+    @property
+    def share(self) -> float:
+        """Share of the skeletons that fit."""
+        return len(self.distances) / self.common if self.common else 0.0
+
+    @property
+    def residual(self) -> float:
+        """Median distance of the skeletons that fit, m; NaN if none does."""
+        return float(np.median(self.distances)) if len(self.distances) else float("nan")
+
+
+def register_pair(
+    pair: Sequence[CameraView],
+    candidates: Sequence[LagCandidate],
+    instants: Floats,
+    mirror: Ints,
+    given: Rig | None = None,
+) -> list[PairFit]:
+    """Return poses of the second camera in the first that differ, the best first.
+
+    Every candidate for "the same person at this lag" gives a pose by a robust rigid fit, as the
+    camera shows them and mirrored. A pose is scored by all people at all instants. The best ones
+    are refined together with the lag.
+
+    Parameters
+    ----------
+    candidates : of :func:`lag_candidates`. instants : (K,) times of the first camera, s.
+    given : poses of both cameras that the log claims, to be tried, too.
+    """
+    some = instants[:: max(1, len(instants) // COARSE_INSTANTS)]
+    tried = list(_coarse_fits(pair, candidates, some, mirror))
+    if given is not None:
+        tried.append(_fit(sample(pair, some, given), given, mirror))
+    best = ranked(tried)[:REFINED]
+    hopeful = [one for one in best if one.quality > HOPELESS * best[0].quality]
+    return ranked([_refined(pair, one, instants, mirror) for one in hopeful])
+
+
+def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
+    """Return the fits with their qualities, the best first, without those near to a better one.
+
+    Of two poses that both "fit", one may be twice as far off. So the nearest of those that explain
+    much sets the scale: if it is off by the noise of the detectors only, the others have to be.
+    """
+    scored = [_scored(one, FIT_M) for one in fits if len(one.distances)]
+    most = max((one.quality for one in scored), default=0.0)
+    nearest = min((one.residual for one in scored if one.quality >= 0.5 * most), default=FIT_M)
+    scale = float(np.clip(SHARP * nearest, SHARPEST_M, FIT_M))
+    kept: list[PairFit] = []
+    for fit in sorted((_scored(one, scale) for one in scored), key=lambda one: -one.quality):
+        if not any(_alike(fit.rig, other.rig) for other in kept):
+            kept.append(fit)
+    return kept
+
+
+def _scored(fit: PairFit, scale: float) -> PairFit:
+    quality = np.sum(np.maximum(0.0, 1.0 - (fit.distances / scale) ** 2))
+    return fit._replace(quality=float(quality))
+
+
+def _coarse_fits(
+    pair: Sequence[CameraView],
+    candidates: Sequence[LagCandidate],
+    instants: Floats,
+    mirror: Ints,
+) -> Iterator[PairFit]:
+    """Yield a fit for each lag, each pair of tracklets that may be the same person, each side.
+
+    At the likeliest lag, or where no motion tells one, all long pairs are tried.
+    """
+    likely = [(one.seconds, one.pairs) for one in candidates] or [(lag, []) for lag in BLIND_LAGS]
+    for k, (lag, pairs) in enumerate(likely):
+        start = Rig.alone(2)._replace(clocks=np.array([0.0, -lag]))
+        samples = sample(pair, instants, start)
+        blind = _longest_together(samples) if k == 0 or not pairs else []
+        for tracks, swapped in product(dict.fromkeys([*pairs, *blind]), (False, True)):
+            rig = _rigid(samples, tracks, start, mirror if swapped else None)
+            if rig is not None:
+                yield _fit(samples, rig, mirror)
+
+
+def _longest_together(samples: Samples) -> list[tuple[int, int]]:
+    """Return the pairs of tracklets that overlap most."""
+    tracks = [samples.tracks[samples.cameras == c] for c in (0, 1)]
+    instants = [samples.instants[samples.cameras == c] for c in (0, 1)]
+    counts = {
+        (int(i), int(j)): len(
+            np.intersect1d(instants[0][tracks[0] == i], instants[1][tracks[1] == j])
+        )
+        for i in np.unique(tracks[0])
+        for j in np.unique(tracks[1])
+    }
+    together = [pair for pair, n in counts.items() if n >= LEAST_INSTANTS]
+    return sorted(together, key=lambda pair: -counts[pair])[:BLIND_PAIRS]
+
+
+def _rigid(
+    samples: Samples, tracks: tuple[int, int], start: Rig, mirror: Ints | None
+) -> Rig | None:
+    """Return the rig that brings one tracklet onto the other; None for too few instants.
+
+    Robust: a joint counts with ``w / (1 + (e / median)^2)``.
+    """
+    rows = [
+        np.flatnonzero((samples.cameras == c) & (samples.tracks == track))
+        for c, track in enumerate(tracks)
+    ]
+    _, first, second = np.intersect1d(
+        samples.instants[rows[0]], samples.instants[rows[1]], return_indices=True
+    )
+    if len(first) < LEAST_INSTANTS:
+        return None
+    a, b = rows[0][first], rows[1][second]
+    order = slice(None) if mirror is None else mirror
+    weights = np.minimum(samples.lines.weights[a], samples.lines.weights[b][:, order])
+    seen = weights > 0.0
+    goal = samples.lines.positions[a][seen]
+    source = samples.lines.positions[b][:, order][seen]
+    weights = robust = weights[seen]
+    if len(weights) < LEAST_INSTANTS:
+        return None
+    for _ in range(ROUNDS):
+        rotation, shift = kabsch(source, goal, robust)
+        errors = np.linalg.norm(goal - source @ rotation.T - shift, axis=1)
+        robust = weights / (1.0 + (errors / (np.median(errors) + 1e-9)) ** 2)
+    return start._replace(
+        rotations=np.stack([np.eye(3), rotation]), shifts=np.stack([np.zeros(3), shift])
+    )
+
+
+def _fit(samples: Samples, rig: Rig, mirror: Ints) -> PairFit:
+    groups = group(samples, placed(samples, rig), mirror, FIT_M)
+    n = int(samples.instants.max(initial=-1)) + 1
+    counts = [np.bincount(samples.instants[samples.cameras == c], minlength=n) for c in (0, 1)]
+    fitting = groups.distances[np.isfinite(groups.distances)]
+    return PairFit(rig, fitting, int(np.minimum(*counts).sum()))
+
+
+def _refined(pair: Sequence[CameraView], start: PairFit, instants: Floats, mirror: Ints) -> PairFit:
+    """Refine pose and lag; the lag of people who do not move is that of the log's stamps."""
+    rig, points = refine(
+        pair, start.rig, instants, mirror, free=free_unknowns(2), gates=GATES_M[1:]
+    )
+    motion = 0.0
+    if len(points.seconds):
+        motion = float(common_motion(residuals_of(points, rig))[1])
+    if motion < LEAST_MOTION:
+        rig = rig._replace(clocks=np.zeros(2))
+        free = free_unknowns(2, clocks=False)
+        rig, _ = refine(pair, rig, instants, mirror, free=free, gates=GATES_M[1:])
+    return _fit(sample(pair, instants, rig), rig, mirror)._replace(motion=motion)
+
+
+def _alike(one: Rig, other: Rig) -> bool:
+    turn = one.rotations[1] @ other.rotations[1].T
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
+    far = np.linalg.norm(one.shifts[1] - other.shifts[1])
+    return bool(angle < SAME_DEG and far < SAME_M and abs(one.clocks[1] - other.clocks[1]) < SAME_S)

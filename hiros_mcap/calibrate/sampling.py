@@ -1,0 +1,145 @@
+"""All cameras' skeletons at common instants, and who of them is the same person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.kernels.grouping import GroupingWork, Groups, Skeletons, group_people
+from hiros_mcap.kernels.local_line import Lines, fit_lines
+from hiros_mcap.skeletons import Floats, Ints, Stamps
+
+CELL_S = 0.1
+"""Shortest distance in time of the instants: each uses the frames of 0.2 s."""
+
+
+class Rig(NamedTuple):
+    """Poses and clocks of C cameras; a point x of a camera is at R x + p in the common frame."""
+
+    rotations: Floats
+    """(C, 3, 3)"""
+    shifts: Floats
+    """(C, 3) m."""
+    clocks: Floats
+    """(C,) s to add to the time of each camera."""
+    drifts: Floats
+    """(C,) s of that per second of the common time."""
+
+    @classmethod
+    def alone(cls, n_cameras: int) -> Rig:
+        """Return cameras that all stand at the origin."""
+        turns = np.tile(np.eye(3), (n_cameras, 1, 1))
+        return cls(turns, np.zeros((n_cameras, 3)), np.zeros(n_cameras), np.zeros(n_cameras))
+
+    def select(self, cameras: Sequence[int]) -> Rig:
+        """Return some of the cameras."""
+        return Rig(*(array[list(cameras)] for array in self))
+
+    def clock_at(self, camera: int, instants: Floats) -> Floats:
+        """Seconds to add to a camera's time at common times, s."""
+        return np.asarray(self.clocks[camera] + self.drifts[camera] * instants)
+
+
+class Samples(NamedTuple):
+    """N skeletons, each of one camera at one instant, in the frame of the camera."""
+
+    instants: Stamps
+    """(N,) index of the instant, never decreasing."""
+    cameras: Stamps
+    """(N,) index of the camera."""
+    tracks: Stamps
+    """(N,) index of its tracklet in the camera."""
+    lines: Lines
+    """Their joints."""
+
+
+def lines_of(view: CameraView, track: int, seconds: Floats) -> Lines:
+    """Return the joints of a tracklet at times, s, of its camera's clock, increasing."""
+    frames = view.tracks[track]
+    shape = len(seconds), *frames.weights.shape[1:]
+    lines = Lines(np.empty((*shape, 3)), np.empty((*shape, 3)), np.empty(shape))
+    fit_lines(frames, np.ascontiguousarray(seconds), view.half_width, lines)
+    return lines
+
+
+def sample(views: Sequence[CameraView], instants: Floats, rig: Rig) -> Samples:
+    """Take every camera's skeletons at common times, (K,) s, increasing.
+
+    A skeleton counts while its tracklet lasts; it needs four joints.
+    """
+    parts: list[Samples] = []
+    for c, view in enumerate(views):
+        seconds = instants - rig.clock_at(c, instants)
+        for k, track in enumerate(view.tracks):
+            inside = np.flatnonzero((seconds >= track.seconds[0]) & (seconds <= track.seconds[-1]))
+            if len(inside):
+                lines = lines_of(view, k, seconds[inside])
+                parts.append(
+                    Samples(inside, np.full_like(inside, c), np.full_like(inside, k), lines)
+                )
+    if not parts:
+        return _nobody(views)
+    joined = [np.concatenate(each) for each in zip(*(part[:3] for part in parts), strict=True)]
+    lines = Lines(*map(np.concatenate, zip(*(part.lines for part in parts), strict=True)))
+    order = np.lexsort((joined[1], joined[0]))
+    order = order[np.count_nonzero(lines.weights[order] > 0.0, axis=1) >= 4]
+    rows, cameras, tracks = (each[order].astype(np.int64) for each in joined)
+    return Samples(rows, cameras, tracks, Lines(*(each[order] for each in lines)))
+
+
+def _nobody(views: Sequence[CameraView]) -> Samples:
+    none = np.zeros(0, np.int64)
+    markers = next((v.tracks[0].weights.shape[1] for v in views if v.tracks), 0)
+    empty = Lines(np.zeros((0, markers, 3)), np.zeros((0, markers, 3)), np.zeros((0, markers)))
+    return Samples(none, none, none, empty)
+
+
+def placed(samples: Samples, rig: Rig) -> Floats:
+    """(N, M, 3) the skeletons in the common frame, m."""
+    turned = samples.lines.positions @ np.swapaxes(rig.rotations, 1, 2)[samples.cameras]
+    return np.asarray(turned + rig.shifts[samples.cameras][:, None])
+
+
+def group(samples: Samples, positions: Floats, mirror: Ints, gate: float) -> Groups:
+    """Join skeletons in the common frame that are the same person at one instant.
+
+    Parameters
+    ----------
+    positions : (N, M, 3) of :func:`placed`. gate : largest distance, m.
+    """
+    n = len(samples.cameras)
+    starts = np.flatnonzero(np.diff(samples.instants, prepend=-1))
+    begins = np.append(starts, n).astype(np.int64)
+    most = int(np.diff(begins).max(initial=1))
+    groups = Groups(np.empty(n, np.int64), np.empty(n, np.bool_), np.empty(n))
+    skeletons = Skeletons(
+        np.ascontiguousarray(positions), samples.lines.weights, samples.cameras, mirror
+    )
+    work = GroupingWork.allocate(most, len(mirror))
+    group_people(skeletons, begins, gate, work, groups)
+    return groups
+
+
+def instants_of(views: Sequence[CameraView], most: int, rig: Rig | None = None) -> Floats:
+    """(K,) times, s, at which somebody is seen, one at random in each of K <= ``most`` cells.
+
+    A regular grid would be commensurate with the cameras' frames, and bias the clocks by some ms.
+    Without ``rig``, all clocks are taken for right.
+    """
+    clocks = np.zeros(len(views)) if rig is None else rig.clocks
+    spans = [
+        track.seconds[[0, -1]] + clocks[c] for c, view in enumerate(views) for track in view.tracks
+    ]
+    if not spans:
+        return np.zeros(0)
+    first, last = float(np.min(spans)), float(np.max(spans))
+    edges = np.arange(first, last + CELL_S, CELL_S)
+    covered = np.zeros(len(edges), np.bool_)
+    for begin, end in spans:
+        covered[np.searchsorted(edges, begin) : np.searchsorted(edges, end)] = True
+    cell = CELL_S * max(1, int(np.ceil(covered.sum() / most)))
+    cells = np.unique(np.floor((edges[covered] - first) / cell))
+    return np.asarray(first + cell * (cells + np.random.default_rng(0).random(len(cells))))

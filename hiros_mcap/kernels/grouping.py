@@ -1,0 +1,180 @@
+"""Which skeletons of several cameras at one instant are the same person."""
+
+# mypy: disable-error-code="no-any-return"
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, J1, kernel, named_tuple
+from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+
+_SHARE = 0.75
+"""Of two skeletons' joints, this share with the smallest distances is compared."""
+_LEAST = 4
+"""Skeletons with fewer joints in common are not compared."""
+
+
+class Skeletons(NamedTuple):
+    """N skeletons in a common frame, instant by instant."""
+
+    positions: Floats
+    """(N, M, 3) m."""
+    weights: Floats
+    """(N, M) 0 = absent."""
+    cameras: Stamps
+    """(N,) index of the camera."""
+    mirror: Ints
+    """(M,) slot of the joint on the other side."""
+
+
+class Groups(NamedTuple):
+    """Who is who, for N skeletons."""
+
+    people: Stamps
+    """(N,) first row of the group that a skeleton belongs to; its own if it is alone."""
+    mirrored: Flags
+    """(N,) whether its sides are swapped against those of that row."""
+    distances: Floats
+    """(N,) mean distance, m, to the skeleton by which it joined; inf for a first row."""
+
+
+class GroupingWork(NamedTuple):
+    """Scratch for instants of up to S skeletons."""
+
+    distances: Floats
+    """(S, S)"""
+    mirrored: Flags
+    """(S, S)"""
+    joints: Floats
+    """(M,)"""
+
+    @classmethod
+    def allocate(cls, n_skeletons: int, n_markers: int) -> GroupingWork:
+        """Allocate the arrays."""
+        square = n_skeletons, n_skeletons
+        return cls(np.empty(square), np.empty(square, np.bool_), np.empty(n_markers))
+
+
+SKELETONS = named_tuple(Skeletons, F3, F2, I1, J1)
+GROUPS = named_tuple(Groups, I1, B1, F1)
+GROUPING_WORK = named_tuple(GroupingWork, F2, B2, F1)
+
+
+@kernel
+def _sort(values: Floats, n: int) -> None:
+    """Sort the first n values, which are few."""
+    for i in range(1, n):
+        value, k = values[i], i
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+
+
+@kernel
+def _distance(
+    skeletons: Skeletons, a: int, b: int, swapped: bool, gate: float, joints: Floats
+) -> float:
+    """Mean of the smallest distances of the joints that both have; inf if it is over the gate."""
+    n = near = 0
+    for m in range(len(skeletons.mirror)):
+        other = skeletons.mirror[m] if swapped else m
+        if skeletons.weights[a, m] > 0.0 and skeletons.weights[b, other] > 0.0:
+            p, q = skeletons.positions[a, m], skeletons.positions[b, other]
+            joints[n] = norm3(p[0] - q[0], p[1] - q[1], p[2] - q[2])
+            if joints[n] <= 2.0 * gate:
+                near += 1
+            n += 1
+    kept = int(np.ceil(_SHARE * n))
+    if n < _LEAST or 2 * near < kept:  # more than half over twice the gate: so is their mean
+        return np.inf
+    _sort(joints, n)
+    total = 0.0
+    for i in range(kept):
+        total += joints[i]
+    return total / kept if total <= gate * kept else np.inf
+
+
+@kernel
+def _compare(skeletons: Skeletons, begin: int, end: int, gate: float, work: GroupingWork) -> None:
+    """Write the distances of all skeletons of an instant; inf within a camera or over the gate."""
+    for a in range(begin, end):
+        for b in range(a + 1, end):
+            work.distances[a - begin, b - begin] = np.inf
+            if skeletons.cameras[a] == skeletons.cameras[b]:
+                continue
+            straight = _distance(skeletons, a, b, False, gate, work.joints)
+            swapped = _distance(skeletons, a, b, True, gate, work.joints)
+            work.distances[a - begin, b - begin] = min(straight, swapped)
+            work.mirrored[a - begin, b - begin] = swapped < straight
+
+
+@kernel
+def _share_a_camera(
+    skeletons: Skeletons, groups: Groups, begin: int, end: int, a: int, b: int
+) -> bool:
+    """Whether the groups of ``a`` and ``b`` both hold a skeleton of one camera."""
+    for i in range(begin, end):
+        if groups.people[i] == groups.people[a]:
+            for j in range(begin, end):
+                if groups.people[j] == groups.people[b] and (
+                    skeletons.cameras[i] == skeletons.cameras[j]
+                ):
+                    return True
+    return False
+
+
+@kernel
+def _join(groups: Groups, begin: int, end: int, a: int, b: int, mirrored: bool) -> None:
+    """Put the group of ``b`` to that of ``a``, or the other way round: the first row leads."""
+    lead, other = groups.people[a], groups.people[b]
+    swap = mirrored ^ groups.mirrored[a] ^ groups.mirrored[b]
+    if other < lead:
+        lead, other = other, lead
+    for i in range(begin, end):
+        if groups.people[i] == other:
+            groups.people[i] = lead
+            groups.mirrored[i] ^= swap
+
+
+@kernel(types.void(SKELETONS, I1, types.float64, GROUPING_WORK, GROUPS))
+def group_people(
+    skeletons: Skeletons, begins: Stamps, gate: float, work: GroupingWork, groups: Groups
+) -> None:
+    """Join the skeletons of each instant to people, the nearest first, one of each camera.
+
+    Two skeletons are compared as they are and with swapped sides, by the three quarters of their
+    joints that are nearest to each other.
+
+    Parameters
+    ----------
+    begins : (K + 1,) first row of each instant, and N. gate : largest distance, m.
+    """
+    for k in range(len(begins) - 1):
+        begin, end = begins[k], begins[k + 1]
+        _compare(skeletons, begin, end, gate, work)
+        for i in range(begin, end):
+            groups.people[i] = i
+            groups.mirrored[i] = False
+            groups.distances[i] = np.inf
+        while True:
+            nearest, a, b = np.inf, -1, -1
+            for i in range(begin, end):
+                for j in range(i + 1, end):
+                    if work.distances[i - begin, j - begin] < nearest:
+                        nearest, a, b = work.distances[i - begin, j - begin], i, j
+            if a < 0:
+                break
+            work.distances[a - begin, b - begin] = np.inf
+            if groups.people[a] == groups.people[b]:
+                continue
+            if _share_a_camera(skeletons, groups, begin, end, a, b):
+                continue
+            later = max(groups.people[a], groups.people[b])
+            _join(groups, begin, end, a, b, work.mirrored[a - begin, b - begin])
+            groups.distances[later] = nearest

@@ -1,0 +1,69 @@
+"""Correlation of two signatures over lags."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.compile import F1, F2, kernel, named_tuple
+from hiros_mcap.skeletons import Floats
+
+
+class LagWork(NamedTuple):
+    """What is found for each of L lags."""
+
+    correlations: Floats
+    """(L,) over all features, each less its mean; NaN where the overlap is too short."""
+    differences: Floats
+    """(L,) root mean square difference, m."""
+    overlaps: Floats
+    """(L,) samples that both have."""
+
+    @classmethod
+    def allocate(cls, n_lags: int) -> LagWork:
+        """Allocate the arrays."""
+        return cls(np.empty(n_lags), np.empty(n_lags), np.empty(n_lags))
+
+
+LAG_WORK = named_tuple(LagWork, F1, F1, F1)
+
+
+@kernel
+def _add_feature(a: Floats, b: Floats, f: int, lag: int, sums: Floats) -> None:
+    """Add the moments of one feature at one lag: n, variances, covariance, squared difference."""
+    n = sa = sb = saa = sbb = sab = 0.0
+    for i in range(max(0, -lag), min(a.shape[1], b.shape[1] - lag)):
+        x, y = a[f, i], b[f, i + lag]
+        if np.isnan(x) or np.isnan(y):
+            continue
+        n += 1.0
+        sa, sb = sa + x, sb + y
+        saa, sbb, sab = saa + x * x, sbb + y * y, sab + x * y
+    if n > 0.0:
+        sums[0] += n
+        sums[1] += saa - sa * sa / n
+        sums[2] += sbb - sb * sb / n
+        sums[3] += sab - sa * sb / n
+        sums[4] += saa + sbb - 2.0 * sab
+
+
+@kernel(types.void(F2, F2, types.int64, F1, LAG_WORK))
+def correlate(a: Floats, b: Floats, first: int, sums: Floats, work: LagWork) -> None:
+    """Correlate signatures (F, T) and (F, U), NaN = absent, at the lags first, first + 1, ...
+
+    At a lag, sample ``i`` of ``a`` belongs to sample ``i + lag`` of ``b``. ``sums`` is (5,)
+    scratch.
+    """
+    for k in range(len(work.overlaps)):
+        sums[:] = 0.0
+        for f in range(len(a)):
+            _add_feature(a, b, f, first + k, sums)
+        work.overlaps[k] = sums[0] / len(a)
+        work.correlations[k] = np.nan
+        work.differences[k] = np.nan
+        if sums[0] > 0.0:
+            work.differences[k] = np.sqrt(max(0.0, sums[4]) / sums[0])
+            if sums[1] > 0.0 and sums[2] > 0.0:
+                work.correlations[k] = sums[3] / np.sqrt(sums[1] * sums[2])

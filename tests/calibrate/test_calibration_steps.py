@@ -1,0 +1,191 @@
+"""The steps of a calibration from people, one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from stick_figures import MIRROR, MODEL, POSE, person
+
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.calibrate.camera_graph import spanning_tree
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
+from hiros_mcap.calibrate.floor import find_floor
+from hiros_mcap.calibrate.gauge import moved, on_transforms
+from hiros_mcap.calibrate.joint_refinement import free_unknowns, refine
+from hiros_mcap.calibrate.pair_pose import PairFit, ranked
+from hiros_mcap.calibrate.registration import kabsch
+from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
+from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
+from hiros_mcap.calibrate.verdict import Evidence, judge
+from hiros_mcap.kernels.local_line import Tracklet
+from hiros_mcap.skeletons import Floats
+
+SIDES = symmetry_of(MODEL).mirror
+GOOD = Evidence(share=1.0, residual=0.03, seconds=20.0, spread=1.0)
+
+
+def walk(seconds: Floats) -> Floats:
+    """(T, 8, 3) somebody who goes to and fro, and swings his arms."""
+    poses = np.tile(POSE, (len(seconds), 1, 1))
+    poses[:, :, 0] += (1.2 * np.sin(0.9 * seconds))[:, None]
+    poses[:, :, 1] += (0.8 * np.sin(0.5 * seconds + 1.0))[:, None]
+    poses[:, 6, 0] += 0.3 * np.sin(5.0 * seconds + 0.2 * seconds**2)
+    poses[:, 7, 0] -= 0.3 * np.sin(5.0 * seconds + 0.2 * seconds**2)
+    return poses
+
+
+def view(name: str, turn: Rotation, shift: Floats, clock: float = 0.0) -> CameraView:
+    """The walk as an exact camera sees it; its stamps are early by ``clock``."""
+    seconds = np.arange(0.0, 10.0, 1 / 30)
+    poses = walk(seconds)
+    seen = turn.inv().apply((poses - shift).reshape(-1, 3)).reshape(poses.shape)
+    tracklet = Tracklet(seconds - clock, np.ascontiguousarray(seen), np.ones(poses.shape[:2]))
+    return CameraView(name, name, [tracklet], 0.0, 0.1)
+
+
+def test_a_tracklet_follows_each_of_two_people_and_ends_in_a_gap() -> None:
+    seconds = [*np.arange(0, 1, 1 / 30), *np.arange(2, 3, 1 / 30)]
+    frames = [Sighting(t, np.stack([person(t), person(-2 - t)]), np.ones((2, 8))) for t in seconds]
+    swapped = [
+        f._replace(positions=f.positions[::-1]) if k % 2 else f for k, f in enumerate(frames)
+    ]
+    tracks = find_tracklets(swapped, SIDES)
+    assert [len(track.seconds) for track in tracks] == [30, 30, 30, 30]
+    assert all(np.abs(np.diff(track.positions[:, 0, 0])).max() < 0.1 for track in tracks)
+
+
+def test_a_tracklet_undoes_swapped_sides() -> None:
+    frames = [Sighting(k / 30, person(0.01 * k)[None], np.ones((1, 8))) for k in range(30)]
+    frames[10:20] = [f._replace(positions=f.positions[:, MIRROR]) for f in frames[10:20]]
+    (track,) = find_tracklets(frames, SIDES)
+    assert np.abs(np.diff(track.positions[:, 6], axis=0)).max() < 0.02
+
+
+def test_a_line_gives_position_and_velocity_at_any_time() -> None:
+    seconds = np.arange(0.0, 1.0, 1 / 30)
+    poses = POSE + np.array([0.5, -0.2, 0.1]) * seconds[:, None, None]
+    weights = np.ones(poses.shape[:2])
+    weights[:, 3] = 0.0
+    camera = CameraView("a", "a", [Tracklet(seconds, poses, weights)], 0.0, 0.1)
+    lines = lines_of(camera, 0, np.array([0.205, 0.777]))
+    assert lines.positions[1, 0] == pytest.approx(POSE[0] + 0.777 * np.array([0.5, -0.2, 0.1]))
+    assert lines.velocities[0, 5] == pytest.approx([0.5, -0.2, 0.1])
+    assert lines.weights[0, 3] == 0.0
+    assert lines.weights[0, 0] > 1.0
+
+
+def test_the_lag_of_two_clocks_needs_no_pose() -> None:
+    turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])
+    landmarks = landmarks_of(MODEL)
+    cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=1.4)]
+    best = lag_candidates(*(signatures_of(camera, landmarks) for camera in cameras))[0]
+    assert best.seconds == pytest.approx(-1.4, abs=0.05)
+    assert best.pairs == [(0, 0)]
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 1000))
+def test_exact_cameras_are_found_exactly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn, shift = Rotation.random(random_state=seed), rng.normal(0, 2, 3)
+    cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=0.08)]
+    near = Rotation.from_rotvec(rng.normal(0, 0.03, 3)) * turn
+    start = Rig(
+        np.stack([np.eye(3), near.as_matrix()]),
+        np.stack([np.zeros(3), shift + rng.normal(0, 0.03, 3)]),
+        np.zeros(2),
+        np.zeros(2),
+    )
+    instants = instants_of(cameras, 60)
+    rig, _ = refine(cameras, start, instants, SIDES, free=free_unknowns(2))
+    assert rig.rotations[1] == pytest.approx(turn.as_matrix(), abs=1e-3)
+    assert rig.shifts[1] == pytest.approx(shift, abs=2e-3)
+    assert rig.clocks[1] == pytest.approx(0.08, abs=1e-3)
+
+
+def test_a_rival_is_a_pose_that_is_as_near_not_one_that_also_fits() -> None:
+    near, far = np.full(50, 0.03), np.full(50, 0.07)
+    turned = Rig.alone(2)
+    turned.rotations[1] = np.diag([-1.0, -1.0, 1.0])
+    best, rival = ranked([PairFit(turned, far, 50), PairFit(Rig.alone(2), near, 50)])
+    assert best.residual == 0.03
+    assert rival.quality < 0.2 * best.quality
+
+
+def test_cameras_need_no_common_view_of_all() -> None:
+    link = [PairFit(Rig.alone(2), np.full(50, 0.03), 50, quality=40.0)]
+    tree, cameras = spanning_tree({(0, 1): link, (1, 2): link, (0, 2): []}, [0, 1, 2, 3])
+    assert tree == [(0, 1), (1, 2)]
+    assert cameras == [0, 1, 2]
+
+
+def test_the_rig_stays_though_one_camera_was_moved() -> None:
+    rng = np.random.default_rng(1)
+    turns = Rotation.random(5, random_state=2)
+    rig = Rig(turns.as_matrix(), rng.normal(0, 3, (5, 3)), np.zeros(5), np.zeros(5))
+    lab = Rotation.from_euler("z", 1.0)
+    given = {c: Rigid((lab * turns[c]).as_quat(), lab.apply(rig.shifts[c]) + 4.0) for c in range(5)}
+    given[2] = given[2]._replace(translation=given[2].translation + 0.1)
+    placed = moved(rig, on_transforms(rig, given))
+    others = [0, 1, 3, 4]
+    wanted = np.stack([given[c].translation for c in others])
+    assert placed.shifts[others] == pytest.approx(wanted, abs=0.003)
+
+
+def test_up_is_where_standing_people_point() -> None:
+    names = ["PELVIS", "NECK", "ANKLE_LEFT", "ANKLE_RIGHT", "FOOT_LEFT", "FOOT_RIGHT"]
+    model = type(MODEL).of(names, [])
+    body = np.array(
+        [[0, 0, 1.0], [0, 0, 1.5], [0, 0.1, 0.1], [0, -0.1, 0.1], [0.1, 0.1, 0], [0.1, -0.1, 0]]
+    )
+    places = np.random.default_rng(0).uniform(-2, 2, (40, 1, 3)) * [1, 1, 0]
+    tilt = Rotation.from_euler("xy", [0.7, -0.4])
+    poses = tilt.apply((body + places + [0, 0, 0.3]).reshape(-1, 3)).reshape(40, 6, 3)
+    floor = find_floor(model, poses, np.zeros_like(poses))
+    assert floor is not None
+    assert floor.up == pytest.approx(tilt.apply([0, 0, 1]), abs=1e-6)
+    assert floor.height == pytest.approx(0.3, abs=1e-6)
+    assert find_floor(MODEL, np.tile(POSE, (3, 1, 1)), np.zeros((3, 8, 3))) is None  # no ankles
+
+
+def test_weights_leave_outliers_out_of_a_rigid_fit() -> None:
+    points = np.random.default_rng(3).normal(0, 1, (20, 3))
+    turn = Rotation.from_euler("xyz", [1.0, 0.5, -2.0])
+    goal = turn.apply(points) + np.array([1.0, 2.0, 3.0])
+    goal[:5] += 1.0
+    matrix, shift = kabsch(points, goal, np.repeat([0.0, 1.0], [5, 15]))
+    assert matrix == pytest.approx(turn.as_matrix())
+    assert shift == pytest.approx([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "reason"),
+    [
+        ({}, "good", ""),
+        ({"share": 0.6}, "impossible", "60% of what it shares"),
+        ({"residual": 0.15}, "impossible", "15 cm"),
+        ({"rival": True}, "impossible", "quite different pose"),
+        ({"error_deg": 1.0}, "impossible", "standard error"),
+        ({"halves_deg": 2.0, "error_deg": 0.1}, "impossible", "halves"),
+        ({"seconds": 3.0}, "doubtful", "3 s of common view"),
+        ({"size": 1.04}, "doubtful", "4.0% of another size"),
+        ({"wander": 0.05}, "doubtful", "5 cm"),
+        ({"limbs": 0.1}, "doubtful", "limbs"),
+        ({"spread": 0.1}, "doubtful", "spread by 0.1 m"),
+    ],
+)
+def test_the_verdict_names_its_reason(change: dict[str, float], verdict: str, reason: str) -> None:
+    from dataclasses import replace
+
+    found, why = judge(replace(GOOD, **change), moved=False)
+    assert found == verdict
+    assert reason in why
+
+
+def test_a_pose_that_differs_from_the_log_is_an_improvement() -> None:
+    assert judge(GOOD, moved=True) == ("improved", "")

@@ -1,0 +1,196 @@
+"""Poses and clocks from the people in a log, from the log to the verdict."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rooms import late, mirrored, simulated, write
+
+from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid, angle, multiply
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.log import open_log
+from hiros_mcap.simulate import Simulation
+
+CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
+"""s by which the stamps are late."""
+
+
+@pytest.fixture(scope="module")
+def scene() -> Simulation:
+    return simulated(cameras=3, seed=3)
+
+
+@pytest.fixture(scope="module")
+def nothing(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log without transforms, of three cameras with wrong clocks."""
+    frames = [late(frame, CLOCKS[frame.source]) for frame in scene.detections]
+    return write(tmp_path_factory.mktemp("log") / "lab.mcap", frames, scene.model)
+
+
+def calibrated(path: Path) -> PeopleCalibration:
+    with open_log(path) as log:
+        return calibrate_people(log)
+
+
+def errors(scene: Simulation, found: PeopleCalibration) -> list[tuple[float, float]]:
+    """Degrees and m of each camera in the first one's frame."""
+    true = {camera.name: camera.pose for camera in scene.cameras}
+    first = found.cameras[0]
+    rows = []
+    for camera in found.cameras[1:]:
+        got = first.pose.inverse() @ camera.pose
+        wanted = true[first.name].inverse() @ true[camera.name]
+        off = float(np.linalg.norm(got.translation - wanted.translation))
+        rows.append((float(np.degrees(angle(got.xyzw, wanted.xyzw))), off))
+    return rows
+
+
+def test_poses_and_clocks_from_nothing(scene: Simulation, nothing: Path) -> None:
+    found = calibrated(nothing)
+    assert (found.verdict, found.gauge, found.fixed_frame) == ("good", "floor", "world")
+    for degrees, metres in errors(scene, found):
+        assert degrees < 0.7
+        assert metres < 0.03
+    for camera in found.cameras:  # the median clock, of camera_0, is taken for right
+        assert camera.clock_s == pytest.approx(-CLOCKS[camera.name], abs=0.005)
+
+
+def test_without_transforms_the_people_stand_on_the_floor(nothing: Path) -> None:
+    found = calibrated(nothing)
+    first = found.cameras[0].pose
+    assert first.translation == pytest.approx([0.0, 0.0, 2.0], abs=0.08)
+    level = [camera.pose.translation[2] for camera in found.cameras]
+    assert level == pytest.approx([2.0] * 3, abs=0.15)
+
+
+def test_a_detector_that_takes_left_for_right_does_not_matter(
+    scene: Simulation, tmp_path: Path
+) -> None:
+    mirror = symmetry_of(scene.model).mirror
+    frames = [
+        mirrored(frame, mirror) if frame.source == "camera_1" else frame
+        for frame in scene.detections
+    ]
+    found = calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+    assert found.verdict == "good"
+    assert max(degrees for degrees, _ in errors(scene, found)) < 0.7
+
+
+def test_a_camera_that_was_moved_is_put_right_and_the_others_stay(
+    scene: Simulation, tmp_path: Path
+) -> None:
+    true = {camera.name: camera.pose for camera in scene.cameras}
+    turn = np.array([0.0, np.sin(np.radians(2.0)), 0.0, np.cos(np.radians(2.0))])
+    moved = Rigid(multiply(turn, true["camera_2"].xyzw), true["camera_2"].translation + 0.06)
+    given = {**true, "camera_2": moved}
+    frames = list(scene.detections)
+    found = calibrated(write(tmp_path / "lab.mcap", frames, scene.model, given))
+    assert (found.gauge, found.fixed_frame, found.verdict) == ("transforms", "lab", "improved")
+    by_name = {camera.name: camera for camera in found.cameras}
+    assert by_name["camera_2"].moved_deg == pytest.approx(4.0, abs=0.7)
+    assert by_name["camera_2"].moved_mm == pytest.approx(104.0, abs=30.0)
+    assert max(by_name[name].moved_deg for name in ("camera_0", "camera_1")) < 0.5
+
+
+def test_cameras_that_see_people_one_after_the_other_give_no_pose(
+    scene: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = list(scene.detections)
+    half = np.median([frame.stamp for frame in frames])
+    apart = [
+        frame
+        for frame in frames
+        if frame.source != "camera_2" and (frame.stamp < half) == (frame.source == "camera_0")
+    ]
+    log, target = write(tmp_path / "lab.mcap", apart, scene.model), tmp_path / "cameras.toml"
+    assert run(["calibrate", "people", str(log), "-o", str(target)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "record 20 s of somebody walking about in view of" in line
+    assert not target.exists()
+
+
+def test_a_camera_that_sees_nobody_leaves_the_others(scene: Simulation, tmp_path: Path) -> None:
+    frames = [
+        frame.select([]) if frame.source == "camera_0" else frame for frame in scene.detections
+    ]
+    found = calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+    assert [camera.verdict for camera in found.cameras] == ["impossible", "good", "good"]
+    assert found.verdict == "doubtful"
+    assert found.reason.startswith("camera_0: sees nobody")
+    assert found.cameras[0].pose is None
+
+
+def test_another_person_in_each_camera_is_not_believed(scene: Simulation, tmp_path: Path) -> None:
+    other = simulated(cameras=3, seed=502)
+    frames = [frame for frame in scene.detections if frame.source == "camera_0"]
+    frames += [frame for frame in other.detections if frame.source == "camera_1"]
+    found = calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+    assert {camera.verdict for camera in found.cameras} <= {"doubtful", "impossible"}
+
+
+def test_somebody_who_stands_still_tells_no_clock(scene: Simulation, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    pose = next(scene.truth).markers
+    cameras = {camera.name: camera for camera in scene.cameras}
+    frames = []
+    for frame in scene.detections:
+        markers = np.full_like(frame.markers, np.nan)
+        places = cameras[frame.source].points(pose[:, :, :3])
+        markers[:, :, :3] = places + rng.normal(0, 0.005, (len(markers), *places.shape[1:]))
+        frames.append(late(frame.replace(markers=markers), CLOCKS[frame.source] / 10))
+    found = calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+    assert found.verdict != "impossible"
+    assert max(degrees for degrees, _ in errors(scene, found)) < 0.7
+    assert all(np.isnan(camera.clock_s) for camera in found.cameras)
+
+
+def test_one_camera_is_refused(scene: Simulation, tmp_path: Path) -> None:
+    frames = [frame for frame in scene.detections if frame.source == "camera_0"]
+    with pytest.raises(LogError, match="one camera only"):
+        calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+
+
+def test_cameras_in_one_frame_are_refused(scene: Simulation, tmp_path: Path) -> None:
+    frames = [frame.replace(frame_id="world") for frame in scene.detections]
+    with pytest.raises(LogError, match="same frame 'world'"):
+        calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
+
+
+def test_a_log_without_transforms_is_processed_with_the_poses_found(
+    nothing: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target, out = tmp_path / "cameras.toml", tmp_path / "out.mcap"
+    assert run(["calibrate", "people", str(nothing), "-o", str(target)]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in (*CLOCKS, "Clock ms", "Residual mm", "z is up"))
+    assert read_extrinsics(target).frames == ["camera_0", "camera_1", "camera_2", "world"]
+    assert "[clock]" in target.read_text()
+    arguments = ["process", str(nothing), "-o", str(out), "-q", "--extrinsics", str(target)]
+    assert run([*arguments, "--stages", "T"]) == 0
+
+
+def test_json_has_poses_clocks_and_errors(
+    nothing: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["calibrate", "people", str(nothing), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["verdict"] == "good"
+    for camera in data["cameras"]:
+        assert len(camera["translation"]) == 3
+        assert len(camera["quaternion_xyzw"]) == 4
+        assert camera["clock_s"] == pytest.approx(-CLOCKS[camera["name"]], abs=0.005)
+    assert data["joints"]["PELVIS"] < 60.0
+
+
+def test_a_file_of_somebody_else_is_not_overwritten(nothing: Path, tmp_path: Path) -> None:
+    target = tmp_path / "cameras.toml"
+    target.write_text("mine = 1\n")
+    assert run(["calibrate", "people", str(nothing), "-o", str(target)]) == 2
+    assert target.read_text() == "mine = 1\n"
