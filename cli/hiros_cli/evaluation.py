@@ -23,7 +23,8 @@ def show_truth(
     """Print the scores of every channel, and the angles of the last one."""
     out = console()
     seconds = number((truth.stamps[-1] - truth.stamps[0]) / 1e9, 1)
-    people = f"{len(truth.people)} {'of the people' if truth.partial else 'people'}"
+    n = len(truth.people)
+    people = f"{n} of the people" if truth.partial else "1 person" if n == 1 else f"{n} people"
     say(out, f"{log}: against the truth, {people}, {seconds} s", "bold")
     scores = {topic: result.scores for topic, result in results.items()}
     show_table(out, "Joint error, mm", score_tables.error_table(scores))

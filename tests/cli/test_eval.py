@@ -86,7 +86,7 @@ def test_markers_without_a_truth_are_named(
     table.write_text("\n".join(["time,person,marker,x,y,z", *rows]))
     assert run(["eval", str(processed), "--truth", str(table), "--match-distance", "9"]) == 0
     text = capsys.readouterr().out
-    assert "against the truth, 1 people" in text
+    assert "against the truth, 1 person" in text
     note = next(line for line in text.splitlines() if "no truth for 30 markers" in line)
     assert "WRIST_LEFT" in note
     assert not {"PELVIS", "NECK"} & set(re.findall(r"\w+", note))

@@ -107,7 +107,7 @@ def test_json_lines_have_names_and_gaps(result: Result, tmp_path: Path) -> None:
 
 
 def test_arrays_come_back(result: Result, tmp_path: Path) -> None:
-    (path,) = export(result, tmp_path / "out.npz")
+    (path,) = export(result, str(tmp_path / "out.npz"))
     with np.load(path) as arrays:
         np.testing.assert_array_equal(arrays["person_1_positions"], result.motions[1].positions)
         assert arrays["markers"].tolist() == list(result.model.marker_names)

@@ -30,9 +30,10 @@ def info(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show what any MCAP file or bag holds: channels, cameras, people, rates and gaps.
+    """Show what an MCAP file or bag holds.
 
-    Of what hiros wrote it shows the version, the system and the changed parameters.
+    It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
+    version, the system and the changed parameters.
     """
     from hiros_cli.compiling import prepare
     from hiros_cli.output import warn

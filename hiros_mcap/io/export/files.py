@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +76,7 @@ def format_of(target: Path) -> ExportFormat:
     return found
 
 
-def export(result: Result, target: Path, what: str = "") -> list[Path]:
+def export(result: Result, target: str | os.PathLike[str], what: str = "") -> list[Path]:
     """Write a result in the format of the target's suffix.
 
     A format for one person gets a file per person, ``NAME.0.trc``, unless there is just one.
@@ -97,6 +98,7 @@ def export(result: Result, target: Path, what: str = "") -> list[Path]:
     LogError
         A file cannot be written.
     """
+    target = Path(target)
     kind = format_of(target)
     if what not in ("", *WHAT):
         raise ConfigError(f"{what!r} is none of {', '.join(WHAT)}")

@@ -1,0 +1,91 @@
+"""docs/troubleshooting.md explains every error, warning and note of the program."""
+
+from __future__ import annotations
+
+import ast
+import html
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "troubleshooting.md"
+
+ERRORS = {"LogError", "ConfigError", "HirosError", "MemoryError"}
+NOTES = (
+    "hiros_mcap/running/report.py",
+    "hiros_mcap/running/clock_alignment.py",
+    "hiros_mcap/running/observe.py",
+    "hiros_mcap/evaluate/remarks.py",
+    "hiros_mcap/evaluate/match.py",
+    "hiros_mcap/io/camera_clock.py",
+    "hiros_mcap/events.py",
+)
+"""Modules that say something only as a warning or a note."""
+NO_MESSAGE = {
+    "filter: time not increasing",  # the keys of what is counted, not what a user reads
+    "predict: time not increasing",
+}
+
+
+def text(node: ast.expr) -> str:
+    """Return a string with ``...`` for what is not fixed."""
+    match node:
+        case ast.Constant(value=str(value)):
+            return value
+        case ast.JoinedStr(values=values):
+            return "".join(map(text, values))
+    return "..."
+
+
+def is_raised(node: ast.AST) -> bool:
+    match node:
+        case ast.Raise(exc=ast.Call(func=ast.Name(id=name), args=[_, *_])):
+            return name in ERRORS
+    return False
+
+
+def errors(tree: ast.Module) -> Iterator[str]:
+    """Yield the text of every error that is raised with a literal."""
+    for node in ast.walk(tree):
+        if is_raised(node):
+            yield text(node.exc.args[0])  # type: ignore[attr-defined]
+
+
+def notes(tree: ast.Module) -> Iterator[str]:
+    """Yield every string of some words that is neither a docstring nor a part of another."""
+    strings = [n for n in ast.walk(tree) if isinstance(n, ast.Constant | ast.JoinedStr)]
+    inside = {part for n in strings if isinstance(n, ast.JoinedStr) for part in n.values}
+    docs = {n.value for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    for node in strings:
+        if node not in inside | docs and (found := text(node)) not in NO_MESSAGE:
+            yield from [found] if found.count(" ") > 2 else []
+
+
+def fixed_part(message: str) -> str:
+    """Return the first words of a message that are always the same, three or more if it can."""
+    parts = [part.strip(" :,.()") for part in re.split(r"\.\.\.|\{\w+\}|[`;]|\. ", message)]
+    return next((part for part in parts if part.count(" ") > 1), max(parts, key=len))
+
+
+def sources() -> list[Path]:
+    folders = (ROOT / name for name in ("hiros_mcap", "cli", "viewer"))
+    return sorted(path for folder in folders for path in folder.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda path: path.stem)
+def test_the_page_has_every_message(path: Path) -> None:
+    page = html.unescape(PAGE.read_text(encoding="utf-8"))
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found = list(errors(tree))
+    if path.relative_to(ROOT).as_posix() in NOTES:
+        found += notes(tree)
+    parts = map(fixed_part, found)
+    assert [part for part in parts if part.count(" ") and part not in page] == []
+
+
+def test_messages_are_found() -> None:
+    found = [text for path in sources() for text in errors(ast.parse(path.read_text("utf-8")))]
+    assert len(found) > 150
