@@ -39,6 +39,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "check": 1,
     "recover": 1,
     "calibrate.noise": 1,
+    "calibrate.ball": 1,
 }
 """What ``--json`` prints -> version of its fields, docs/json.md. A new field does not change the
 version; a field that goes, or means something else, does."""
