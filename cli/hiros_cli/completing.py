@@ -104,9 +104,10 @@ def _fields(name: str, classes: Mapping[str, ast.ClassDef]) -> Iterator[tuple[st
     for base in classes[name].bases:
         yield from _fields(ast.unparse(base), classes)
     for line in classes[name].body:
-        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
-            if not line.target.id.startswith("__"):
-                yield line.target.id, ast.unparse(line.annotation)
+        if not (isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)):
+            continue
+        if not line.target.id.startswith("__"):
+            yield line.target.id, ast.unparse(line.annotation)
 
 
 def _keys(path: str, name: str) -> list[str]:

@@ -38,6 +38,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "compare": 1,
     "check": 1,
     "recover": 1,
+    "calibrate.people": 1,
     "calibrate.noise": 1,
     "calibrate.ball": 1,
 }

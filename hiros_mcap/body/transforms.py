@@ -378,23 +378,12 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
 
-    A table ``[clock]``, as ``hiros calibrate people`` writes it, may follow; it is checked only.
+    A table ``[clock]`` may follow; see :func:`read_clocks`.
 
     Raises ConfigError naming the file and the key.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        raw: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-        cameras = _Extrinsics.model_validate(raw).camera
-    except ValidationError as error:
-        where, message = explain(error)
-        raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise ConfigError(f"{path}: not a {kind} file: {error}") from None
+    cameras = _extrinsics(path).camera
     tree = TransformTree()
     for k, camera in enumerate(cameras):
         _add_camera(tree, camera, f"{path}: camera.{k}")
@@ -404,6 +393,30 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         except LogError as error:
             raise ConfigError(f"{path}: {error.fault}") from None
     return tree
+
+
+def read_clocks(path: str | Path) -> dict[str, float]:
+    """Camera -> seconds to add to its stamps, from the table ``[clock]`` of a file with poses.
+
+    ``hiros calibrate people`` writes it. Raises ConfigError as :func:`read_extrinsics` does.
+    """
+    return _extrinsics(Path(path)).clock
+
+
+def _extrinsics(path: Path) -> _Extrinsics:
+    """Read a file with the cameras' poses; raises ConfigError naming the file and the key."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        raw: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        return _Extrinsics.model_validate(raw)
+    except ValidationError as error:
+        where, message = explain(error)
+        raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        raise ConfigError(f"{path}: not a {kind} file: {error}") from None
 
 
 def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import hiros_schemas
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.container import McapReader, McapWriter
 
 OUTPUT_PREFIX = "/hiros"
@@ -139,13 +141,28 @@ def add_skeleton_channel(writer: McapWriter, topic: str) -> int:
     return add_ros_channel(writer, topic, hiros_schemas.SKELETON_GROUP)
 
 
-def add_ros_channel(writer: McapWriter, topic: str, name: str) -> int:
+def add_static_poses(
+    writer: McapWriter, poses: Mapping[str, Rigid], parent: str, stamp: int
+) -> None:
+    """Write poses of frames in ``parent`` to /tf_static; ``stamp`` in ns is the log time, too."""
+    channel = add_ros_channel(writer, "/tf_static", hiros_schemas.TF_MESSAGE, LATCHED_QOS)
+    out = CdrWriter()
+    out.uint32(len(poses))
+    for child, pose in poses.items():
+        out.header(stamp, parent)
+        out.string(child)
+        out.array(pose.translation)
+        out.array(pose.xyzw)
+    writer.write(channel, stamp, out.finish())
+
+
+def add_ros_channel(writer: McapWriter, topic: str, name: str, qos: str = _QOS) -> int:
     """Declare a channel of one of hiros_schemas' types as rosbag2 would, return its id."""
     text = hiros_schemas.text(name).encode()
     known = (s.id for s in writer.schemas.values() if s.name == name and s.data == text)
     schema = next(known, None) or writer.add_schema(name, text)
     metadata = {
-        "offered_qos_profiles": _QOS,
+        "offered_qos_profiles": qos,
         "topic_type_hash": hiros_schemas.type_hash(name),
     }
     return writer.add_channel(topic, schema, metadata=metadata)

@@ -14,7 +14,8 @@ from functools import partial
 from pathlib import Path
 
 from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.config import Config, load_config
+from hiros_mcap.body.transforms import read_clocks
+from hiros_mcap.config import ClockParams, Config, load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
@@ -90,6 +91,7 @@ def process(
         if kind == "rosbag2 folder":
             kept = kept_channels(log, options)
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
+        config = _with_clocks(config, log, options.extrinsics)
         run = _set_up(log, config, options)
         with watch.timing("read"):
             clocks = align_clocks(log, config, _reorder_of(run))
@@ -149,6 +151,16 @@ def open_input(source: str | os.PathLike[str], config: Config, options: ProcessO
         recover=options.recover,
         memory=int(options.memory * 2**30),
     )
+
+
+def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
+    """Add the clocks of a file with poses to the configuration, whose own come first."""
+    if extrinsics is None:
+        return config
+    names = {name for camera in log.cameras for name in camera.sources.values()}
+    found = {name: s for name, s in read_clocks(extrinsics).items() if name in names}
+    clock = ClockParams.model_validate({**found, **config.clock.seconds})
+    return config.model_copy(update={"clock": clock})
 
 
 def _set_up(log: Log, config: Config, options: ProcessOptions) -> Run:

@@ -23,6 +23,7 @@ from hiros_mcap.io.channels import (
     TF_TOPICS,
     TRUTH_PREFIX,
     add_skeleton_channel,
+    add_static_poses,
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
@@ -85,6 +86,8 @@ class LogOutput:
         unchanged = set(kept) - {info.id for info in latched}
         self._copier = ChunkCopier(log.reader, writer, unchanged)
         copy_latched(log.reader, writer, latched)
+        if options.extrinsics is not None and options.keep is None:
+            _write_poses(writer, log)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
         }
@@ -154,6 +157,13 @@ class LogOutput:
         writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")
         report = json.dumps(summary.reproducible(), indent=1, sort_keys=True)
         writer.add_attachment("hiros/report.json", report.encode(), "application/json")
+
+
+def _write_poses(writer: McapWriter, log: Log) -> None:
+    """Write the poses that replace the log's transforms, so that the output can be used alone."""
+    frames = sorted({name for camera in log.cameras for name in camera.frames} - {log.fixed_frame})
+    poses = {name: log.transforms.lookup(name, log.fixed_frame, 0) for name in frames}
+    add_static_poses(writer, poses, log.fixed_frame, log.span[0])
 
 
 def _given(options: ProcessOptions) -> Mapping[str, str]:

@@ -15,6 +15,7 @@ from hiros_mcap.skeletons import Floats
 RATE = 120.0
 """Frames per second: AMC files do not say; those of the usual collections have this many."""
 _DOFS = ("rx", "ry", "rz")
+_ROOT_ORDER: tuple[str, ...] = ("TX", "TY", "TZ", "RX", "RY", "RZ")
 
 
 @dataclass(slots=True)
@@ -44,7 +45,7 @@ def read_asf(path: Path) -> AsfSkeleton:
     """
     bones: dict[str, _AsfBone] = {}
     degrees = True
-    order: tuple[str, ...] = ("TX", "TY", "TZ", "RX", "RY", "RZ")
+    order = _ROOT_ORDER
     section = ""
     current: dict[str, list[str]] = {}
     parents: dict[str, str] = {}
@@ -60,6 +61,8 @@ def read_asf(path: Path) -> AsfSkeleton:
                 degrees = words[1].lower().startswith("deg")
             elif section == "root" and words[0] == "order":
                 order = tuple(word.upper() for word in words[1:])
+                if sorted(order) != sorted(_ROOT_ORDER):
+                    raise ValueError(f"not the six of {' '.join(_ROOT_ORDER)}")
             elif section == "bonedata":
                 current = _bone_line(words, current, bones, degrees=degrees)
             elif section == "hierarchy" and words[0] not in ("begin", "end"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import numpy as np
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.simulate.clip import Y_UP_TO_Z_UP, Clip, euler, text_lines
 from hiros_mcap.skeletons import Floats
+
+_CHANNEL = re.compile("[XYZ](position|rotation)", re.IGNORECASE)
 
 
 @dataclass(slots=True)
@@ -67,7 +70,10 @@ def _hierarchy_line(words: list[str], joints: list[_BvhJoint], stack: list[int])
         if len(words) < 4:
             raise ValueError("an offset has three numbers")
     elif words[0] == "CHANNELS":
-        joints[stack[-1]].channels = tuple(words[2 : 2 + int(words[1])])
+        channels = tuple(words[2 : 2 + int(words[1])])
+        if not all(_CHANNEL.fullmatch(channel) for channel in channels):
+            raise ValueError("a channel is a position or a rotation of X, Y or Z")
+        joints[stack[-1]].channels = channels
 
 
 def _positions(joints: list[_BvhJoint], rows: Floats) -> dict[str, Floats]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import heapq
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
-import hiros_schemas
-from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.io.cdr_writer import CdrWriter
-from hiros_mcap.io.channels import LATCHED_QOS, add_skeleton_channel
+from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate.settings import SimulateParams
@@ -31,14 +28,7 @@ def write_log(path: str | os.PathLike[str], params: SimulateParams) -> dict[str,
     simulation = simulate(params)
     encoder = Encoder(simulation.model)
     with McapWriter(path) as writer:
-        tf = writer.add_channel(
-            "/tf_static",
-            writer.add_schema(
-                hiros_schemas.TF_MESSAGE, hiros_schemas.text(hiros_schemas.TF_MESSAGE).encode()
-            ),
-            metadata={"offered_qos_profiles": LATCHED_QOS},
-        )
-        writer.write(tf, params.start, encode_tf(simulation.transforms, WORLD, params.start))
+        add_static_poses(writer, simulation.transforms, WORLD, params.start)
         channels: dict[str, int] = {}
         for topic, frame in _by_log_time(simulation.detections, simulation.truth):
             if topic not in channels:
@@ -54,15 +44,3 @@ def _by_log_time(
     named = ((f"/{frame.source}/skeletons", frame) for frame in detections)
     true = ((TRUTH_TOPIC, frame) for frame in truth)
     return heapq.merge(named, true, key=lambda pair: pair[1].log_time)
-
-
-def encode_tf(poses: Mapping[str, Rigid], parent: str, stamp: int) -> bytes:
-    """Return a tf2_msgs/msg/TFMessage in little-endian CDR: each child's pose in ``parent``."""
-    out = CdrWriter()
-    out.uint32(len(poses))
-    for child, pose in poses.items():
-        out.header(stamp, parent)
-        out.string(child)
-        out.array(pose.translation)
-        out.array(pose.xyzw)
-    return out.finish()

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-import hiros_schemas
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.simulate import SimulateParams, Simulation, simulate
-from hiros_mcap.simulate.write_log import encode_tf
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
@@ -45,10 +43,7 @@ def write(
     encoder = Encoder(model)
     with McapWriter(path) as writer:
         if transforms:
-            definition = hiros_schemas.text(hiros_schemas.TF_MESSAGE).encode()
-            schema = writer.add_schema(hiros_schemas.TF_MESSAGE, definition)
-            tf = writer.add_channel("/tf_static", schema)
-            writer.write(tf, frames[0].log_time, encode_tf(transforms, "lab", 0))
+            add_static_poses(writer, transforms, "lab", frames[0].log_time)
         channels = {
             name: add_skeleton_channel(writer, f"/{name}/people")
             for name in sorted({frame.source for frame in frames})

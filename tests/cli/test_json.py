@@ -111,6 +111,20 @@ def test_calibrate(walking: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "somebody moved" in str(warning)
 
 
+def test_calibrate_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = str(tmp_path / "walk.mcap")
+    command = ["simulate", log, "--people", "1", "--cameras", "2", "--seconds", "12", "--quiet"]
+    assert run(command) == 0
+    assert_as_documented([printed(["calibrate", "people", log], capsys)])
+
+
+def test_recover(walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    damaged = tmp_path / "cut.mcap"
+    damaged.write_bytes(walking.read_bytes()[:400_000])
+    assert run(["recover", str(damaged), "--json"]) == 3
+    assert_as_documented([json.loads(capsys.readouterr().out)])
+
+
 def test_compare(
     walking: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -328,16 +328,38 @@ def topics_of(path: Path) -> list[str]:
         return sorted(channel.topic for channel in reader.channels.values())
 
 
-def test_transforms_that_a_file_replaces_are_not_copied(tmp_path: Path) -> None:
-    poses = "translation = [0.0, 0.0, 2.0]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
+def test_an_output_holds_the_poses_of_the_file_instead_of_the_logs(tmp_path: Path) -> None:
+    extrinsics = camera_file(tmp_path / "cameras.toml", 2.0)
+    process(WALKING, tmp_path / "out", options=ProcessOptions(extrinsics=extrinsics))
+    with open_log(tmp_path / "out") as log:
+        for camera in log.cameras:
+            pose = log.pose_of(camera)
+            assert pose is not None
+            assert pose.translation.tolist() == [0.0, 0.0, 2.0]
+
+
+def test_clocks_of_a_camera_file_correct_the_stamps(tmp_path: Path) -> None:
+    clock = '[clock]\n"camera_1" = 0.25\n"camera_7" = 3.0\n'
+    extrinsics = camera_file(tmp_path / "cameras.toml", 2.0, clock)
+    options = ProcessOptions(extrinsics=extrinsics, stages="T")
+    process(WALKING, tmp_path / "as_is", options=ProcessOptions(stages="T"))
+    process(WALKING, tmp_path / "out", options=options)
+    shift = first_stamp(tmp_path / "out", "camera_1") - first_stamp(tmp_path / "as_is", "camera_1")
+    assert shift == 250_000_000
+
+
+def camera_file(path: Path, height: float, more: str = "") -> Path:
+    """Write a file that puts all cameras of the log at one place."""
+    pose = f"translation = [0.0, 0.0, {height}]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
     with open_log(WALKING) as log:
-        frames = [camera.frames[0] for camera in log.cameras]
-    extrinsics = tmp_path / "cameras.toml"
-    extrinsics.write_text("".join(f'[[camera]]\nframe = "{name}"\n{poses}' for name in frames))
-    process(WALKING, tmp_path / "own")
-    process(WALKING, tmp_path / "file", options=ProcessOptions(extrinsics=extrinsics))
-    assert "/tf_static" in topics_of(tmp_path / "own")
-    assert "/tf_static" not in topics_of(tmp_path / "file")
+        names = [camera.frames[0] for camera in log.cameras]
+    path.write_text("".join(f'[[camera]]\nframe = "{name}"\n{pose}' for name in names) + more)
+    return path
+
+
+def first_stamp(path: Path, source: str) -> int:
+    frames, *_ = read_channel(path, "/hiros/tracked")
+    return min(frame.stamp for frame in frames if frame.source == source)
 
 
 def test_a_result_that_is_processed_again_has_new_results_only(tmp_path: Path) -> None:

@@ -200,6 +200,7 @@ def test_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ("a.bvh", "hello", "no joints"),
         ("a.bvh", bvh().replace("0 -42 0", "0 deep 0"), r"line \d+: cannot be read"),
         ("a.bvh", bvh().replace("Frame Time: 0.0333333", "Frame Time: 0"), "no motion"),
+        ("a.bvh", bvh().replace("Xposition", "Wposition", 1), r"line \d+: cannot be read"),
         ("a.bvh", bvh().rsplit(" ", 1)[0], "frame 40: 56 numbers instead of 57"),
         ("a.bvh", bvh().replace("LeftLeg", "LeftThing"), "has no left knee"),
         ("a.fbx", "x", "ends in .amc or .bvh"),
@@ -217,6 +218,7 @@ def test_faulty_files(tmp_path: Path, name: str, text: str, fault: str) -> None:
     ("asf", "amc", "fault"),
     [
         (ASF.replace("length 2", "length long"), AMC, r"a\.asf: line 15"),
+        (ASF.replace("TX", "TW"), AMC, r"a\.asf: line \d+"),
         (ASF.replace("root upper", "root other"), AMC, "unknown bone: other"),
         (ASF.replace("root upper", "lower upper"), AMC, "loop"),
         ("nothing", AMC, "no bones"),

@@ -55,16 +55,18 @@ def people(
 
     with open_log(log, topics=topic) as opened:
         found = calibrate_people(opened)
+    doubt = found.verdict == "doubtful"
+    warnings = [f"{log}: the poses are doubtful: {found.reason}"] if doubt else []
     if found.verdict == "impossible":
         raise LogError(f"no poses can be found: {found.reason}", path=log)
     if output is not None:
         save_cameras(output, found)
     if json:
-        print_json(found.to_dict())
+        print_json("calibrate.people", found.to_dict(), warnings)
     else:
         show_calibration(log, found, joints=joints)
-    if found.verdict == "doubtful":
-        warn(f"{log}: the poses are doubtful: {found.reason}")
+    for text in warnings:
+        warn(text)
 
 
 @app.command()

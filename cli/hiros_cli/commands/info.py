@@ -143,8 +143,7 @@ def _run(overview: Overview) -> list[str]:
     lines = [f"made by hiros {run.version}: system {run.system}{preset}"]
     lines.append(f"stages: {', '.join(run.stages)}; results in the frame {run.fixed_frame}")
     lines += [
-        f"changed: {row.name} = {row.value}"
-        + (f" (preset: {row.default})" if row.default else " (not in this version of hiros)")
+        f"changed: {row.name} = {row.value}" + (f" (preset: {row.default})" if row.default else "")
         for row in run.changed
     ]
     return lines + [f"warning of that run: {text}" for text in run.warnings]
