@@ -170,3 +170,34 @@ def images_of(
         for kind in ("color", "depth")
     ]
     return found
+
+
+def centres_of(cameras: list[Rigid], path: Any, noise: float = 0.002) -> list[tuple[str, int, Any]]:
+    rng, found = np.random.default_rng(0), []
+    for k, camera in enumerate(cameras):
+        back = camera.inverse()
+        for i, place in enumerate(path):
+            stamp = 10**18 + i * 33_333_333 + k
+            seen = rotate(back.xyzw, place) + back.translation + rng.normal(0, noise, 3)
+            found.append((f"/ball_{k}", stamp, point(header(stamp, f"camera_{k}"), seen)))
+    return found
+
+
+def write_bag(path: Path, messages: Sequence[tuple[str, int, Any]]) -> None:
+    """Write a ROS 1 bag (path ends in .bag) or a SQLite bag by the rosbags library."""
+    from rosbags import rosbag1, rosbag2
+
+    is_ros1 = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC) if is_ros1 else STORE
+    bag = rosbag1.Writer(path) if is_ros1 else rosbag2.Writer(path, version=8)
+    with bag:
+        channels: dict[str, Any] = {}
+        for topic, time, message in sorted(messages, key=lambda m: m[1]):
+            name = message.__msgtype__
+            if topic not in channels:
+                channels[topic] = bag.add_connection(topic, name, typestore=store)
+            if is_ros1:
+                data = STORE.cdr_to_ros1(STORE.serialize_cdr(message, name), name)
+            else:
+                data = store.serialize_cdr(message, name)
+            bag.write(channels[topic], time, bytes(data))

@@ -12,17 +12,17 @@ import pytest
 from rendered_ball import (
     ball_path,
     camera_at,
+    centres_of,
     compressed,
-    header,
     image,
     images_of,
     millimetres,
-    point,
+    write_bag,
     write_messages,
 )
 
 from hiros_cli.app import run
-from hiros_mcap.body.rotations import Rigid, angle, rotate
+from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
 from hiros_mcap.errors import LogError, RegistrationError
@@ -52,17 +52,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     messages = images_of(0, CAMERAS[0], path)
     messages += images_of(1, CAMERAS[1], path, colour=as_jpeg, depth=as_float)
     return write_messages(tmp_path_factory.mktemp("ball") / "ball.mcap", messages)
-
-
-def centres(cameras: list[Rigid], path: Any, noise: float = 0.002) -> list[tuple[str, int, Any]]:
-    rng, found = np.random.default_rng(0), []
-    for k, camera in enumerate(cameras):
-        back = camera.inverse()
-        for i, place in enumerate(path):
-            stamp = 10**18 + i * 33_333_333 + k
-            seen = rotate(back.xyzw, place) + back.translation + rng.normal(0, noise, 3)
-            found.append((f"/ball_{k}", stamp, point(header(stamp, f"camera_{k}"), seen)))
-    return found
 
 
 def assert_pose(found: Rigid, true: Rigid, degrees: float, metres: float) -> None:
@@ -106,7 +95,7 @@ def test_the_log_s_transforms_place_ready_centres(tmp_path: Path) -> None:
     from mcap_logs import tf_bytes
 
     rows = [(0, "room", f"camera_{k}", c.translation, c.xyzw) for k, c in enumerate(CAMERAS)]
-    messages = centres(CAMERAS, ball_path(100))
+    messages = centres_of(CAMERAS, ball_path(100))
     path = write_messages(tmp_path / "a.mcap", messages, static=tf_bytes(*rows))
     found = calibrate_ball(path).found
     assert (found.fixed_frame, found.gauge) == ("room", "transforms")
@@ -115,7 +104,7 @@ def test_the_log_s_transforms_place_ready_centres(tmp_path: Path) -> None:
 
 
 def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write_messages(tmp_path / "a.mcap", centres(CAMERAS, ball_path(100)))
+    path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
     assert run(["calibrate", "ball", str(path), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["schema"] == "hiros.calibrate.ball"
@@ -153,9 +142,25 @@ def test_without_opencv_the_line_names_the_extra(
 
 
 def test_ready_centres_need_no_opencv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write_messages(tmp_path / "a.mcap", centres(CAMERAS, ball_path(100)))
+    path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
     monkeypatch.setitem(sys.modules, "cv2", None)
     assert calibrate_ball(path).found.verdict == "good"
+
+
+@pytest.mark.parametrize("storage", ["sqlite", "ros1", "split"])
+def test_other_kinds_of_logs(storage: str, tmp_path: Path) -> None:
+    messages = centres_of(CAMERAS, ball_path(60))
+    path = tmp_path / ("a.bag" if storage == "ros1" else "a")
+    if storage == "split":
+        path.mkdir()
+        for k in (0, 1):
+            write_messages(path / f"a_{k}.mcap", messages[k * 60 : k * 60 + 60])
+        files = "relative_file_paths: [a_0.mcap, a_1.mcap]"
+        (path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {files}\n")
+    else:
+        write_bag(path, messages)
+    found = calibrate_ball(path).found
+    assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.2, 0.005)
 
 
 def test_images_without_camera_info_or_joined_frames_are_refused(tmp_path: Path) -> None:
@@ -171,7 +176,7 @@ def test_images_without_camera_info_or_joined_frames_are_refused(tmp_path: Path)
 
 
 def test_cameras_whose_clocks_differ_are_refused(tmp_path: Path) -> None:
-    messages = centres(CAMERAS, ball_path(300))
+    messages = centres_of(CAMERAS, ball_path(300))
     for topic, _, message in messages:
         message.header.stamp.sec += topic == "/ball_1"
     with pytest.raises(RegistrationError, match="check the cameras' clocks"):
