@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -258,12 +258,6 @@ def _report(seen: Sequence[_BallViews], tree: TransformTree, options: BallOption
     """Register the centres, and check the ball's radius."""
     radii = [radius for one in seen for radius in one.radii]
     radius = float(np.median(radii)) if radii else float("nan")
-    warnings = []
-    if abs(radius - options.radius) > OTHER_RADIUS * options.radius:
-        warnings.append(
-            f"the ball looks like one of radius {radius:.3f} m, not {options.radius:g} m; "
-            "measure it and pass --radius"
-        )
     for one in seen:
         if not one.stamps and one.skipped["no ball"]:
             raise RegistrationError(
@@ -277,7 +271,13 @@ def _report(seen: Sequence[_BallViews], tree: TransformTree, options: BallOption
     given = {t.frame: pose for t in tracks if roots and (pose := tree.at_rest(t.frame, root))}
     given = {frame: pose for frame, pose in given.items() if frame != root}
     found = calibrate_centres(tracks, fixed_frame=root if given else WORLD, given=given)
-    if found.reason:
-        warnings.append(f"the poses are doubtful: {found.reason}")
+    if abs(radius - options.radius) > OTHER_RADIUS * options.radius:
+        other = (
+            f"the ball looks like one of radius {radius:.3f} m, not {options.radius:g} m; "
+            "measure it and pass --radius"
+        )
+        reason = "; ".join(filter(None, (other, found.reason)))
+        found = replace(found, verdict="doubtful", reason=reason)
+    warnings = (f"the poses are doubtful: {found.reason}",) if found.reason else ()
     skipped = {one.name: dict(one.skipped) for one in seen}
-    return BallReport(found, radius, skipped, tuple(warnings))
+    return BallReport(found, radius, skipped, warnings)

@@ -21,7 +21,7 @@ from hiros_mcap.summary import plain
 
 LEAST_CENTRES = 20
 """Two cameras need so many centres at common times."""
-LEAST_SHARE = 0.6
+LEAST_SHARE, DOUBTFUL_SHARE = 0.6, 0.8
 """Of the common centres, so many must fit."""
 WRONG_M, DOUBTFUL_M = 0.04, 0.02
 """Root mean square distance of the centres in two cameras: 3 to 10 mm for a ball held still."""
@@ -278,6 +278,11 @@ def _doubt(p: Placement) -> str:
         return (
             f"the ball's centres are {1000 * p.residual:.0f} mm apart; move the ball slowly, and "
             "check the clocks"
+        )
+    if p.used < DOUBTFUL_SHARE * p.common:
+        return (
+            f"only {p.used / p.common:.0%} of the ball's centres fit; remove what looks like the "
+            "ball, and check the clocks"
         )
     if p.error_deg > DOUBTFUL_DEG or p.error_m > DOUBTFUL_ERROR_M:
         return (

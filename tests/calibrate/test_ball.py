@@ -82,6 +82,7 @@ def test_what_is_counted_and_measured(log: Path) -> None:
 def test_another_radius_is_noticed(log: Path) -> None:
     report = calibrate_ball(log, BallOptions(radius=0.13))
     assert "looks like one of radius 0.12" in report.warnings[0]
+    assert report.found.verdict == "doubtful"
 
 
 def test_compressed_depth(tmp_path: Path) -> None:

@@ -104,6 +104,44 @@ def test_a_path_in_a_plane_is_doubtful_and_right() -> None:
     assert errors(found.cameras[1].pose, between(0, 1))[0] < 0.3
 
 
+def disturbed(one: BallTrack, kind: int, rng: np.random.Generator) -> BallTrack:
+    """What can be wrong: nothing, the clock, or the ball for some or all of the time."""
+    n = len(one.stamps)
+    wrong = rng.random(n) < rng.uniform(0.1, 0.8)
+    if kind == 1:
+        return one._replace(stamps=one.stamps + int(rng.uniform(-0.5, 0.5) * 1e9))
+    if kind == 2:  # anything
+        one.centres[wrong] += rng.normal(0, 0.5, (wrong.sum(), 3))
+    if kind == 3:  # something that stands still
+        one.centres[wrong] = np.array([0.5, 0.2, 2.0]) + rng.normal(0, 0.005, (wrong.sum(), 3))
+    if kind == 4:  # the ball's twin in somebody's other hand
+        one.centres[: int(n * rng.uniform(0.1, 0.45))] += rng.normal(0, 0.3, 3)
+    if kind == 5:
+        one.centres[:] = rng.permutation(one.centres)
+    return one
+
+
+def test_no_wrong_pose_is_called_good() -> None:
+    """100 scenes: short, narrow or flat paths, noise, and what :func:`disturbed` does."""
+    verdicts = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        points = path(int(rng.integers(15, 300)), seed)
+        points *= rng.choice([0.3, 1.0]) * rng.choice([0.02, 0.3, 1.0, 1.0], 3)
+        tracks = [track(k, points, rng.choice([0.002, 0.005, 0.015]), seed) for k in (0, 1)]
+        tracks[1] = disturbed(tracks[1], seed % 6, rng)
+        try:
+            found = calibrate_centres(tracks)
+        except RegistrationError:
+            verdicts.append("refused")
+            continue
+        verdicts.append(found.verdict)
+        turn, shift = errors(found.cameras[1].pose, between(0, 1))
+        assert turn < 1.5, seed
+        assert shift < 0.06, seed
+    assert min(verdicts.count(v) for v in ("good", "doubtful", "refused")) > 4
+
+
 def refusal(points: Floats, noise: float = 0.002, late: int = 0) -> str:
     tracks = [track(0, points, noise), track(1, np.roll(points, late, axis=0), noise)]
     with pytest.raises(RegistrationError) as error:

@@ -83,7 +83,8 @@ def ball(
         str,
         typer.Option(
             metavar="H-H:S-S:V-V",
-            help="Range of its colour in OpenCV's HSV. A hue may pass 179. Default: red.",
+            help="Range of its colour in OpenCV's HSV. A hue may pass 179.",
+            show_default="red, 170-10:110-255:50-255",
         ),
     ] = "170-10:110-255:50-255",
     topic: Annotated[
