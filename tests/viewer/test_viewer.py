@@ -100,7 +100,7 @@ def wait_until_loaded(client: object, seconds: float = 30.0) -> None:
 
 def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
     """Person 1 leaves the log after 2 s: seen at 1 s, no pixel of them at 4 s."""
-    from hiros_viewer import replay, show
+    from hiros_viewer import destinations, replay
 
     target = tmp_path / "left.rrd"
     cut = round((start_of(processed) + 2.0) * 1e9)
@@ -116,7 +116,7 @@ def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
             content = replay.content_of([scene], [""])
         recording.send_blueprint(replay.blueprint(content))  # type: ignore[attr-defined]
 
-    show.save(target, "left", draw)
+    destinations.save(target, "left", draw)
     counts = {}
     with headless() as (url, _):
         from rerun.experimental import ViewerClient
