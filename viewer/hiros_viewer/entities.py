@@ -33,6 +33,7 @@ from hiros_viewer.palette import (
     DISPLACEMENT,
     camera_colour,
     curve_colour,
+    label_colour,
     marker_colour,
     pale,
     shade,
@@ -55,8 +56,8 @@ _FIRST_CAMERA_CLASS = 4 * CLASSES
 
 KEY = "/key"
 _KEY_TEXT = (
-    "**Right** limbs are bright, their curves blue and thick. "
-    "**Left** limbs are dark, their curves grey and thin. Point at a curve for its name."
+    "**Right**: bright limbs, thick blue curves. **Left**: dark limbs, thin grey curves. "
+    "Point at a curve for its name."
 )
 
 
@@ -123,7 +124,10 @@ class Entities:
             line_width=0.004,
         )
         label = rr.Points3D(
-            [[0.0, -0.3, 0.0]], radii=0.001, labels=[name], colors=[curve_colour(number)]
+            [[0.0, -0.3, 0.0]],
+            radii=0.001,
+            labels=[name],
+            colors=[label_colour(curve_colour(number))],
         )
         self.recording.log(path, place, static=True)
         self.recording.log(f"{path}/view", frustum, static=True)
@@ -288,7 +292,8 @@ class Entities:
             ("", rr.Points3D.from_fields(
                 class_ids=[number], keypoint_ids=keypoints, show_labels=False)),
             ("/name", rr.Points3D.from_fields(
-                class_ids=[number], radii=0.001, labels=[label], show_labels=True)),
+                colors=[label_colour(person_colour(which))], radii=0.001, labels=[label],
+                show_labels=True)),
             ("/trail", rr.Points3D.from_fields(
                 class_ids=[number], radii=0.005, show_labels=False)),
         ):  # fmt: skip

@@ -14,14 +14,14 @@ CAMERAS: tuple[RGB, ...] = (
     (72, 93, 93),
 )
 CURVES: tuple[RGB, ...] = (
-    (160, 185, 210),
-    (220, 180, 140),
-    (150, 210, 160),
-    (215, 160, 220),
-    (215, 210, 130),
-    (130, 210, 210),
+    (128, 148, 168),
+    (176, 144, 112),
+    (120, 168, 128),
+    (172, 128, 176),
+    (172, 168, 104),
+    (104, 168, 168),
 )
-"""Of cameras, for lines in a plot: those of their detections, brighter."""
+"""Of cameras, for lines on a dark or white plot: those of their detections, brighter."""
 SIDES: dict[str, RGB] = {"right": (112, 132, 255), "left": (168, 163, 154), "": (140, 150, 205)}
 """Of curves of one person's limbs: strong and pale, and of nobody's hue."""
 DISPLACEMENT: RGB = (240, 240, 240)
@@ -48,6 +48,12 @@ def shade(colour: RGB) -> RGB:
 def marker_colour(colour: RGB, marker: str) -> RGB:
     """Colour of one marker of somebody with this colour."""
     return shade(colour) if split_side(marker)[1] == "left" else colour
+
+
+def label_colour(colour: RGB) -> RGB:
+    """Return almost white with a trace of the colour: labels have dark or grey boxes by theme."""
+    red, green, blue = ((part + 4 * 255) // 5 for part in colour)
+    return red, green, blue
 
 
 def curve_colour(index: int) -> RGB:
