@@ -53,11 +53,17 @@ class InputParams(Params):
     )
 
 
+_MOST_S = 4e9
+"""No correction of a clock is larger: the stamps of messages span 137 years."""
+
+
 class ClockParams(Params):
     """What is added to the stamps of cameras, by camera."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[float, Field(allow_inf_nan=False)]]
+    __pydantic_extra__: dict[
+        str, Annotated[float, Field(allow_inf_nan=False, ge=-_MOST_S, le=_MOST_S)]
+    ]
 
     @property
     def seconds(self) -> dict[str, float]:

@@ -242,7 +242,8 @@ def _matched(
         return match([], truth, max_distance), truth.model, {}
     frames, model, skipped = read_channel(path, topic)
     try:
-        return match(frames, truth.seen_by(model), max_distance), model, skipped
+        seen = truth.seen_by(model)
+        return match(frames, seen, max_distance), seen.model or model, skipped
     except ConfigError as error:
         raise ConfigError(f"{path}: {topic}: {error}") from None
 

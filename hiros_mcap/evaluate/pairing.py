@@ -19,6 +19,8 @@ def skeleton_distances(a: Floats, b: Floats) -> Floats:
     -------
     (A, B) distances, m; infinite where two skeletons share no marker.
     """
+    if not (len(a) and len(b)):
+        return np.zeros((len(a), len(b)))  # nobody was seen: b may have no markers at all
     mean = nan_mean(np.linalg.norm(a[:, None] - b[None], axis=-1), -1)
     return np.where(np.isnan(mean), np.inf, mean)
 

@@ -39,7 +39,7 @@ def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
     result = list(results.values())[-1]
     scores, notes = result.scores, []
     absent = [name for name in result.model.marker_names if name not in scores.joints]
-    if absent:
+    if absent and scores.joints:
         notes.append(f"no truth for {len(absent)} markers: {', '.join(absent)}")
     if truth.model is not None and truth.model != result.model:
         shared = shared_markers(truth.model, result.model)

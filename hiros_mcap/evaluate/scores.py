@@ -118,6 +118,7 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
     if not matches.frames and (matches.span is not None or not matches.silent):
         raise ValueError(explain_no_overlap(matches, truth))
     truth = truth.seen_by(model)
+    model = truth.model or model  # its own where nobody was seen
     markers, links = (model.n_markers, 3), (model.n_links, 4)
     poses, true_poses = _stack(matches.poses, markers), _stack(matches.true_poses, markers)
     orientations = _stack(matches.orientations, links)

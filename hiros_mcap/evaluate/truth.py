@@ -111,9 +111,11 @@ class Truth:
     def seen_by(self, model: SkeletonModel) -> Truth:
         """Return the truth on the markers and links of another model; NaN where it has none.
 
+        A model without markers is that of a room where nobody was seen: it changes nothing.
+
         Raises ConfigError if no marker has the same name in both.
         """
-        if self.model is None or self.model == model:
+        if self.model is None or self.model == model or not model.n_markers:
             return self
         slots = shared_markers(self.model, model)
         if not slots:

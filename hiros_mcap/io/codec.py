@@ -505,7 +505,10 @@ class Encoder:
         if n == -encode.SHAPE:
             raise ValueError("the arrays of the frame do not fit each other or the model")
         if n == -encode.STAMP:
-            raise LogError("a stamp lies outside the years 1901 to 2038")
+            raise LogError(
+                "a stamp lies outside the years 1901 to 2038, which messages cannot hold; "
+                "check the clocks of the cameras and --clock"
+            )
         return -int(n) if n < 0 else ends[:n].tolist()
 
 

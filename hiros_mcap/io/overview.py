@@ -21,6 +21,7 @@ from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.channels import (
     CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
+    OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
     TRUTH_PREFIX,
@@ -35,7 +36,14 @@ from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 
 _GAP_S = 1.0
-_HEADER = struct.Struct("<4siI")  # encapsulation of CDR, seconds, nanoseconds
+_STAMP = struct.Struct("<iI")  # seconds, nanoseconds
+_STAMP_AT = {
+    hiros_schemas.SKELETON_GROUP: 4,  # behind the encapsulation of CDR
+    hiros_schemas.JOINT_STATE: 4,
+    hiros_schemas.LOG: 4,
+    hiros_schemas.MARKER_ARRAY: 8,  # behind the number of markers
+}
+"""Type of a result -> where in its messages the first stamp lies, bytes."""
 
 LogKind = Literal["recording", "result", "golden", "truth", "other"]
 """recording: skeletons to process. result: what `hiros process` wrote. golden: what `hiros check`
@@ -298,28 +306,30 @@ def _spans(reader: McapReader) -> dict[int, tuple[int, int]]:
     """
     spans: dict[int, tuple[int, int]] = {}
     stamped = {
-        info.id
+        info.id: at
         for info in channels_of(reader)
-        if info.topic in OUTPUT_TOPICS and info.has_type(hiros_schemas.SKELETON_GROUP)
+        for name, at in _STAMP_AT.items()
+        if info.topic.startswith(f"{OUTPUT_PREFIX}/") and info.has_type(name)
     }
     for batch in reader.batches():
         for records in batch.records:
             ids = records.messages[:, CHANNEL]
             for ident in np.unique(ids).tolist():
                 rows = records.messages[ids == ident]
-                times = _stamps(records.data, rows) if ident in stamped else rows[:, LOG_TIME]
+                at = stamped.get(ident)
+                times = rows[:, LOG_TIME] if at is None else _stamps(records.data, rows, at)
                 first, last = int(min(times)), int(max(times))
                 before = spans.get(ident, (first, last))
                 spans[ident] = min(before[0], first), max(before[1], last)
     return spans
 
 
-def _stamps(data: Bytes, rows: Table) -> list[int]:
-    """Return header.stamp, ns, of messages in little-endian CDR; the log time of shorter ones."""
+def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
+    """Return the stamps, ns, at a byte of messages in little-endian CDR; log times of shorter."""
     times = []
     for time, start, stop in rows[:, [LOG_TIME, START, STOP]].tolist():
-        if stop - start >= _HEADER.size:
-            _, seconds, nanoseconds = _HEADER.unpack_from(data, start)
+        if stop - start >= at + _STAMP.size:
+            seconds, nanoseconds = _STAMP.unpack_from(data, start + at)
             time = seconds * 1_000_000_000 + nanoseconds
         times.append(time)
     return times

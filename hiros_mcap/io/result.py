@@ -171,7 +171,7 @@ class Result:
         cut = {p: m.between(start, end) for p, m in chosen.items()}
         cut = {p: m for p, m in cut.items() if len(m.times)}
         if not cut:
-            raise ConfigError(f"there is nobody from {start:g} to {end:g} s")
+            raise ConfigError(f"{self.path}: there is nobody in {self.channel}{_part(start, end)}")
         if rate is not None:
             if not 0 < rate <= 1000:
                 raise ConfigError(f"a rate of {rate:g} Hz is not above 0 and at most 1000")
@@ -221,6 +221,13 @@ class Result:
             [np.concatenate(whose or empty), np.concatenate(when or empty)],
             names=["person", "time"],
         )
+
+
+def _part(start: float, end: float) -> str:
+    """Return the seconds in words; nothing if they are all."""
+    if np.isfinite(end):
+        return f" from {max(start, 0.0):g} to {end:g} s"
+    return f" from {start:g} s on" if np.isfinite(start) else ""
 
 
 def grid(times: Floats, rate: float) -> Floats:
@@ -287,25 +294,23 @@ def is_result(path: str | os.PathLike[str]) -> bool:
 
 
 class _OwnChannels(NamedTuple):
-    """Which channels of a log have messages."""
+    """Which skeleton channels a log has."""
 
     results: list[str]
-    """Topics, in the order of the stages."""
+    """Topics, in the order of the stages; without messages if no camera sent any."""
     truths: list[str]
-    """Topics."""
+    """Topics with messages."""
     detections: int
-    """Number of skeleton channels that are neither."""
+    """Number of skeleton channels with messages that are neither."""
 
 
 def _own_channels(reader: McapReader) -> _OwnChannels:
-    topics = {
-        info.topic
-        for info in channels_of(reader)
-        if info.count and info.has_type(hiros_schemas.SKELETON_GROUP)
-    }
+    skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    topics = {info.topic for info in skeletons}
     results = [topic for topic in OUTPUT_TOPICS if topic in topics]
-    truths = sorted(topic for topic in topics if topic.startswith(f"{TRUTH_PREFIX}/"))
-    return _OwnChannels(results, truths, len(topics) - len(results) - len(truths))
+    others = sorted({info.topic for info in skeletons if info.count} - {*results})
+    truths = [topic for topic in others if topic.startswith(f"{TRUTH_PREFIX}/")]
+    return _OwnChannels(results, truths, len(others) - len(truths))
 
 
 def _last_of(own: _OwnChannels, path: str | os.PathLike[str]) -> str:

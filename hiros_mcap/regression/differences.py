@@ -15,7 +15,7 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import has_outputs, output_channels, read_channel
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.io.channels import LIMBS_ATTACHMENT, OUTPUT_PREFIX
-from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.log import open_reader
 from hiros_mcap.regression.quantities import (
     QUANTITIES,
     Pair,
@@ -393,7 +393,7 @@ class _DifferenceCollector:
 
 def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
     """Limb lengths that a log carries as an attachment; empty if it has none."""
-    with McapReader(path) as reader:
+    with open_reader(path) as reader:
         text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode()
         return LimbTable.from_toml(text, str(path)) if text else LimbTable()
 

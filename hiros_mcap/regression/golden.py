@@ -16,7 +16,8 @@ from hiros_mcap.io.channels import (
     add_skeleton_channel,
 )
 from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_reader
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,
@@ -63,7 +64,7 @@ def write_golden(
             channel = add_skeleton_channel(writer, topic)
             for frame in frames:
                 writer.write(channel, frame.log_time, encoder.encode(compact(frame)))
-        with McapReader(output) as reader:
+        with open_reader(output) as reader:
             for name in (LIMBS_ATTACHMENT, CONFIG_ATTACHMENT):
                 if (content := reader.attachment(name)) is not None:
                     writer.add_attachment(name, content, "application/toml")

@@ -12,7 +12,7 @@ from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import CONFIG_ATTACHMENT, PROVENANCE
-from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.log import open_reader
 from hiros_mcap.regression.differences import Difference
 
 _RUN = {
@@ -45,7 +45,7 @@ class Provenance:
     @classmethod
     def of_log(cls, path: str | os.PathLike[str]) -> Provenance:
         """Read what a log that hiros wrote says; raises LogError if it is damaged."""
-        with McapReader(path) as reader:
+        with open_reader(path) as reader:
             run = dict(reader.contents.metadata).get(PROVENANCE, {})
             text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
         try:

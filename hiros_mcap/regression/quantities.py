@@ -195,7 +195,9 @@ class QuantityComparison:
         before, after = _known(was), _known(now)
         self._count_absent(before, after, names)
         both = before & after
-        distance = np.where(both, self.quantity.distance(was, now), 0.0)
+        # Rounding gives two equal orientations a distance above 0.
+        differs = both & (was != now).any(axis=-1)
+        distance = np.where(differs, self.quantity.distance(was, now), 0.0)
         self._squares += float((distance * distance).sum())
         self._count += int(both.sum())
         for k in np.nonzero(distance.any(axis=0))[0].tolist():

@@ -135,14 +135,17 @@ def _spread(values: Mapping[str, float]) -> float:
 def given_corrections(log: Log, config: Config) -> dict[str, float]:
     """Camera -> seconds that the user adds to its stamps.
 
+    The names of cameras without a message are unknown, so that any name may be one of theirs.
+
     Raises ConfigError for a name that is neither a camera nor a topic of one.
     """
     names = [name for camera in log.cameras for name in camera.sources.values()]
     topics = {camera.channel.topic: tuple(camera.sources.values()) for camera in log.cameras}
+    all_known = all(camera.channel.count for camera in log.cameras)
     given: dict[str, float] = {}
     for name, seconds in config.clock.seconds.items():
         found = (name,) if name in names else topics.get(name, ())
-        if not found:
+        if not found and all_known:
             raise ConfigError(
                 f"clock: {log.path} has no camera {name!r} (there are: {', '.join(names)})"
             )

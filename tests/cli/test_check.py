@@ -14,7 +14,7 @@ from odd_logs import changed
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.running.pipeline import process
-from hiros_mcap.skeletons import Frame
+from hiros_mcap.skeletons import Frame, People
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
@@ -47,6 +47,41 @@ def test_a_result_without_orientations_equals_its_golden_log(tmp_path: Path) -> 
     process(log, out)
     assert run(["check", str(out), "--golden", str(golden), "--bless"]) == 0
     assert run(["check", str(out), "--golden", str(golden)]) == 0
+
+
+def test_a_result_in_the_folder_of_a_bag_is_a_result(output: Path, tmp_path: Path) -> None:
+    folder, golden = tmp_path / "bag", tmp_path / "golden.mcap"
+    exact = load_config(overrides=["output.precision=full"])
+    process(RECORDING, f"{folder}/", config=exact)
+    assert run(["check", str(folder), "--golden", str(output)]) == 0
+    assert run(["check", str(folder), "--golden", str(golden), "--bless"]) == 0
+    assert run(["check", str(output), "--golden", str(golden)]) == 0
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_the_result_of_an_empty_room_is_checked_and_scored_against_a_truth(
+    keep: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nobody(frame: Frame, _: int) -> Frame:
+        return frame.replace(people=People(*(array[:0] for array in frame.people)))
+
+    log = changed(RECORDING, tmp_path / "log.mcap", nobody, keep=keep)
+    out, golden = tmp_path / "out.mcap", str(tmp_path / "golden.mcap")
+    process(log, out)
+    assert run(["check", str(out), "--golden", golden, "--bless"]) == 0
+    assert run(["check", str(out), "--golden", golden]) == 0
+    capsys.readouterr()
+    assert run(["eval", str(out), "--json"]) == 0
+    scores = json.loads(capsys.readouterr().out)["channels"]["/hiros/filtered"]
+    assert scores["missing"] > 0 == scores["false"]
+    assert run(["compare", str(log), "--system", "hiros", "--system", "raw", "--jobs", "1"]) == 0
+    # It must not give the truth for a result.
+    assert run(["export", str(out), "-o", str(tmp_path / "out.csv")]) == 2
+    assert "there is nobody in /hiros/filtered" in capsys.readouterr().err
+
+
+def test_a_result_of_full_precision_equals_itself(output: Path) -> None:
+    assert run(["check", str(output), "--golden", str(output)]) == 0
 
 
 def test_bless_check_and_differ(

@@ -213,3 +213,13 @@ def test_results_are_never_taken_for_cameras(
     assert run(["process", str(result), "-o", str(out), "--topic", "/hiros/*"]) == 2
     assert "names only results of hiros" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_markers_for_rviz_span_the_time_of_the_skeletons(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    source = Path(__file__).parents[2] / "sample_data/one_person_walking.mcap"
+    process(source, out, options=ProcessOptions(markers=True))
+    rows = {row.topic: row for row in look(out).channels}
+    skeletons = rows["/hiros/filtered"]
+    for name in ("markers", "labels", "joint_states"):
+        assert rows[f"/hiros/{name}"].seconds == skeletons.seconds

@@ -249,6 +249,8 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--clock", "camera_0"], "--clock: 'camera_0' is not of the form CAMERA=SECONDS"),
         (["--clock", "camera_0=soon"], "--clock: 'camera_0=soon' is not of the form"),
         (["--clock", "camera_0=nan"], "--clock: clock.camera_0: should be a finite number"),
+        (["--clock", "camera_0=1e300"], "clock.camera_0: should be less than or equal to"),
+        (["--clock", "camera_0=2e9"], "a stamp lies outside the years 1901 to 2038"),
         (["--clock", "left=1"], "no camera 'left' (there are: camera_0, camera_1, camera_2)"),
         (["--calibrate", "20:10"], "ends before it starts"),
         (["--calibrate=-5:-1"], "--calibrate: '-5:-1' starts before the log"),

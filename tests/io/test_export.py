@@ -190,7 +190,7 @@ def test_every_format_from_the_command_line(
         (["-o", "out.trc", "--what", "angles"], "holds no angles"),
         (["-o", "out.csv", "--what", "bones"], "none of joints, angles, both"),
         (["-o", "out.csv", "--person", "9"], "no person 9"),
-        (["-o", "out.csv", "--start", "99"], "there is nobody from"),
+        (["-o", "out.csv", "--start", "99"], "there is nobody in /hiros/filtered from 99 s on"),
     ],
 )
 def test_faults_in_one_line(

@@ -131,6 +131,13 @@ def test_a_camera_goes_by_its_topic_too_and_others_are_refused(walk: Path, tmp_p
         process(walk, config=load_config(None, ["clock.x=1"]))
 
 
+def test_the_correction_of_a_camera_that_sent_nothing_is_no_fault(
+    walk: Path, tmp_path: Path
+) -> None:
+    empty = changed(walk, tmp_path / "empty.mcap", offset(0.0), keep=False)
+    assert process(empty, config=load_config(None, ["clock.camera_1=1"])).people == ()
+
+
 def test_the_output_has_right_stamps_and_the_input_as_it_was(walk: Path, tmp_path: Path) -> None:
     run(walk, tmp_path, step(30.0))
     tracked, _, _ = read_channel(tmp_path / "out.mcap", "/hiros/tracked")
