@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
@@ -23,6 +24,7 @@ from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
+from hiros_viewer.blueprint import Content, cameras
 from hiros_viewer.columns import TIMELINE
 from hiros_viewer.displacement import EarlierPoses
 from hiros_viewer.palette import SIDES, shade
@@ -219,6 +221,19 @@ def test_people_and_cameras_go_by_their_names(recording: Path) -> None:
     for camera in ("camera_0", "camera_1", "camera_2"):
         path = f"/world/cameras/{camera}/name"
         assert look(recording, path, "Points3D:labels") == [camera]
+
+
+@pytest.mark.parametrize(("ahead", "target"), [((0, 0, 0, 1), 3.0), ((1, 0, 0, 0), 4.9)])
+def test_a_camera_is_shown_from_its_own_pose(ahead: tuple[float, ...], target: float) -> None:
+    """It looks along its z axis, or at the people if they are behind that."""
+    pose = Rigid(np.array(ahead, float), np.array([1.0, 2.0, 0.0]))
+    centre = np.array([1.0, 2.0, 5.0])
+    content = Content(["filtered"], [0], ["left"], centre, 1.0, {"left": pose})
+    (grid, _) = cameras(content).contents
+    eye = grid.contents[0].properties["EyeControls3D"]
+    assert eye.position.as_arrow_array().to_pylist() == [[1.0, 2.0, 0.0]]
+    (looked_at,) = eye.look_target.as_arrow_array().to_pylist()
+    assert np.allclose(looked_at, [1.0, 2.0, target])
 
 
 def test_seconds_count_from_the_logs_start(recording: Path, processed: Path) -> None:

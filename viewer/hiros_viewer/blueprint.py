@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_viewer.columns import STAMP, TIMELINE
 from hiros_viewer.entities import KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 TRAIL_S = 2.0
 JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
+_AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 
 
@@ -36,8 +38,8 @@ class Content:
     """(3,) m: where people are."""
     reach: float
     """m: how far from it."""
-    camera_centre: Floats | None = None
-    """(3,) m: mean position of the cameras; None if nobody knows."""
+    camera_poses: Mapping[str, Rigid] = field(default_factory=dict)
+    """Of those cameras whose poses are known, in the fixed frame."""
     prefixes: Sequence[str] = ("",)
     """Of the logs that are overlaid."""
 
@@ -131,11 +133,11 @@ def person(content: Content) -> rrb.Container:
 
 
 def cameras(content: Content) -> rrb.Container:
-    """Every camera's detections beside the result, and how far they are from it."""
+    """Every camera's detections and the result as it sees them, and how far they are apart."""
     import rerun.blueprint as rrb
 
     rooms = [
-        _room(content, camera, shown=[content.final], cameras=[camera])
+        _room(content, camera, shown=[content.final], cameras=[camera], seen_by=camera)
         for camera in content.cameras
     ]
     below = [_series("People per camera", ["/people/**"])]
@@ -170,9 +172,11 @@ def _room(
     *,
     shown: Sequence[str],
     cameras: Sequence[str] | None = None,
+    seen_by: str = "",
 ) -> Any:
     """Return a 3D view of the stages in ``shown`` and detections of ``cameras`` (None = all).
 
+    It looks from the camera ``seen_by`` if its pose is known, else at the people.
     Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
     """
     import rerun as rr
@@ -203,16 +207,20 @@ def _room(
         for stage in shown
         for who in content.people
     }
-    eye = _eye(content)
+    eye, target = _eye(content), content.centre - [0, 0, 0.1]
+    if pose := content.camera_poses.get(seen_by):
+        eye = pose.translation
+        ahead = rotate(pose.xyzw, _AHEAD)
+        if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
+            target = eye + ahead
+        what.append(f"- /world/cameras/{seen_by}/**")
     return rrb.Spatial3DView(
         origin="/",
         contents=what,
         name=name,
         background=(24, 27, 31),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=(255, 255, 255, 25)),
-        eye_controls=rrb.EyeControls3D(
-            position=eye, look_target=content.centre - [0, 0, 0.1], eye_up=(0, 0, 1)
-        ),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
         overrides=overrides,  # type: ignore[arg-type]
     )
 
@@ -244,8 +252,9 @@ def _eye(content: Content) -> Floats:
     back, half = np.array([-0.55, -0.85]), np.radians(_VERTICAL_VIEW_DEG / 2)
     across = max(1.2, 0.85 * (content.reach + 0.4))  # a view is a little wider than high
     distance = across / np.tan(half) + 0.4 * content.reach
-    if content.camera_centre is not None:
-        offset = (content.camera_centre - content.centre)[:2]
+    if content.camera_poses:
+        places = [pose.translation for pose in content.camera_poses.values()]
+        offset = (np.mean(places, axis=0) - content.centre)[:2]
         if np.linalg.norm(offset) > 1.0:
             cosine, sine = np.cos(np.radians(22.0)), np.sin(np.radians(22.0))
             back = np.array([[cosine, -sine], [sine, cosine]]) @ offset

@@ -199,7 +199,7 @@ def content_of(scenes: list[Scene], prefixes: list[str]) -> Content:
         cameras=[path_part(name) for name in scenes[0].cameras],
         centre=centre,
         reach=reach,
-        camera_centre=scenes[0].camera_centre,
+        camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         prefixes=prefixes,
     )
 

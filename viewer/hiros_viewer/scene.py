@@ -107,7 +107,8 @@ class Scene:
         self.start: int | None = None
         """ns; what seconds count from. None = the first frame."""
         self.bounds: list[Floats] = []
-        self.camera_centre: Floats | None = None
+        self.camera_poses: Mapping[str, Rigid] = {}
+        """By name, in the fixed frame."""
         self._prefix = prefix
         self._is_second = is_second
         self._batch = batch
@@ -145,8 +146,7 @@ class Scene:
         """Draw what stands still: axes, colours, and the cameras at their poses in the room."""
         # Dim behind a result; without one, detections are all there is to see.
         self._entities.room(dim_detections=bool(self.final))
-        if cameras:
-            self.camera_centre = np.mean([pose.translation for pose in cameras.values()], axis=0)
+        self.camera_poses = cameras
         for number, (name, pose) in enumerate(cameras.items()):
             _ = self._detections[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
