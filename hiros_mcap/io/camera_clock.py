@@ -544,8 +544,8 @@ def described(fault: ClockFault, start: int) -> str:
         pace = "fast" if fault.seconds > 0 else "slow"
         return f"the clock of {fault.camera} runs {pace}: {fault.size}"
     if fault.kind == OFFSET:
-        way = "ahead" if fault.seconds > 0 else "behind"
-        return f"the clock of {fault.camera} is {size} {way} of the other cameras"
+        way = "ahead of" if fault.seconds > 0 else "behind"
+        return f"the clock of {fault.camera} is {size} {way} the other cameras"
     if fault.kind == LATE:
         some = quantity(fault.messages, "message")
         return f"{fault.camera}: {some} arrived up to {size} late, from {at} of the log on"

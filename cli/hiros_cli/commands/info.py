@@ -30,8 +30,9 @@ def info(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show what any MCAP file or bag holds: channels, cameras, people, rates and gaps.
+    """Show what any MCAP file or bag holds, and how it was made.
 
+    Of every log it shows channels, rates and gaps; of skeletons, the cameras and people.
     Of what hiros wrote it shows the version, the system and the changed parameters.
     """
     from hiros_cli.compiling import prepare
