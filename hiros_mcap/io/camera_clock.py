@@ -423,32 +423,35 @@ def find_drifts(cameras: Mapping[str, CameraTimes]) -> dict[str, float]:
     """Camera -> by how much its lag grows, s per s, more than that of the others; if it does."""
     if len(cameras) < 2:
         return {}
-    start = min(int(times.log_times[0]) for times in cameras.values())
-    least = [_least_lags(times, start) for times in cameras.values()]
-    table = np.full((len(least), max(map(len, least))), np.nan)
-    for row, lags in zip(table, least, strict=True):
-        row[: len(lags)] = lags
-    slopes = map(_slope, table - _common(table))
+    seconds, table = _least_lags(list(cameras.values()))
+    slopes = [_slope(seconds, row) for row in table - _common(seconds, table)]
     return {name: slope for name, slope in zip(cameras, slopes, strict=True) if slope}
 
 
-def _least_lags(times: CameraTimes, start: int) -> Floats:
-    """(n,) least lag of each second of the log, s; NaN where there is no message."""
-    seconds = (times.log_times - start) // 1_000_000_000
-    least = np.full(int(seconds[-1]) + 1, np.inf)
-    np.minimum.at(least, seconds, times.lags)
-    least[np.isinf(least)] = np.nan
-    return least
+def _least_lags(cameras: Sequence[CameraTimes]) -> tuple[Stamps, Floats]:
+    """Return (n,) seconds of the log that have messages, and (C, n) least lags in them, s.
+
+    A lag is NaN where a camera has no message. One message may be logged decades from the others:
+    the empty seconds between take no memory.
+    """
+    start = min(int(times.log_times[0]) for times in cameras)
+    logged = [(times.log_times - start) // 1_000_000_000 for times in cameras]
+    seconds = np.unique(np.concatenate(logged))
+    table = np.full((len(cameras), len(seconds)), np.inf)
+    for row, own, times in zip(table, logged, cameras, strict=True):
+        np.minimum.at(row, np.searchsorted(seconds, own), times.lags)
+    table[np.isinf(table)] = np.nan
+    return seconds, table
 
 
-def _common(table: Floats) -> Floats:
+def _common(seconds: Stamps, table: Floats) -> Floats:
     """(n,) How the lags of most of (C, n) cameras change; the recorder does that.
 
     Of two cameras, it is the one whose lags change less.
     """
     own = table - np.nanmedian(table, axis=1, keepdims=True)
     if len(table) == 2:
-        steady = int(np.argmin([abs(_line(row)[0]) for row in own]))
+        steady = int(np.argmin([abs(_line(seconds, row)[0]) for row in own]))
         return np.asarray(own[steady])
     known = ~np.isnan(own)
     common = np.full(own.shape[1], np.nan)
@@ -457,30 +460,31 @@ def _common(table: Floats) -> Floats:
     return common
 
 
-def _slope(lags: Floats) -> float:
-    """Return a drift of (n,) lags, one a second, 0 if they do not follow a line throughout."""
+def _slope(seconds: Stamps, lags: Floats) -> float:
+    """Return a drift of (n,) lags at some seconds, 0 if they do not follow a line throughout."""
     known = np.flatnonzero(~np.isnan(lags))
     if len(known) < 8:
         return 0.0
-    slope, error = _line(lags)
-    span = float(known[-1] - known[0])
+    slope, error = _line(seconds, lags)
+    span = float(seconds[known[-1]] - seconds[known[0]])
     if abs(slope) < max(_LEAST_DRIFT, 6 * error) or abs(slope) * span < _LEAST_DRIFTED:
         return 0.0
     middle = known[len(known) // 2]
-    halves = [_line(lags[:middle]), _line(lags[middle:])]
+    halves = [_line(seconds[part], lags[part]) for part in (slice(middle), slice(middle, None))]
     worst = max(abs(half - slope) - 2 * sd for half, sd in halves)
     return slope if worst < 0.3 * abs(slope) else 0.0
 
 
-def _line(values: Floats) -> tuple[float, float]:
-    """Return the slope of values at 0, 1, 2, ..., some NaN, by Theil and Sen, and its SD."""
-    at = np.flatnonzero(~np.isnan(values))
-    at = at[:: max(1, len(at) // 300)]
-    if len(at) < 3:
+def _line(seconds: Stamps, values: Floats) -> tuple[float, float]:
+    """Return the slope of values at some seconds, some NaN, by Theil and Sen, and its SD."""
+    known = np.flatnonzero(~np.isnan(values))
+    known = known[:: max(1, len(known) // 300)]
+    if len(known) < 3:
         return 0.0, np.inf
+    at, values = seconds[known], values[known]
     first, second = np.triu_indices(len(at), 1)
-    slope = float(np.median((values[at[second]] - values[at[first]]) / (at[second] - at[first])))
-    rest = values[at] - slope * at
+    slope = float(np.median((values[second] - values[first]) / (at[second] - at[first])))
+    rest = values - slope * at
     spread = max(0.0005, 1.48 * float(np.median(np.abs(rest - np.median(rest)))))
     return slope, 1.25 * spread / (float(np.std(at)) * np.sqrt(len(at)))
 
@@ -540,8 +544,8 @@ def described(fault: ClockFault, start: int) -> str:
         pace = "fast" if fault.seconds > 0 else "slow"
         return f"the clock of {fault.camera} runs {pace}: {fault.size}"
     if fault.kind == OFFSET:
-        way = "ahead" if fault.seconds > 0 else "behind"
-        return f"the clock of {fault.camera} is {size} {way} of the other cameras"
+        way = "ahead of" if fault.seconds > 0 else "behind"
+        return f"the clock of {fault.camera} is {size} {way} the other cameras"
     if fault.kind == LATE:
         some = quantity(fault.messages, "message")
         return f"{fault.camera}: {some} arrived up to {size} late, from {at} of the log on"

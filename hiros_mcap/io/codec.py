@@ -295,7 +295,8 @@ class Decoder:
     def read_times(self, batch: Batch) -> npt.NDArray[np.int64]:
         """(N, 4) of each message with a header: channel, log time, header.stamp and src_time, ns.
 
-        src_time is that of the first person. A time is 0 if there is none.
+        src_time is that of the first person. A time is 0 if there is none. Messages whose log time
+        is beyond int64 are left out.
         """
         n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
@@ -307,7 +308,7 @@ class Decoder:
             rows[own, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
             rows[own, 3] = _source_times(section, reports[own])
         rows[:, 2] = reports[:, cdr.HEADER_STAMP]
-        return np.maximum(rows[reports[:, cdr.FRAME] > 0], 0)
+        return np.maximum(rows[(reports[:, cdr.FRAME] > 0) & (rows[:, 1] >= 0)], 0)
 
     def _people(
         self,

@@ -540,6 +540,7 @@ def open_log(
             ]
             cameras = _name_cameras(seen)
             begin = min((message.log_time for message in first.values()), default=0)
+            begin = min(begin, _LATEST)
             transforms = _transforms(reader, begin) if tree is None else tree
         return Log(reader, cameras, model, transforms, fixed_frame)
     except BaseException:
@@ -705,11 +706,11 @@ def _transforms(reader: McapReader, begin: int) -> TransformTree:
     tree = TransformTree(begin)
     if wanted:
         for message in reader.messages(wanted.keys()):
-            topic = wanted[message.channel_id]
+            topic, logged = wanted[message.channel_id], min(message.log_time, _LATEST)
             with _named(reader.path, topic):
                 transforms = parse_tf(message.data)
             for transform in transforms:
-                tree.add(transform, static=topic == "/tf_static", log_time=message.log_time)
+                tree.add(transform, static=topic == "/tf_static", log_time=logged)
     return tree
 
 

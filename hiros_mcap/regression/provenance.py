@@ -86,6 +86,8 @@ def changes(now: Provenance, was: Provenance) -> list[Difference]:
     """Return what changed, parameters first; nothing if the golden file does not tell."""
     if not was:
         return []
+    if not now:
+        return [Difference("run", "version and configuration", "known", _NONE)]
     keys = dict.fromkeys([*was.parameters, *now.parameters])
     rows = [("configuration", k, was.parameters.get(k), now.parameters.get(k)) for k in keys]
     rows += [("run", name, was.run.get(key), now.run.get(key)) for key, name in _RUN.items()]

@@ -58,6 +58,12 @@ def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str
     assert result.stderr.count("\n") == 1
 
 
+def test_no_description_of_a_command_is_cut_at_80_columns() -> None:
+    text = hiros("--help", env={**os.environ, "COLUMNS": "80"}).stdout
+    assert "..." not in text.partition("Commands:")[2]
+    assert max(map(len, text.splitlines())) <= 80
+
+
 def test_no_command_shows_the_help() -> None:
     result = hiros()
     assert result.returncode == 2

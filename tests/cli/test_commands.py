@@ -277,7 +277,7 @@ def test_calibrate_noise_warns_beside_its_output_when_people_walk(
 
 COMMANDS = (
     *("process", "view", "plot", "export", "eval", "check", "compare", "info", "simulate"),
-    *("systems", "config", "warmup", "completion"),
+    *("systems", "config", "warmup", "completion", "recover", "calibrate"),
 )
 
 

@@ -215,6 +215,14 @@ def test_process_names_export_instead_of_writing_mcap_under_another_name(
     assert not target.exists()
 
 
+def test_process_writes_mcap_under_no_other_suffix(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["process", str(walking), "-o", str(tmp_path / "out.txt")]) == 2
+    assert f"name it {tmp_path / 'out.mcap'}" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 SET = 'SHOULDER_LEFT = "LSJC"\nKNEE_RIGHT = "RKJC"\n'
 
 

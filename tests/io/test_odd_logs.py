@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tracemalloc
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -229,3 +230,34 @@ def test_the_largest_ids_times_and_numbers_are_read_and_copied(
         (m,) = reader.messages({topics["/nothing"]})
         assert (m.log_time, m.publish_time, m.sequence) == (2**64 - 1, 2**64 - 1, 2**32 - 1)
         assert reader.counts[topics["/hiros/filtered"]] > 80
+
+
+def test_detections_logged_after_the_year_2262_are_skipped(walking: Path, tmp_path: Path) -> None:
+    source = tmp_path / "future.mcap"
+    with McapReader(walking) as reader, McapWriter(source) as writer:
+        writer.copy_definitions(reader, reader.channels)
+        for m in reader.messages():
+            topic = reader.channels[m.channel_id].topic
+            is_far = topic in ("/camera_0/skeletons", "/tf_static")
+            writer.write(m.channel_id, 2**64 - 1 if is_far else m.log_time, m.data)
+        writer.commit()
+    summary = process(source, tmp_path / "out.mcap")
+    assert [camera.used for camera in summary.cameras] == [0, 89, 89]
+    assert "90 log time after the year 2262" in summary.warnings[0]
+    assert len(summary.people) == 1
+    assert command(["info", str(source)]) == 0
+
+
+def test_a_message_logged_at_time_0_needs_no_more_memory(walking: Path, tmp_path: Path) -> None:
+    source = tmp_path / "zero.mcap"
+    with McapReader(walking) as reader, McapWriter(source) as writer:
+        writer.copy_definitions(reader, reader.channels)
+        for m in reader.messages():
+            topic = reader.channels[m.channel_id].topic
+            is_first = topic == "/camera_0/skeletons" and not writer.counts[m.channel_id]
+            writer.write(m.channel_id, 0 if is_first else m.log_time, m.data)
+        writer.commit()
+    tracemalloc.start()
+    look(source)
+    assert tracemalloc.get_traced_memory()[1] < 2**27
+    tracemalloc.stop()

@@ -69,6 +69,7 @@ def test_version_input_and_parameters_that_changed() -> None:
     ]
     assert changes(now, now) == []
     assert changes(now, Provenance()) == []
+    assert [d.what for d in changes(Provenance(), was)] == ["version and configuration"]
 
 
 def test_another_input_is_named(output: Path, tmp_path: Path) -> None:

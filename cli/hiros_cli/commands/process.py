@@ -157,14 +157,14 @@ def process(
     source.stat()  # reports a missing file before anything slow happens
     wanted = str(beside(source, SUFFIX)) if output is None else output
     kind, target = target_kind(wanted), Path(wanted)
-    if kind == "log":
-        _refuse_other_formats(target)
     check_outputs(
         (target, kind),
         (save_limbs, "limb table"),
         inputs=(source, config, extrinsics, limbs),
         force=force,
     )
+    if kind == "log":
+        _refuse_other_formats(target)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
@@ -242,6 +242,8 @@ def _refuse_other_formats(target: Path) -> None:
             f"{target}: process writes MCAP; for a ROS 2 bag, name a folder: "
             f"-o {target.with_suffix('')}/"
         )
+    if suffix not in ("", ".mcap"):
+        raise ConfigError(f"{target}: process writes MCAP; name it {target.with_suffix('.mcap')}")
 
 
 def _live(source: Path) -> AbstractContextManager[Watcher]:
