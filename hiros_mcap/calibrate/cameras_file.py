@@ -7,16 +7,17 @@ import math
 from pathlib import Path
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.calibrate.ball_poses import BallCalibration, BallCamera
 from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
 
 
-def save_cameras(path: Path, found: PeopleCalibration) -> None:
+def save_cameras(path: Path, found: PeopleCalibration | BallCalibration) -> None:
     """Write the file, or nothing at all; raises LogError if it cannot be written."""
     write_text(path, CAMERAS_MARK + cameras_toml(found))
 
 
-def cameras_toml(found: PeopleCalibration) -> str:
+def cameras_toml(found: PeopleCalibration | BallCalibration) -> str:
     """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
     frame = found.fixed_frame
     lines = [f"# verdict: {_said(found.verdict, found.reason)}"]
@@ -30,7 +31,7 @@ def cameras_toml(found: PeopleCalibration) -> str:
     return "\n".join([*lines, ""])
 
 
-def _camera(camera: CalibratedCamera, pose: Rigid, parent: str) -> list[str]:
+def _camera(camera: CalibratedCamera | BallCamera, pose: Rigid, parent: str) -> list[str]:
     comment = _said(camera.verdict, camera.reason)
     if camera.verdict == "impossible":
         comment += "; the pose is the log's"

@@ -109,7 +109,7 @@ class BagReader(McapReader):
 
     def __init__(self, path: Path, kind: str, *, memory: int = MEMORY) -> None:
         def convert(mcap: Path) -> None:
-            with _readable(path, kind) as bag:
+            with open_bag(path, kind) as bag:
                 self._convert(bag, mcap)
 
         self._open_converted(path, convert, memory)
@@ -258,7 +258,7 @@ def join(
 
 
 @contextmanager
-def _readable(path: Path, kind: str) -> Iterator[Any]:
+def open_bag(path: Path, kind: str) -> Iterator[Any]:
     """Open a bag; whatever rosbags has to say against it becomes one LogError."""
     from rosbags.highlevel import AnyReader
 

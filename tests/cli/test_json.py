@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
+from rendered_ball import ball_path, camera_at, centres_of, write_messages
 
 from hiros_cli.app import run
 from hiros_cli.output import SCHEMA_VERSIONS
@@ -116,6 +117,12 @@ def test_calibrate_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     command = ["simulate", log, "--people", "1", "--cameras", "2", "--seconds", "12", "--quiet"]
     assert run(command) == 0
     assert_as_documented([printed(["calibrate", "people", log], capsys)])
+
+
+def test_calibrate_ball(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras = [camera_at(0.0), camera_at(1.5)]
+    log = write_messages(tmp_path / "ball.mcap", centres_of(cameras, ball_path(60)))
+    assert_as_documented([printed(["calibrate", "ball", str(log)], capsys)])
 
 
 def test_recover(walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,18 +10,22 @@ import numpy as np
 import pytest
 
 from hiros_cli.app import run
-from hiros_mcap.body.anatomy import MAIN_ANGLES
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.export.colours import PEOPLE, RGB, person_colour
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
+from hiros_viewer.columns import TIMELINE
+from hiros_viewer.displacement import EarlierPoses
+from hiros_viewer.palette import SIDES, shade
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -43,16 +47,16 @@ def recording(processed: Path) -> Path:
     return target
 
 
-def rows(recording: Path, entity: str, component: str) -> Rows:
-    """Stamp, ns -> values of a component of an entity."""
+def rows(recording: Path, entity: str, component: str, timeline: str = "stamp") -> Rows:
+    """Time, ns -> values of a component of an entity."""
     import rerun.chunk
 
     found: Rows = {}
     for chunk in rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks():
         batch: Any = chunk.to_record_batch()
-        if component not in batch.schema.names or "stamp" not in batch.schema.names:
+        if component not in batch.schema.names or timeline not in batch.schema.names:
             continue
-        stamps = batch.column("stamp").cast("int64").to_numpy(zero_copy_only=False)
+        stamps = batch.column(timeline).cast("int64").to_numpy(zero_copy_only=False)
         for stamp, value in zip(stamps, batch.column(component), strict=True):
             found[int(stamp)] = np.array(value.as_py(), float)
     return found
@@ -71,7 +75,7 @@ def test_joints_of_every_stage_are_those_of_the_log(
 ) -> None:
     frames, _, _ = read_channel(processed, f"/hiros/{stage}")
     for person in (0, 1):
-        drawn = rows(recording, f"/{stage}/{person}", "Points3D:positions")
+        drawn = rows(recording, f"/{stage}/person_{person}", "Points3D:positions")
         compared = 0
         for frame in frames:
             if person in frame.ids:
@@ -113,31 +117,155 @@ def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -
 
     target = tmp_path / "gaps.rrd"
     destinations.save(target, "gaps", draw)
-    drawn = rows(target, "/merged/0/bones", "LineStrips3D:strips")
     ends = model.links[(model.links >= 0).all(axis=1)]
-    for frame in frames:
-        bones = frame.positions[0][ends]
-        known = bones[~np.isnan(bones).any(axis=(1, 2))]
-        assert len(known) < len(ends)
-        assert np.allclose(drawn[frame.stamp].reshape(-1, 2, 3), known, atol=1e-5)
-    labels = rows(target, "/merged/0/name", "Points3D:positions")
+    left = np.array([split_side(model.marker_names[k])[1] == "left" for k in ends[:, 1]])
+    for part, chosen in (("bones", ends[~left]), ("left_bones", ends[left])):
+        drawn = rows(target, f"/merged/person_0/{part}", "LineStrips3D:strips")
+        hidden = 0
+        for frame in frames:
+            bones = frame.positions[0][chosen]
+            known = bones[~np.isnan(bones).any(axis=(1, 2))]
+            hidden += len(chosen) - len(known)
+            assert np.allclose(drawn[frame.stamp].reshape(-1, 2, 3), known, atol=1e-5)
+        assert hidden > len(frames)
+    labels = rows(target, "/merged/person_0/name", "Points3D:positions")
     assert [len(labels[frame.stamp]) for frame in frames] == [0, *[1] * (len(frames) - 1)]
 
 
-def test_bodies_of_a_detection_are_told_apart_by_their_classes(recording: Path) -> None:
-    keypoints = rows(recording, "/detections/camera_0", "Points3D:keypoint_ids")
-    classes = rows(recording, "/detections/camera_0", "Points3D:class_ids")
-    assert max(len(row) for row in classes.values()) == 2 * 32
-    for stamp, row in classes.items():
-        bodies = row.reshape(-1, 32)
-        assert (bodies == bodies[:, :1]).all()
-        assert (np.diff(bodies[:, 0]) == 1).all()
-        assert (keypoints[stamp].reshape(-1, 32) == np.arange(32)).all()
+def test_bones_of_detections_join_joints_of_one_person(recording: Path, processed: Path) -> None:
+    drawn = [
+        rows(recording, f"/detections/camera_0/{part}", "LineStrips3D:strips")
+        for part in ("bones", "left_bones")
+    ]
+    with open_log(processed) as log:
+        frames = list(transform_to_fixed(log.frames(), log.transforms, log.fixed_frame))
+        ends = log.model.links[(log.model.links >= 0).all(axis=1)]
+    for frame in frames:
+        if frame.source == "camera_0":
+            bones = frame.positions[:, ends].reshape(-1, 6)
+            known = bones[~np.isnan(bones).any(axis=1)]
+            found = np.concatenate([part[frame.stamp].reshape(-1, 6) for part in drawn])
+            assert np.allclose(np.sort(found, axis=0), np.sort(known, axis=0), atol=1e-5)
+
+
+def test_left_limbs_have_a_darker_shade_of_the_persons_colour(recording: Path) -> None:
+    numbers = [
+        int(look(recording, f"/filtered/person_1/{part}", "LineStrips3D:class_ids")[0])
+        for part in ("bones", "left_bones")
+    ]
+    (context,) = look(recording, "/", "AnnotationContext:context")
+    classes = {row["class_id"]: row["class_description"]["info"] for row in context}
+    right, left = (unpacked(classes[number]["color"]) for number in numbers)
+    assert right == person_colour(1)
+    assert left == shade(right)
+    assert contrast(right, left) > 2
+
+
+def test_every_colour_of_a_person_has_a_distinct_shade() -> None:
+    for colour in PEOPLE:
+        room = (24, 27, 31)
+        assert contrast(colour, shade(colour)) > 2
+        assert contrast(shade(colour), room) > 1.5
+    assert not set(SIDES.values()) & set(PEOPLE)
+    assert contrast(SIDES["right"], SIDES["left"]) > 1.2
+
+
+def contrast(a: RGB, b: RGB) -> float:
+    """Ratio of luminances, which everybody sees, by WCAG 2.1."""
+    bright, dark = sorted((luminance(a), luminance(b)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+def luminance(colour: RGB) -> float:
+    linear = (np.array(colour) / 255) ** 2.2
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def unpacked(colour: int) -> RGB:
+    return colour >> 24, colour >> 16 & 255, colour >> 8 & 255
+
+
+def look(recording: Path, entity: str, component: str) -> list[Any]:
+    """Return a component that was logged once for all times."""
+    import rerun.chunk
+
+    for chunk in rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks():
+        batch: Any = chunk.to_record_batch()
+        if component in batch.schema.names and "stamp" not in batch.schema.names:
+            return list(batch.column(component)[0].as_py())
+    raise AssertionError(f"{entity} has no {component}")
+
+
+def test_detections_are_thinner_than_the_result(recording: Path) -> None:
+    thin = look(recording, "/detections/camera_0/bones", "LineStrips3D:radii")
+    strong = look(recording, "/filtered/person_0/bones", "LineStrips3D:radii")
+    assert thin == look(recording, "/merged/person_0/bones", "LineStrips3D:radii")
+    assert thin[0] < 0 < strong[0]  # points on the screen, metres in the room
+
+
+def test_curves_tell_left_from_right_by_colour_and_width(recording: Path) -> None:
+    path = "/angles/person_0/knee_flexion"
+    assert look(recording, path, "SeriesLines:names") == [
+        "left knee flexion", "right knee flexion"]  # fmt: skip
+    colours = [unpacked(c) for c in look(recording, path, "SeriesLines:colors")]
+    assert colours == [SIDES["left"], SIDES["right"]]
+    left, right = look(recording, path, "SeriesLines:widths")
+    assert right > left
+
+
+def test_people_and_cameras_go_by_their_names(recording: Path) -> None:
+    assert look(recording, "/filtered/person_1/name", "Points3D:labels") == ["person 1"]
+    assert look(recording, "/state/person_1", "StateConfiguration:labels") == ["person 1", "gone"]
+    for camera in ("camera_0", "camera_1", "camera_2"):
+        path = f"/world/cameras/{camera}/name"
+        assert look(recording, path, "Points3D:labels") == [camera]
+
+
+def test_seconds_count_from_the_logs_start(recording: Path, processed: Path) -> None:
+    with open_log(processed) as log:
+        start = log.span[0]
+    for path, component in (
+        ("/filtered/person_0", "Points3D:positions"),
+        ("/speed/person_0", "Scalars:scalars"),
+    ):
+        seconds = rows(recording, path, component, TIMELINE)
+        assert list(seconds) == [s - start for s in rows(recording, path, component)]
+
+
+def test_displacements_lead_five_times_as_far_as_joints_moved(
+    recording: Path, processed: Path
+) -> None:
+    merged = {f.stamp: f for f in read_channel(processed, "/hiros/merged")[0]}
+    drawn = rows(recording, "/displacement/merged/person_0", "LineStrips3D:strips")
+    moved = rows(recording, "/moved/merged/person_0", "Scalars:scalars")
+    frames = read_channel(processed, "/hiros/filtered")[0]
+    assert len(moved) > 140
+    for frame in frames:
+        after = frame.positions[frame.ids.tolist().index(0)]
+        before = merged[frame.stamp].positions[merged[frame.stamp].ids.tolist().index(0)]
+        lines = np.stack([after, after + 5 * (before - after)], axis=1)
+        assert np.allclose(drawn[frame.stamp], lines[~np.isnan(lines).any(axis=(1, 2))], atol=1e-4)
+        apart = np.linalg.norm(before - after, axis=1)
+        assert np.isclose(moved[frame.stamp][0], 1000 * np.nanmean(apart))
+
+
+def test_displacements_do_not_depend_on_the_size_of_batches() -> None:
+    """A result may come much later than the stage before it."""
+    earlier, whole = EarlierPoses(), EarlierPoses()
+    stamps, poses = np.arange(9, dtype=np.int64), np.random.default_rng(1).normal(size=(9, 4, 3))
+    whole.add(stamps, poses)
+    earlier.add(stamps[:6], poses[:6])
+    first = earlier.at(stamps[:2], 4)
+    earlier.add(stamps[6:], poses[6:])
+    found = np.concatenate([first, earlier.at(stamps[2:], 4)])
+    assert np.array_equal(found, whole.at(stamps, 4))
+    assert np.array_equal(found, poses)
+    assert np.isnan(earlier.at(np.array([20, 21]), 4)).all()
 
 
 def test_labels_stand_above_the_head(recording: Path) -> None:
-    joints = rows(recording, "/merged/1", "Points3D:positions")
-    labels = rows(recording, "/merged/1/name", "Points3D:positions")
+    joints = rows(recording, "/merged/person_1", "Points3D:positions")
+    labels = rows(recording, "/merged/person_1/name", "Points3D:positions")
     for stamp, label in labels.items():
         if len(label):
             middle = np.nanmean(joints[stamp][:, :2], axis=0)
@@ -182,15 +310,18 @@ def test_residual_is_the_distance_to_the_nearest_person() -> None:
 
 def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
     frames, _, _ = read_channel(processed, "/hiros/filtered")
-    angles = rows(recording, "/angles/0", "Scalars:scalars")
     motion = replace(open_result(processed).motions[0], orientations=None, axes={})
     by_markers = replace(open_result(processed), motions={0: motion}).angles()
-    assert list(angles) == [frame.stamp for frame in frames]
-    expected = by_markers[list(MAIN_ANGLES)].to_numpy()
-    assert np.allclose(np.stack(list(angles.values())), expected, atol=1e-5, equal_nan=True)
-    limbs = np.stack(list(rows(recording, "/limbs/0", "Scalars:scalars").values()))
-    assert limbs.shape == (len(frames), 8)
-    assert limbs.std(axis=0).max() < 0.001
+    for joint in ("shoulder", "elbow", "hip", "knee"):
+        angles = rows(recording, f"/angles/person_0/{joint}_flexion", "Scalars:scalars")
+        assert list(angles) == [frame.stamp for frame in frames]
+        expected = by_markers[[f"{side} {joint} flexion" for side in ("left", "right")]].to_numpy()
+        assert np.allclose(np.stack(list(angles.values())), expected, atol=1e-5, equal_nan=True)
+    for limb in ("upper_arm", "forearm", "thigh", "shin"):
+        found = rows(recording, f"/limbs/person_0/{limb}", "Scalars:scalars")
+        lengths = np.stack(list(found.values()))
+        assert lengths.shape == (len(frames), 2)
+        assert lengths.std(axis=0).max() < 0.001
     people = np.stack(list(rows(recording, "/people/camera_0", "Scalars:scalars").values()))
     assert set(people.ravel()) <= {0.0, 1.0, 2.0}
 
@@ -198,8 +329,9 @@ def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) ->
 def test_the_tree(recording: Path) -> None:
     found = entities(recording)
     for path in (
-        "/world/cameras/camera_2/view", "/merged/1/bones", "/filtered/0/trail", "/filtered/0/name",
-        "/truth/0", "/state/0", "/log", "/residual/camera_1", "/speed/1",
+        "/world/cameras/camera_2/view", "/merged/person_1/left_bones", "/filtered/person_0/trail",
+        "/filtered/person_0/name",
+        "/truth/person_0", "/state/person_0", "/log", "/residual/camera_1", "/speed/person_1",
     ):  # fmt: skip
         assert path in found
 
@@ -210,7 +342,7 @@ def test_a_time_range(processed: Path, tmp_path: Path) -> None:
     assert run(arguments) == 0
     with open_log(processed) as log:
         start = log.span[0]
-    stamps = np.array(sorted(rows(target, "/filtered/0", "Points3D:positions")))
+    stamps = np.array(sorted(rows(target, "/filtered/person_0", "Points3D:positions")))
     assert stamps[0] >= start + 1_000_000_000
     assert stamps[-2] <= start + 2_000_000_000
 
@@ -221,7 +353,7 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
     other, target = tmp_path / "other.mcap", tmp_path / "both.rrd"
     process(CROSSING, other, config=load_config(None, ["filter.cutoff=8"]))
     assert run(["view", str(processed), str(other), "--save", str(target), "-q"]) == 0
-    assert {"/a/filtered/0", "/b/filtered/0"} <= entities(target)
+    assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)
     mean = np.concatenate(list(rows(target, "/distance/mean", "Scalars:scalars").values()))
     assert len(mean) == 150
     ours, theirs = (read_channel(p, "/hiros/filtered")[0] for p in (processed, other))
@@ -276,7 +408,7 @@ def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
     target = tmp_path / "raw.rrd"
     assert run(["view", str(CROSSING), "--save", str(target), "-q", "--layout", "cameras"]) == 0
     assert "/detections/camera_1" in entities(target)
-    assert "/filtered/0" not in entities(target)
+    assert "/filtered/person_0" not in entities(target)
 
 
 def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
@@ -354,9 +486,11 @@ def test_systems_are_overlaid_each_in_its_own_tree(tmp_path: Path) -> None:
     walking = SAMPLES / "one_person_walking.mcap"
     arguments = ["--system", "hiros", "--system", "malaguti:TM", "--jobs", "1", "-q"]
     assert run(["compare", str(walking), *arguments, "--rrd", str(target)]) == 0
-    assert {"/hiros/filtered/0", "/malaguti_TM/filtered/0", "/detections/camera_0"} <= entities(
-        target
-    )
+    assert {
+        "/hiros/filtered/person_0",
+        "/malaguti_TM/filtered/person_0",
+        "/detections/camera_0",
+    } <= entities(target)
 
 
 def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Path) -> None:
@@ -367,4 +501,4 @@ def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Pa
     write_golden(processed, golden)
     arguments = [str(processed), str(golden), "--stage", "filtered", "--time-range", "0:1"]
     assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
-    assert {"/a/filtered/0", "/b/filtered/0"} <= entities(target)
+    assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)

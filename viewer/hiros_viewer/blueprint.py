@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiros_viewer.columns import TIMELINE
+from hiros_viewer.columns import STAMP, TIMELINE
+from hiros_viewer.entities import KEY, MAGNIFIED, person_part
+from hiros_viewer.palette import BEFORE
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
     from hiros_mcap.skeletons import Floats
 
 TRAIL_S = 2.0
+JOINTS = ("shoulder", "elbow", "hip", "knee")
+LIMBS = ("upper arm", "forearm", "thigh", "shin")
+_VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +48,12 @@ class Content:
         return real[-1] if real else (self.stages[-1] if self.stages else "")
 
     @property
+    def before(self) -> str:
+        """The earliest stage whose frames have the result's times, else the tracker's."""
+        earlier = [stage for stage in self.stages if stage not in ("truth", self.final)]
+        return next((stage for stage in earlier if stage != "tracked"), "".join(earlier[:1]))
+
+    @property
     def is_raw(self) -> bool:
         """Whether there is nothing but detections, and perhaps the truth."""
         return all(stage == "truth" for stage in self.stages)
@@ -55,52 +66,46 @@ def overview(content: Content) -> rrb.Container:
     if content.is_raw:
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
-            _series("People per camera", "/people"),
+            _series("People per camera", ["/people/**"]),
             row_shares=[4, 1],
         )
-    curves = rrb.Tabs(
-        *(_angles(content, person) for person in content.people[:4]),
-        _limbs(content, content.people),
-        name="Angles, limbs",
-    )
-    speed = rrb.TimeSeriesView(origin="/", contents=_all(content, "/speed/**"), name="Speed, m/s")
-    side = [curves, speed, _series("People per camera", "/people")]
+    angles = rrb.Tabs(*(_angles(content, person) for person in content.people))
+    speed = _series("Speed, m/s", _all(content, "/speed/**"))
+    side = [angles, speed, _series("People per camera", ["/people/**"])]
     if len(content.prefixes) == 2:
-        side.insert(0, _series("Joint distance between the logs, mm", "/distance"))
-    return rrb.Horizontal(
-        rrb.Vertical(
+        side.insert(1, _series("Joint distance between the logs, mm", ["/distance/**"]))
+    lanes = rrb.StateTimelineView(
+        origin="/", contents=_all(content, "/state/**"), name="People in the result"
+    )
+    return rrb.Vertical(
+        rrb.Horizontal(
             _room(content, "Room", shown=[content.final]),
-            rrb.Horizontal(
-                rrb.StateTimelineView(
-                    origin="/", contents=_all(content, "/state/**"), name="People"
-                ),
-                rrb.TextLogView(
-                    origin="/",
-                    contents=_all(content, "/log"),
-                    name="Events",
-                    columns=rrb.TextLogColumns(text_log_columns=["loglevel", "body"]),
-                ),
-                column_shares=[3, 2],
-            ),
-            row_shares=[4, 1],
+            rrb.Vertical(_key(), *side, row_shares=[0.6, 5, *([2] * (len(side) - 1))]),
+            column_shares=[4, 3],
         ),
-        rrb.Vertical(*side, row_shares=[2, *([1] * (len(side) - 1))]),
-        column_shares=[3, 2],
+        rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
+        row_shares=[4, 1],
     )
 
 
 def stages(content: Content) -> rrb.Container:
-    """Every stage in a room of its own, on one time cursor."""
+    """Show what the stages changed: before and after in one room, and how far joints moved."""
     import rerun.blueprint as rrb
 
-    rooms = [
-        _room(content, stage.capitalize(), shown=[stage], cameras=[])
+    before, after = content.before, content.final
+    if not before:
+        return overview(content)
+    name = f"{before.capitalize()} grey, {after} coloured, displacement x {MAGNIFIED:.0f} white"
+    room = _room(content, name, shown=[before, after], cameras=[])
+    moved = [
+        _series(f"Joints, {stage} to {after}: mean mm", _all(content, f"/moved/{stage}/**"))
         for stage in content.stages
-        if stage != "truth"
+        if stage not in ("tracked", "truth", after)
     ]
-    if not rooms:
-        rooms = [_room(content, "Detections", shown=[])]
-    return rrb.Grid(*rooms, grid_columns=2 if len(rooms) > 1 else 1)
+    residual = _series("Detections to the result: mean mm", ["/residual/**"])
+    return rrb.Horizontal(
+        room, rrb.Vertical(*moved, residual, _events(content)), column_shares=[4, 3]
+    )
 
 
 def person(content: Content) -> rrb.Container:
@@ -109,14 +114,14 @@ def person(content: Content) -> rrb.Container:
 
     tabs = [
         rrb.Vertical(
+            _key(),
             _angles(content, who),
-            rrb.Horizontal(
-                _limbs(content, [who]), _series("Speed, m/s", "/speed", f"/speed/{who}")
-            ),
-            row_shares=[2, 1],
+            _sides(content, "limbs", who, LIMBS, "m"),
+            _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
+            row_shares=[0.24, 2, 2, 1],
             name=f"Person {who}",
         )
-        for who in content.people[:8]
+        for who in content.people
     ]
     if not tabs or content.is_raw:
         return overview(content)
@@ -133,9 +138,9 @@ def cameras(content: Content) -> rrb.Container:
         _room(content, camera, shown=[content.final], cameras=[camera])
         for camera in content.cameras
     ]
-    below = [_series("People", "/people")]
+    below = [_series("People per camera", ["/people/**"])]
     if not content.is_raw:
-        below.insert(0, _series("Distance to the result, mm", "/residual"))
+        below.insert(0, _series("Distance to the result, mm", ["/residual/**"]))
     return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
 
 
@@ -160,9 +165,16 @@ def blueprint(content: Content, layout: str = "overview") -> rrb.Blueprint:
 
 
 def _room(
-    content: Content, name: str, *, shown: Sequence[str], cameras: Sequence[str] | None = None
+    content: Content,
+    name: str,
+    *,
+    shown: Sequence[str],
+    cameras: Sequence[str] | None = None,
 ) -> Any:
-    """Return a 3D view; with the stages in ``shown`` and detections of ``cameras`` (None = all)."""
+    """Return a 3D view of the stages in ``shown`` and detections of ``cameras`` (None = all).
+
+    Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
+    """
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -171,17 +183,22 @@ def _room(
     what += [f"+ /detections/{camera}/**" for camera in seen]
     shown = [stage for stage in shown if stage]
     what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]
+    overrides: dict[str, Any] = {}
+    if len(shown) > 1:
+        what += _all(content, f"/displacement/{shown[0]}/**")
+        overrides = _compared_looks(content, *shown)
     trail = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
-                TIMELINE,
+                timeline,
                 start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
                 end=rr.TimeRangeBoundary.cursor_relative(),
             )
+            for timeline in (TIMELINE, STAMP)
         ]
     )
-    trails = {
-        f"{prefix}/{stage}/{who}/trail": trail
+    overrides |= {
+        f"{prefix}/{stage}/{person_part(who)}/trail": trail
         for prefix in content.prefixes
         for stage in shown
         for who in content.people
@@ -196,43 +213,92 @@ def _room(
         eye_controls=rrb.EyeControls3D(
             position=eye, look_target=content.centre - [0, 0, 0.1], eye_up=(0, 0, 1)
         ),
-        overrides=trails,  # type: ignore[arg-type]
+        overrides=overrides,  # type: ignore[arg-type]
     )
 
 
+def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]:
+    """Return looks of two stages whose bones are millimetres apart: both thin, the first grey."""
+    import rerun as rr
+
+    first = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
+    second = rr.LineStrips3D.from_fields(radii=0.006)
+    return {
+        f"{prefix}/{stage}/{person_part(who)}/{bones}": look
+        for prefix in content.prefixes
+        for stage, look in ((before, first), (after, second))
+        for who in content.people
+        for bones in ("bones", "left_bones")
+    } | {
+        f"{prefix}/{after}/{person_part(who)}": rr.Points3D.from_fields(radii=0.012)
+        for prefix in content.prefixes
+        for who in content.people
+    }
+
+
 def _eye(content: Content) -> Floats:
-    """(3,) Where to look from, m: behind cameras that stand on one side, else from a corner."""
-    back, distance = np.array([-0.55, -0.85]), 1.8 * max(content.reach, 1.0) + 1.6
+    """(3,) Where to look from, m: from the cameras' side if they have one, else from a corner.
+
+    People fill the view: a standing person's height, or the ground that they walk on.
+    """
+    back, half = np.array([-0.55, -0.85]), np.radians(_VERTICAL_VIEW_DEG / 2)
+    across = max(1.2, 0.85 * (content.reach + 0.4))  # a view is a little wider than high
+    distance = across / np.tan(half) + 0.4 * content.reach
     if content.camera_centre is not None:
         offset = (content.camera_centre - content.centre)[:2]
         if np.linalg.norm(offset) > 1.0:
-            turn = np.radians(22.0)
-            across = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-            back, distance = across @ offset, max(distance, float(np.linalg.norm(offset)) + 1.2)
+            cosine, sine = np.cos(np.radians(22.0)), np.sin(np.radians(22.0))
+            back = np.array([[cosine, -sine], [sine, cosine]]) @ offset
     direction = np.array([*(back / np.linalg.norm(back)), 0.45])
     return np.asarray(content.centre + distance * direction / np.linalg.norm(direction))
 
 
 def _all(content: Content, pattern: str) -> list[str]:
-    return [f"+ {prefix}{pattern}" for prefix in content.prefixes]
+    return [f"{prefix}{pattern}" for prefix in content.prefixes]
 
 
-def _series(name: str, origin: str, contents: str = "") -> Any:
+def _series(name: str, contents: Sequence[str]) -> Any:
+    """Return a view of curves without a legend, which would cover them.
+
+    The room and the lanes tell the colours; the viewer names the curve under the pointer.
+    """
     import rerun.blueprint as rrb
 
-    return rrb.TimeSeriesView(origin="/", contents=[f"+ {contents or origin + '/**'}"], name=name)
+    legend = rrb.PlotLegend(visible=False)
+    return rrb.TimeSeriesView(origin="/", contents=list(contents), name=name, plot_legend=legend)
+
+
+def _key() -> Any:
+    """Return the line that says how left and right are told apart."""
+    import rerun.blueprint as rrb
+
+    return rrb.TextDocumentView(origin=KEY, name="Left and right", titlebar=False)
 
 
 def _angles(content: Content, who: int) -> Any:
+    return _sides(content, "angles", who, [f"{joint} flexion" for joint in JOINTS], "deg")
+
+
+def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: str) -> Any:
+    """Return a view per joint or limb, in each its left and its right curve."""
     import rerun.blueprint as rrb
 
-    return rrb.TimeSeriesView(
-        origin="/", contents=_all(content, f"/angles/{who}"), name=f"Angles of {who}, deg"
+    person = person_part(who)
+    views = [
+        _series(
+            f"{part.capitalize()}, {unit}",
+            _all(content, f"/{kind}/{person}/{part.replace(' ', '_')}"),
+        )
+        for part in parts
+    ]
+    return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
+
+
+def _events(content: Content) -> Any:
+    """Return the list of events, so that each is read in full."""
+    import rerun.blueprint as rrb
+
+    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"])
+    return rrb.TextLogView(
+        origin="/", contents=_all(content, "/log"), name="Events", columns=columns
     )
-
-
-def _limbs(content: Content, people: Sequence[int]) -> Any:
-    import rerun.blueprint as rrb
-
-    contents = [line for who in people for line in _all(content, f"/limbs/{who}")]
-    return rrb.TimeSeriesView(origin="/", contents=contents or ["+ /limbs/**"], name="Limbs, m")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.io.export.colours import RGB
 from hiros_mcap.skeletons import Floats, Frame, Ints, Stamps
 
-TIMELINE = "stamp"
+TIMELINE = "seconds from start"
+"""Of the log, as on the command line."""
+STAMP = "stamp"
+"""The same instants as dates."""
 HIDDEN = -1
 
 
@@ -158,13 +162,22 @@ class StageRows:
         self.shown.clear()
 
 
+class Line(NamedTuple):
+    """How a curve looks."""
+
+    name: str
+    colour: RGB
+    width: float = 1.5
+    """Points on the screen."""
+
+
 @dataclass(slots=True)
 class ScalarRows(Rows):
     """Curves of one entity over time."""
 
-    names: tuple[str, ...]
+    lines: Sequence[Line]
     values: list[float] = field(default_factory=list)
-    """len(names) of each row, row by row."""
+    """len(lines) of each row, row by row."""
 
     def add(self, stamp: int, value: float) -> None:
         """Append a row of the only curve."""
@@ -172,7 +185,7 @@ class ScalarRows(Rows):
         self.values.append(value)
 
     def extend(self, stamps: Stamps, values: Floats) -> None:
-        """Append rows (T, len(names))."""
+        """Append rows (T, len(lines))."""
         self.stamps += stamps.tolist()
         self.values += values.ravel().tolist()
 
@@ -199,11 +212,15 @@ class TextRows(Rows):
         self.stamps, self.texts, self.levels = [], [], []
 
 
-def times(stamps: list[int]) -> Any:
-    """Return the column of the rows' times."""
+def times(stamps: list[int], start: int) -> list[Any]:
+    """Return the columns of the rows' times; seconds count from ``start``, ns."""
     import rerun as rr
 
-    return rr.TimeColumn(TIMELINE, timestamp=np.array(stamps, np.int64).view("datetime64[ns]"))
+    table = np.array(stamps, np.int64)
+    return [
+        rr.TimeColumn(TIMELINE, duration=(table - start).view("timedelta64[ns]")),
+        rr.TimeColumn(STAMP, timestamp=table.view("datetime64[ns]")),
+    ]
 
 
 def columns(batches: Mapping[Any, Any], counts: npt.NDArray[np.integer[Any]]) -> list[Any]:

@@ -122,6 +122,7 @@ def _draw_one(
         final = source.stages[-1]
         # The layouts show "filtered", so the last stage goes by that name.
         scene = Scene(recording, source.model, final="filtered", prefix=prefix, team=team)
+        scene.start = source.start
         if team[0] == 0:
             scene.begin(source.cameras)
         for kind, frame in in_time_order(opened):

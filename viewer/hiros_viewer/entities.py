@@ -6,12 +6,13 @@ hundred for a call of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
@@ -26,18 +27,38 @@ from hiros_viewer.columns import (
     strips,
     times,
 )
-from hiros_viewer.palette import CAMERAS, CLASSES, camera_colour, curve_colour, pale
+from hiros_viewer.palette import (
+    CAMERAS,
+    CLASSES,
+    DISPLACEMENT,
+    camera_colour,
+    curve_colour,
+    label_colour,
+    marker_colour,
+    pale,
+    shade,
+)
 
 if TYPE_CHECKING:
     import rerun as rr
 
-_JOINT_M = 0.022
-_BONE_M = 0.011
-_DETECTION_M = 0.008
+_JOINT_M = 0.03
+_BONE_M = 0.018
+_DETECTION_M = 0.006
+_THIN = -1.0  # rerun counts negative radii in points on the screen
 _LABEL_ABOVE_M = 0.18
+MAGNIFIED = 5.0
+"""Displacements are millimetres; drawn to scale nobody would see them."""
 _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log does not tell it
-_FIRST_CAMERA_CLASS = 2 * CLASSES
-_CLASSES_PER_CAMERA = 30
+_SECOND_LOG, _LEFT = CLASSES, 2 * CLASSES  # offsets of people's classes
+_FIRST_CAMERA_CLASS = 4 * CLASSES
+
+
+KEY = "/key"
+_KEY_TEXT = (
+    "**Right**: bright limbs, thick blue curves. **Left**: dark limbs, thin grey curves. "
+    "Point at a curve for its name."
+)
 
 
 class Entities:
@@ -63,10 +84,15 @@ class Entities:
     ) -> None:
         self.recording = recording
         self.model = model
+        self.start = 0
+        """ns; what seconds count from."""
         self._root = root
-        self._first_class = CLASSES if is_second else 0
+        self._first_class = _SECOND_LOG if is_second else 0
         self._team = team
-        self._bones = model.links[(model.links >= 0).all(axis=1)]
+        bones = model.links[(model.links >= 0).all(axis=1)]
+        sides = [split_side(name)[1] for name in model.marker_names]
+        left = np.array([sides[child] == "left" for child in bones[:, 1]], bool)
+        self._bones = {"/bones": bones[~left], "/left_bones": bones[left]}
 
     # -- what stands still ---------------------------------------------------------------------
 
@@ -76,6 +102,7 @@ class Entities:
 
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self.recording.log("/", self._annotations(dim_detections=dim_detections), static=True)
+        self.recording.log(KEY, rr.TextDocument(_KEY_TEXT, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
@@ -96,38 +123,48 @@ class Entities:
             color=camera_colour(number),
             line_width=0.004,
         )
+        label = rr.Points3D(
+            [[0.0, -0.3, 0.0]],
+            radii=0.001,
+            labels=[name],
+            colors=[label_colour(curve_colour(number))],
+        )
         self.recording.log(path, place, static=True)
         self.recording.log(f"{path}/view", frustum, static=True)
+        self.recording.log(f"{path}/name", label, static=True)
 
     def _annotations(self, *, dim_detections: bool) -> Any:
         """Return the classes: people, people of a second log, and each camera's detections."""
         import rerun as rr
 
-        bones = [(int(parent), int(child)) for parent, child in self._bones]
-
-        def look(number: int, name: str, colour: RGB, links: Sequence[tuple[int, int]] = ()) -> Any:
+        def looks(number: int, name: str, colour: RGB, left: int) -> list[Any]:
             names = enumerate(self.model.marker_names)
-            return rr.ClassDescription(
-                info=(number, name, _packed(colour)),
-                keypoint_annotations=[
-                    rr.AnnotationInfo(k, joint, _packed(colour)) for k, joint in names
-                ],
-                keypoint_connections=links,
-            )
+            joints = [
+                rr.AnnotationInfo(k, joint, _packed(marker_colour(colour, joint)))
+                for k, joint in names
+            ]
+            return [
+                rr.ClassDescription(
+                    info=(number, name, _packed(colour)), keypoint_annotations=joints
+                ),
+                rr.ClassDescription(info=(left, name, _packed(shade(colour)))),
+            ]
 
-        people = range(CLASSES)
-        classes = [look(k, f"person {k}", person_colour(k)) for k in people]
-        classes += [look(CLASSES + k, "", pale(person_colour(k))) for k in people]
+        classes = []
+        for k in range(CLASSES):
+            second = _SECOND_LOG + k
+            classes += looks(k, f"person {k}", person_colour(k), _LEFT + k)
+            classes += looks(second, f"person {k}", pale(person_colour(k)), _LEFT + second)
         for camera in range(len(CAMERAS)):
             colour = camera_colour(camera) if dim_detections else curve_colour(camera)
-            rows = range(_CLASSES_PER_CAMERA)
-            classes += [look(_camera_class(camera, row), "", colour, bones) for row in rows]
+            number = _FIRST_CAMERA_CLASS + camera
+            classes += looks(number, "", colour, number + len(CAMERAS))
         return rr.AnnotationContext(classes)
 
     # -- skeletons -----------------------------------------------------------------------------
 
     def detections(self, camera: str, number: int, rows: DetectionRows) -> Floats:
-        """Send a camera's detections: several people in one batch, told apart by their classes.
+        """Send a camera's detections, thin: everybody's joints and bones in one batch.
 
         Returns
         -------
@@ -138,29 +175,33 @@ class Entities:
         path = f"/detections/{path_part(camera)}"
         if not rows.started:
             rows.started = True
-            look = rr.Points3D.from_fields(show_labels=False)
+            which = _FIRST_CAMERA_CLASS + number % len(CAMERAS)
+            look = rr.Points3D.from_fields(class_ids=[which], show_labels=False)
             self.recording.log(path, look, static=True)
+            self._send_bone_looks(path, (which, which + len(CAMERAS)), _THIN)
         n_markers = self.model.n_markers
-        counts = np.array(rows.counts)
-        # Each pose's row in its own frame: its place in the batch less that of its frame's first.
+        when, counts = times(rows.stamps, self.start), np.array(rows.counts)
         places = np.arange(rows.poses.size)
-        order = places - np.repeat(np.cumsum(counts) - counts, counts)
         joints, radii = self._joints(rows.poses, places, _DETECTION_M)
-        classes = _camera_class(number % len(CAMERAS), order).astype(np.uint16)
         keypoints = np.tile(np.arange(n_markers, dtype=np.uint16), len(places))
         parts = {
             rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(joints),
             rr.Points3D.descriptor_radii(): rr.components.RadiusBatch(radii),
-            rr.Points3D.descriptor_class_ids(): rr.components.ClassIdBatch(
-                np.repeat(classes, n_markers)
-            ),
             rr.Points3D.descriptor_keypoint_ids(): rr.components.KeypointIdBatch(keypoints),
         }
-        self.recording.send_columns(path, [times(rows.stamps)], columns(parts, n_markers * counts))
+        self.recording.send_columns(path, when, columns(parts, n_markers * counts))
+        frames = np.repeat(np.arange(len(counts)), counts)
+        for part, batches, per_pose in self._bone_parts(joints):
+            per_row = np.bincount(frames, per_pose, len(counts)).astype(np.int32)
+            self.recording.send_columns(f"{path}{part}", when, columns(batches, per_row))
         return _highest(rows.poses, places)
 
-    def person(self, path: str, rows: PersonRows, poses: PoseBatch) -> tuple[Flags, Floats]:
+    def person(
+        self, path: str, rows: PersonRows, poses: PoseBatch, *, is_strong: bool
+    ) -> tuple[Flags, Floats]:
         """Send joints, bones, label and trail of one person, all rows at once.
+
+        ``is_strong`` is the result; what it was made of is thin beside it.
 
         Returns
         -------
@@ -168,16 +209,33 @@ class Entities:
         """
         if not rows.started:
             rows.started = True
-            self._send_looks(path)
-        when, places = times(rows.stamps), np.array(rows.places)
+            self._send_looks(path, is_strong=is_strong)
+        when, places = times(rows.stamps, self.start), np.array(rows.places)
         shown = places != HIDDEN
-        joints, radii = self._joints(poses, places[shown], _JOINT_M)
+        size = _JOINT_M if is_strong else _DETECTION_M
+        joints, radii = self._joints(poses, places[shown], size)
         highest = _highest(poses, places[shown])
         for part, batches, per_pose in self._parts(joints, radii, highest):
             counts = np.zeros(len(places), np.int32)
             counts[shown] = per_pose
-            self.recording.send_columns(f"{path}{part}", [when], columns(batches, counts))
+            self.recording.send_columns(f"{path}{part}", when, columns(batches, counts))
         return shown, highest
+
+    def displacements(self, path: str, stamps: list[int], result: Floats, before: Floats) -> None:
+        """Send magnified lines from a person's joints (T, M, 3), m, to where they were before.
+
+        An instant at which ``before`` is NaN shows no line.
+        """
+        import rerun as rr
+
+        look = rr.LineStrips3D.from_fields(colors=[DISPLACEMENT], radii=_THIN)
+        self.recording.log(path, look, static=True)
+        known = ~np.isnan(before - result).any(axis=2)
+        tips = result + MAGNIFIED * (before - result)
+        ends = np.stack([result[known], tips[known]], axis=1).astype(np.float32)
+        parts = {rr.LineStrips3D.descriptor_strips(): strips(ends)}
+        when = times(stamps, self.start)
+        self.recording.send_columns(path, when, columns(parts, known.sum(axis=1)))
 
     def _joints(self, poses: PoseBatch, places: Stamps, largest: float) -> tuple[Singles, Singles]:
         """Return joints (R, M, 3) and radii (R, M), m, of the poses at these places."""
@@ -195,32 +253,47 @@ class Entities:
         where, size = rr.Points3D.descriptor_positions(), rr.Points3D.descriptor_radii()
         points = rr.components.Position3DBatch
         yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
-        bones = np.empty((len(joints) * len(self._bones), 2, 3), np.float32)
-        per_pose = np.empty(len(joints), np.int32)
-        n_bones = draw_bones(joints, self._bones, bones, per_pose)
-        yield "/bones", {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
+        yield from self._bone_parts(joints)
         there = ~np.isnan(highest[:, 0])
         labels = highest[there] + np.array([0, 0, _LABEL_ABOVE_M])
         yield "/name", {where: points(labels)}, there
         yield "/trail", {where: points(joints[there, self._root])}, there
 
-    def _send_looks(self, path: str) -> None:
+    def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
+        """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""
+        import rerun as rr
+
+        for part, ends in self._bones.items():
+            bones = np.empty((len(joints) * len(ends), 2, 3), np.float32)
+            per_pose = np.empty(len(joints), np.int32)
+            n_bones = draw_bones(joints, ends, bones, per_pose)
+            yield part, {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
+
+    def _send_bone_looks(self, path: str, classes: tuple[int, int], radius: float) -> None:
+        """Say once how bones look: the class of right limbs and trunk, and that of left limbs."""
+        import rerun as rr
+
+        for part, number in zip(self._bones, classes, strict=True):
+            look = rr.LineStrips3D.from_fields(class_ids=[number], radii=radius, show_labels=False)
+            self.recording.log(f"{path}{part}", look, static=True)
+
+    def _send_looks(self, path: str, *, is_strong: bool) -> None:
         """Say once how a person's entities look."""
         import rerun as rr
 
-        stage, person = path.rsplit("/", 2)[-2:]
-        which = int(person) if self._team is None else self._team[0]
+        stage, person = path.split("/")[-2], person_of(path)
+        which = person if self._team is None else self._team[0]
         number = self._first_class + which % CLASSES
         keypoints = list(range(self.model.n_markers))
-        label = f"truth {person}" if stage == "truth" else person
+        label = f"truth {person}" if stage == "truth" else f"person {person}"
         label = label if self._team is None else f"{self._team[1]} {person}"
+        self._send_bone_looks(path, (number, _LEFT + number), _BONE_M if is_strong else _THIN)
         for part, look in (
             ("", rr.Points3D.from_fields(
                 class_ids=[number], keypoint_ids=keypoints, show_labels=False)),
-            ("/bones", rr.LineStrips3D.from_fields(
-                class_ids=[number], radii=_BONE_M, show_labels=False)),
             ("/name", rr.Points3D.from_fields(
-                class_ids=[number], radii=0.001, labels=[label], show_labels=True)),
+                colors=[label_colour(person_colour(which))], radii=0.001, labels=[label],
+                show_labels=True)),
             ("/trail", rr.Points3D.from_fields(
                 class_ids=[number], radii=0.005, show_labels=False)),
         ):  # fmt: skip
@@ -228,24 +301,29 @@ class Entities:
 
     # -- curves, lanes and the log ---------------------------------------------------------------
 
-    def curves(self, path: str, rows: ScalarRows, colours: Sequence[RGB]) -> None:
-        """Send the curves of an entity, each in its colour."""
+    def curves(self, path: str, rows: ScalarRows) -> None:
+        """Send the curves of an entity."""
         import rerun as rr
 
         if not rows.started:
             rows.started = True
-            lines = rr.SeriesLines(names=list(rows.names), colors=list(colours))
+            names, colours, widths = map(list, zip(*rows.lines, strict=True))
+            lines = rr.SeriesLines(names=names, colors=colours, widths=widths)
             self.recording.log(path, lines, static=True)
         parts = rr.Scalars.columns(scalars=np.array(rows.values))
-        counts = np.full(len(rows.stamps), len(rows.names))
-        self.recording.send_columns(path, [times(rows.stamps)], parts.partition(counts))
+        counts = np.full(len(rows.stamps), len(rows.lines))
+        when = times(rows.stamps, self.start)
+        self.recording.send_columns(path, when, parts.partition(counts))
 
     def log_lines(self, path: str, rows: TextRows) -> None:
         """Send lines of the log."""
         import rerun as rr
 
         parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
-        self.recording.send_columns(path, [times(rows.stamps)], parts)
+        # The list of events has room for hundredths of a second.
+        since = [round(stamp - self.start, -7) for stamp in rows.stamps]
+        when = times([self.start + elapsed for elapsed in since], self.start)
+        self.recording.send_columns(path, when, parts)
 
     def lane(self, path: str, rows: TextRows) -> None:
         """Send when a person was tracked, as a lane with a gap where they are gone."""
@@ -253,13 +331,16 @@ class Entities:
 
         if not rows.started:
             rows.started = True
-            colour = _packed(person_colour(int(path.split("/")[-1])))
+            person = person_of(path)
             look = rr.StateConfiguration(
-                values=["tracked", "gone"], colors=[colour, colour], visible=[True, False]
+                values=["tracked", "gone"],
+                labels=[f"person {person}", "gone"],
+                colors=[_packed(person_colour(person))] * 2,
+                visible=[True, False],
             )
             self.recording.log(path, look, static=True)
         parts = rr.StateChange.columns(state=rows.texts)
-        self.recording.send_columns(path, [times(rows.stamps)], parts)
+        self.recording.send_columns(path, times(rows.stamps, self.start), parts)
 
 
 def path_part(name: str) -> str:
@@ -267,16 +348,21 @@ def path_part(name: str) -> str:
     return name.strip("/").replace("/", "_") or "_"
 
 
+def person_part(person: int) -> str:
+    """Return a person as one part of an entity path; spaces would be shown with backslashes."""
+    return f"person_{person}"
+
+
+def person_of(path: str) -> int:
+    """Return the person whose entity this is."""
+    return int(path.rsplit("_", 1)[-1])
+
+
 def _highest(poses: PoseBatch, places: Stamps) -> Floats:
     """(K, 3) the highest joint of the poses at these places, m; NaN for a pose without joints."""
     highest = np.empty((len(places), 3))
     tops(poses.positions, places, highest)
     return highest
-
-
-def _camera_class(camera: int, row: Any) -> Any:
-    """Class of a camera's detection; bones join joints of one class, so each person has its own."""
-    return _FIRST_CAMERA_CLASS + camera * _CLASSES_PER_CAMERA + row % _CLASSES_PER_CAMERA
 
 
 def _packed(colour: RGB) -> int:

@@ -48,6 +48,7 @@ class LiveView:
         source = describe(log)
         self._names = dict(source.names)
         self._scene = Scene(self._recording, source.model, final=chain[-1], batch=BATCH)
+        self._scene.start = source.start
         self._scene.begin(source.cameras)
         content = content_of([self._scene], [""])
         self._lay_out(replace(content, stages=list(chain)))

@@ -1,7 +1,8 @@
-"""Colours of what is no person: cameras and their detections stay dim."""
+"""Colours: hues tell people apart, shades tell left from right; cameras stay dim."""
 
 from __future__ import annotations
 
+from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.colours import RGB
 
 CAMERAS: tuple[RGB, ...] = (
@@ -13,14 +14,21 @@ CAMERAS: tuple[RGB, ...] = (
     (72, 93, 93),
 )
 CURVES: tuple[RGB, ...] = (
-    (160, 185, 210),
-    (220, 180, 140),
-    (150, 210, 160),
-    (215, 160, 220),
-    (215, 210, 130),
-    (130, 210, 210),
+    (128, 148, 168),
+    (176, 144, 112),
+    (120, 168, 128),
+    (172, 128, 176),
+    (172, 168, 104),
+    (104, 168, 168),
 )
-"""Of cameras, for lines in a plot: those of their detections, brighter."""
+"""Of cameras, for lines on a dark or white plot: those of their detections, brighter."""
+SIDES: dict[str, RGB] = {"right": (112, 132, 255), "left": (168, 163, 154), "": (140, 150, 205)}
+"""Of curves of one person's limbs: strong and pale, and of nobody's hue."""
+DISPLACEMENT: RGB = (240, 240, 240)
+BEFORE: RGB = (150, 150, 150)
+"""Of a stage that is compared with the result."""
+_LEFT = 0.55
+"""Brightness of left limbs to that of right ones; hue alone would fail the colour-blind."""
 CLASSES = 100
 """People have the classes 0..99, by id; greater ids begin anew."""
 
@@ -29,6 +37,23 @@ def pale(colour: RGB) -> RGB:
     """Return a colour halfway to white: the second of two logs."""
     red, green, blue = colour
     return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2)
+
+
+def shade(colour: RGB) -> RGB:
+    """Return the darker shade of a colour, which left limbs have."""
+    red, green, blue = (round(_LEFT * part) for part in colour)
+    return red, green, blue
+
+
+def marker_colour(colour: RGB, marker: str) -> RGB:
+    """Colour of one marker of somebody with this colour."""
+    return shade(colour) if split_side(marker)[1] == "left" else colour
+
+
+def label_colour(colour: RGB) -> RGB:
+    """Return almost white with a trace of the colour: labels have dark or grey boxes by theme."""
+    red, green, blue = ((part + 4 * 255) // 5 for part in colour)
+    return red, green, blue
 
 
 def curve_colour(index: int) -> RGB:

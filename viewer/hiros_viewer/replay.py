@@ -71,10 +71,11 @@ def replay(
     options = options or ViewOptions()
     if options.layout not in LAYOUTS:
         raise ConfigError(f"no layout {options.layout!r} (there are: {', '.join(LAYOUTS)})")
-    scenes = []
+    scenes: list[Scene] = []
     for k, path in enumerate(logs):
         prefix = f"/{'ab'[k]}" if len(logs) > 1 else ""
-        scenes.append(_replay_one(path, recording, options, prefix, is_second=k > 0))
+        start = scenes[0].start if scenes else None
+        scenes.append(_replay_one(path, recording, options, prefix, start))
     if len(logs) > 1:
         draw_distances(logs[0], logs[1], scenes, options.stage)
     content = content_of(scenes, [f"/{'ab'[k]}" for k in range(len(logs))] if logs[1:] else [""])
@@ -83,21 +84,31 @@ def replay(
 
 
 def _replay_one(
-    path: Path, recording: rr.RecordingStream, options: ViewOptions, prefix: str, *, is_second: bool
+    path: Path,
+    recording: rr.RecordingStream,
+    options: ViewOptions,
+    prefix: str,
+    start: int | None,
 ) -> Scene:
+    """Draw one log; seconds count from ``start``, that of the first log when two are overlaid."""
     with open_log(path, topics=["*"], output_prefix="/none", extrinsics=options.extrinsics) as log:
         source = describe(log)
         final = options.stage or (source.stages[-1] if source.stages else "")
         only_truth = not (source.stages or source.names)
         if options.stage and not only_truth and options.stage not in (*source.stages, "truth"):
             raise LogError(f"holds no stage {options.stage!r}", path=path)
-        scene = Scene(recording, source.model, final=final, prefix=prefix, is_second=is_second)
+        scene = Scene(
+            recording, source.model, final=final, prefix=prefix, is_second=start is not None
+        )
+        scene.start = start
         scene.begin(source.cameras)
         window, drawn = (0, 0), 0
         for kind, frame in in_time_order(log):
             if not window[1]:
                 # Outputs alone are logged later than they are stamped: whichever is first.
-                window = _window(min(source.start, frame.stamp), options.time_range)
+                first = min(source.start, frame.stamp)
+                window = _window(first, options.time_range)
+                scene.start = first if start is None else start
             if window[0] <= frame.stamp <= window[1]:
                 drawn += 1
                 if kind == DETECTIONS:

@@ -2,14 +2,18 @@
 
 ::
 
-    /world                      coordinates, cameras/<camera> as frusta
-    /detections/<camera>        what the camera reports, in the fixed frame, dim
-    /<stage>/<person>           joints and bones; stages are tracked merged optimized filtered truth
-    /<stage>/<person>/name      label above the head; .../trail  path of the root
-    /angles/<person> /limbs/<person> /speed/<person>   curves of the last stage
+    /world                      coordinates, cameras/<camera> as frusta with their names
+    /detections/<camera>        what the camera reports, in the fixed frame, thin and dim
+    /<stage>/<person>           joints; stages are tracked merged optimized filtered truth
+    .../bones .../left_bones    left limbs have a darker shade;  .../name  label above the head
+    .../trail                   path of the root
+    /angles/<person>/<joint> /limbs/<person>/<limb>    curves of the last stage, left and right
+    /speed/<person>             of the last stage
+    /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
     /state/<person>             while somebody is tracked;  /log   events
 
+A person's part of a path is person_<id>. Time is in seconds from the start, and as a date.
 Rows are collected and sent in columns, a batch at a time, so that memory stays bounded.
 """
 
@@ -30,9 +34,10 @@ from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.events import Event
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.distance import nearest
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import (
     DetectionRows,
+    Line,
     PersonRows,
     PoseBatch,
     Poses,
@@ -40,8 +45,9 @@ from hiros_viewer.columns import (
     StageRows,
     TextRows,
 )
-from hiros_viewer.entities import Entities, path_part
-from hiros_viewer.palette import curve_colour
+from hiros_viewer.displacement import EarlierPoses, mean_distances
+from hiros_viewer.entities import Entities, path_part, person_part
+from hiros_viewer.palette import SIDES, curve_colour, pale
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -98,9 +104,12 @@ class Scene:
         self.model = model
         self.final = final
         self.people: set[int] = set()
+        self.start: int | None = None
+        """ns; what seconds count from. None = the first frame."""
         self.bounds: list[Floats] = []
         self.camera_centre: Floats | None = None
         self._prefix = prefix
+        self._is_second = is_second
         self._batch = batch
         self._collected = 0
         self._n_detections = 0
@@ -110,6 +119,8 @@ class Scene:
         self._scalars: dict[str, ScalarRows] = {}
         self._curves: dict[tuple[str, str], ScalarRows] = {}
         self._texts = defaultdict[str, TextRows](TextRows)
+        self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
+        """By stage and person."""
         self._reference = _Reference()
         self._waiting: list[tuple[int, int, str, Floats]] = []
         """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
@@ -154,7 +165,7 @@ class Scene:
             self._n_detections += 1
             if len(self._waiting) > _MOST_WAITING:
                 heapq.heappop(self._waiting)
-        self._count()
+        self._count(frame.stamp)
 
     def _compare(self, newest: _Reference) -> None:
         """Draw how far detections up to the last stage's newest frame are from its people.
@@ -200,7 +211,7 @@ class Scene:
         if name == self.final:
             self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
             self._states(ids, frame.stamp)
-        self._count()
+        self._count(frame.stamp)
 
     def _hide_gone(self, rows: StageRows, ids: list[int], stamp: int, patience: int) -> None:
         """Hide people whom this frame lacks."""
@@ -234,13 +245,16 @@ class Scene:
         if here == self._alive:
             return
         for person in sorted(here - self._alive):
-            self._texts[f"{self._prefix}/state/{person}"].add(stamp, "tracked")
+            self._lane(person).add(stamp, "tracked")
         self._leave(self._alive - here, stamp)
         self._alive = here
 
     def _leave(self, people: set[int], stamp: int) -> None:
         for person in sorted(people):
-            self._texts[f"{self._prefix}/state/{person}"].add(stamp, "gone")
+            self._lane(person).add(stamp, "gone")
+
+    def _lane(self, person: int) -> TextRows:
+        return self._texts[f"{self._prefix}/state/{person_part(person)}"]
 
     def event(self, event: Event) -> None:
         """Write an event into the log."""
@@ -255,13 +269,18 @@ class Scene:
         """Return the rows of a single curve, made when it is first asked for."""
         rows = self._curves.get((kind, name))
         if rows is None:
-            rows = self._curves[kind, name] = ScalarRows((name,))
+            known = ["mean", "largest"] if kind == "/distance" else self.cameras
+            line = Line(name, curve_colour(known.index(name)))
+            rows = self._curves[kind, name] = ScalarRows([line])
             self._scalars[f"{kind}/{path_part(name)}"] = rows
         return rows
 
     # -- sending -------------------------------------------------------------------------------
 
-    def _count(self) -> None:
+    def _count(self, stamp: int) -> None:
+        """Count a frame, and send what was collected once it is enough."""
+        if self.start is None:
+            self.start = stamp
         self._collected += 1
         if self._collected >= self._batch:
             self.flush()
@@ -281,17 +300,18 @@ class Scene:
     def flush(self) -> None:
         """Send what was collected so far."""
         self._collected = 0
+        self._entities.start = self.start or 0
         for number, (camera, rows) in enumerate(self._detections.items()):
             if rows.stamps:
                 highest = self._entities.detections(camera, number, rows)
                 if not self.final:
                     self._extend_bounds(highest)
                 rows.sent()
-        for name, stage in self._stages.items():
-            self._send_stage(name, stage)
+        for name in sorted(self._stages, key=lambda name: name == self.final):
+            self._send_stage(name, self._stages[name])
         for path, curve in self._scalars.items():
             if curve.stamps:
-                self._entities.curves(path, curve, self._line_colours(path, curve))
+                self._entities.curves(path, curve)
                 curve.sent()
         for path, lines in self._texts.items():
             if lines.stamps:
@@ -303,14 +323,19 @@ class Scene:
         """Send everybody of a stage."""
         for person, person_rows in rows.people.items():
             if person_rows.stamps:
-                path = f"{self._prefix}/{stage}/{person}"
-                shown, highest = self._entities.person(path, person_rows, rows.poses)
+                path = f"{self._prefix}/{stage}/{person_part(person)}"
+                shown, highest = self._entities.person(
+                    path, person_rows, rows.poses, is_strong=stage in (self.final, "truth")
+                )
                 self._extend_bounds(highest)
-                if stage == self.final and shown.any():
-                    poses = rows.poses.positions[np.array(person_rows.places)[shown]]
-                    self._derive_curves(
-                        person, person_rows, np.array(person_rows.stamps)[shown], poses
-                    )
+                poses = rows.poses.positions[np.array(person_rows.places)[shown]]
+                stamps = np.array(person_rows.stamps)
+                if stage == self.final:
+                    self._show_displacements(person, stamps, shown, poses)
+                    if shown.any():
+                        self._derive_curves(person, person_rows, stamps[shown], poses)
+                elif stage in self._before():
+                    self._earlier[stage, person].add(stamps[shown], poses)
                 person_rows.sent()
         rows.poses.clear()
 
@@ -319,17 +344,49 @@ class Scene:
         if len(self.bounds) < _MOST_BOUNDS:
             self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
 
-    def _line_colours(self, path: str, rows: ScalarRows) -> list[RGB]:
-        """One colour per line; a person's single line has that person's."""
-        if len(rows.names) > 1:
-            return [person_colour(k) for k in range(len(rows.names))]
-        last = path.split("/")[-1]
-        if path.startswith((f"{self._prefix}/speed", "/speed")) and last.isdigit():
-            return [person_colour(int(last))]
-        known = [path_part(name) for name in self.cameras]
-        if path.startswith("/distance/"):
-            known = ["mean", "largest"]
-        return [curve_colour(known.index(last) if last in known else 0)]
+    def _before(self) -> tuple[str, ...]:
+        """Return the stages whose frames have the result's times: those between both ends."""
+        return STAGES[1 : max(STAGES.index(self.final), 1)] if self.final in STAGES else ()
+
+    def _show_displacements(self, person: int, stamps: Stamps, shown: Flags, poses: Floats) -> None:
+        """Draw how far the result, ``poses`` (K, M, 3) of the rows shown, is from each stage."""
+        result = np.full((len(stamps), self.model.n_markers, 3), np.nan)
+        result[shown] = poses
+        drawn = [stage for stage in self._before() if stage in self._stages]
+        for stage in drawn:
+            before = self._earlier[stage, person].at(stamps, self.model.n_markers)
+            path = f"{stage}/{person_part(person)}"
+            if stage == drawn[0]:
+                self._entities.displacements(
+                    f"{self._prefix}/displacement/{path}", stamps.tolist(), result, before
+                )
+            apart = 1000 * mean_distances(before, result)
+            known = ~np.isnan(apart)
+            lines = [Line(f"person {person}", self._hue(person))]
+            self._extend(f"{self._prefix}/moved/{path}", lines, stamps[known], apart[known])
+
+    def _hue(self, person: int) -> RGB:
+        """Return a person's colour, as in the room."""
+        return pale(person_colour(person)) if self._is_second else person_colour(person)
+
+    def _side_lines(self, names: Sequence[str]) -> list[Line]:
+        """Return curves of which the left ones are pale and thin, the right ones strong."""
+        lines = []
+        for name in names:
+            side = split_side(name)[1]
+            colour = pale(SIDES[side]) if self._is_second else SIDES[side]
+            lines.append(Line(name, colour, 2.5 if side == "right" else 1.5))
+        return lines
+
+    def _extend_sides(
+        self, path: str, names: Sequence[str], stamps: Stamps, values: Floats
+    ) -> None:
+        """Add to curves (T, len(names)); what is left and right of one joint shares an entity."""
+        parts = [split_side(name)[0] for name in names]
+        for part in dict.fromkeys(parts):
+            columns = [k for k, own in enumerate(parts) if own == part]
+            lines = self._side_lines([names[k] for k in columns])
+            self._extend(f"{path}/{part.replace(' ', '_')}", lines, stamps, values[:, columns])
 
     def _derive_curves(self, person: int, rows: PersonRows, stamps: Stamps, poses: Floats) -> None:
         """Angles, limb lengths and speed of the last stage."""
@@ -337,10 +394,11 @@ class Scene:
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
         angles = continued(jumping, rows.last_angles)
         rows.last_angles = angles[-1]
-        self._extend(f"{self._prefix}/angles/{person}", MAIN_ANGLES, stamps, np.degrees(angles))
+        path = person_part(person)
+        self._extend_sides(f"{self._prefix}/angles/{path}", MAIN_ANGLES, stamps, np.degrees(angles))
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
-            self._extend(f"{self._prefix}/limbs/{person}", tuple(self._limbs), stamps, lengths)
+            self._extend_sides(f"{self._prefix}/limbs/{path}", tuple(self._limbs), stamps, lengths)
         moments, roots = stamps, poses[:, self._root]
         if rows.last_root is not None:
             moments = np.insert(moments, 0, rows.last_root[0])
@@ -349,11 +407,11 @@ class Scene:
         steps = np.diff(moments)
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        name = (f"person {person}",)
-        self._extend(f"{self._prefix}/speed/{person}", name, moments[1:][steady], speeds)
+        lines = [Line(f"person {person}", self._hue(person))]
+        self._extend(f"{self._prefix}/speed/{path}", lines, moments[1:][steady], speeds)
 
-    def _extend(self, path: str, names: Sequence[str], stamps: Stamps, values: Floats) -> None:
-        self._scalars.setdefault(path, ScalarRows(tuple(names))).extend(stamps, values)
+    def _extend(self, path: str, lines: Sequence[Line], stamps: Stamps, values: Floats) -> None:
+        self._scalars.setdefault(path, ScalarRows(lines)).extend(stamps, values)
 
 
 def limb_links(model: SkeletonModel) -> dict[str, int]:

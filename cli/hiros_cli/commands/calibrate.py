@@ -70,6 +70,55 @@ def people(
 
 
 @app.command()
+def ball(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a ball, with images.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(metavar="M", help="Radius of the ball, m.", min=0.01, max=2.0)
+    ] = 0.24,
+    color: Annotated[
+        str,
+        typer.Option(
+            metavar="H-H:S-S:V-V",
+            help="Range of its colour in OpenCV's HSV. A hue may pass 179.",
+            show_default="red, 170-10:110-255:50-255",
+        ),
+    ] = "170-10:110-255:50-255",
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Find the cameras' poses from a coloured ball in their colour and depth images.
+
+    The images may be missing if the log has the ball's centres as PointStamped channels.
+    """
+    from hiros_cli.ball_report import show_ball
+    from hiros_cli.output import check_outputs, print_json, warn
+
+    log.stat()
+    check_outputs((output, "camera file"), inputs=(log,), force=force)
+    from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
+    from hiros_mcap.calibrate.ball_image import ColorRange
+    from hiros_mcap.calibrate.cameras_file import save_cameras
+
+    report = calibrate_ball(log, BallOptions(radius, ColorRange.parse(color), tuple(topic or ())))
+    if output is not None:
+        save_cameras(output, report.found)
+    if json:
+        print_json("calibrate.ball", report.to_dict(), report.warnings)
+    else:
+        show_ball(log, report)
+    for text in report.warnings:
+        warn(f"{log}: {text}")
+
+
+@app.command()
 def noise(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")

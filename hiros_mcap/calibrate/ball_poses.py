@@ -1,0 +1,392 @@
+"""Poses of cameras from the centres of a ball that each of them saw (Lee et al. 2022, 2.1.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid, rotate, to_matrix
+from hiros_mcap.calibrate.gauge import moved, on_transforms
+from hiros_mcap.calibrate.registration import common_frames, rigid_fit
+from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.verdict import Verdict
+from hiros_mcap.errors import RegistrationError
+from hiros_mcap.skeletons import Flags, Floats, Stamps
+from hiros_mcap.summary import plain
+
+LEAST_CENTRES = 20
+"""Two cameras need so many centres at common times."""
+LEAST_SHARE, DOUBTFUL_SHARE = 0.6, 0.8
+"""Of the common centres, so many must fit."""
+WRONG_M, DOUBTFUL_M = 0.04, 0.02
+"""Root mean square distance of the centres in two cameras: 3 to 10 mm for a ball held still."""
+NARROW_M = 0.1
+"""The second extent of the path (an SD) is at least this."""
+NARROW_ERRORS = 5.0
+"""An extent of the path must be so many times the residual."""
+UNCERTAIN_DEG, UNCERTAIN_M = 1.0, 0.04
+"""Largest standard errors of a pose that is believed."""
+DOUBTFUL_DEG, DOUBTFUL_ERROR_M = 0.4, 0.015
+BLOCKS = 10
+"""Parts of the log that are left out in turn for the standard errors."""
+TRIPLES = 60
+NOISE_M = 0.003
+"""The threshold for outliers is at least 3.5 times this."""
+ADVICE = "carry the ball through the common view of {} for 30 s, near and far, high and low"
+NAN = float("nan")
+
+
+class BallTrack(NamedTuple):
+    """Where one camera saw the ball."""
+
+    camera: str
+    """Its name for the user."""
+    frame: str
+    """Coordinate frame of the centres."""
+    stamps: Stamps
+    """(N,) ns."""
+    centres: Floats
+    """(N, 3) m; NaN = not seen."""
+
+
+class Placement(NamedTuple):
+    """Camera b in the frame of camera a."""
+
+    pose: Rigid
+    common: int
+    """Centres at common times."""
+    used: int
+    """Those that fit."""
+    residual: float
+    """Root mean square distance of these, m."""
+    error_deg: float
+    """Standard error of the orientation, degrees."""
+    error_m: float
+    """Standard error of the position, m."""
+    extents: Floats
+    """(3,) SD of the path along its principal axes, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class BallCamera:
+    """What the ball told about one camera."""
+
+    name: str
+    frame: str
+    pose: Rigid
+    """In the fixed frame."""
+    verdict: Verdict = "good"
+    reason: str = ""
+    """Why it is doubtful."""
+    seen: int = 0
+    """Frames with the ball."""
+    against: str = ""
+    """The camera that it was registered with; "" for the first one."""
+    common: int = 0
+    """Centres at common times with that camera."""
+    used: int = 0
+    """Those that fit."""
+    residual_mm: float = NAN
+    """Root mean square distance of these."""
+    error_deg: float = NAN
+    """Standard error of the orientation against the first camera, degrees; NaN for that one."""
+    error_mm: float = NAN
+    """The same of the position."""
+    clock_s: float = NAN
+    """Not measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class BallCalibration:
+    """Poses of a log's cameras."""
+
+    fixed_frame: str
+    verdict: Verdict
+    reason: str
+    """What is doubtful, and what to record."""
+    cameras: tuple[BallCamera, ...]
+    gauge: str
+    """What the fixed frame was taken from: transforms, or the first camera."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; numbers that are not known are None."""
+        cameras = []
+        for camera in self.cameras:
+            data = plain(replace(camera, pose=Rigid.identity()))
+            del data["pose"], data["clock_s"]
+            pose = {
+                "translation": camera.pose.translation.tolist(),
+                "quaternion_xyzw": camera.pose.xyzw.tolist(),
+            }
+            cameras.append(data | pose | {"parent": self.fixed_frame})
+        return {**plain(replace(self, cameras=())), "cameras": cameras}
+
+
+def calibrate_centres(
+    tracks: Sequence[BallTrack],
+    *,
+    fixed_frame: str = "world",
+    given: Mapping[str, Rigid] | None = None,
+) -> BallCalibration:
+    """Find the cameras' poses from the centres of the ball.
+
+    Each camera is registered with that camera of the rig with which it shares most centres; the
+    paper's cameras all share them with the first one.
+
+    Parameters
+    ----------
+    given : frame -> pose in the fixed frame. They place the rig as a whole. Without them, the
+        first camera's frame is put at the origin of the fixed frame.
+
+    Raises
+    ------
+    RegistrationError
+        The centres do not tell the pose of a camera. The line says what to record.
+    """
+    _check(tracks)
+    placements = _chain(tracks)
+    rig, gauge = _in_fixed_frame(tracks, placements, given or {})
+    cameras = []
+    for c, track in enumerate(tracks):
+        turn = _quaternion(rig.rotations[c])
+        seen = int(np.isfinite(track.centres).all(axis=1).sum())
+        camera = BallCamera(track.camera, track.frame, Rigid(turn, rig.shifts[c]), seen=seen)
+        if c:
+            camera = _described(camera, tracks[placements[c][0]].camera, placements[c][1])
+        cameras.append(camera)
+    doubts = [f"{c.name}: {c.reason}" for c in cameras if c.reason]
+    verdict: Verdict = "doubtful" if doubts else "good"
+    return BallCalibration(fixed_frame, verdict, "; ".join(doubts), tuple(cameras), gauge)
+
+
+def _check(tracks: Sequence[BallTrack]) -> None:
+    if len(tracks) < 2:
+        names = ", ".join(track.camera for track in tracks) or "none"
+        raise RegistrationError(f"at least 2 cameras needed, found {names}")
+    frames = [track.frame for track in tracks]
+    for frame in frames:
+        if frames.count(frame) > 1 or not frame:
+            names = " and ".join(t.camera for t in tracks if t.frame == frame)
+            raise RegistrationError(
+                f"{names} {'share' if frame else 'have'} the frame {frame!r}; "
+                "give each camera a frame_id of its own"
+            )
+    for track in tracks:
+        if not np.isfinite(track.centres).all(axis=1).any():
+            raise RegistrationError(f"{track.camera} never saw the ball")
+
+
+def _described(camera: BallCamera, against: str, placement: Placement) -> BallCamera:
+    reason = _doubt(placement)
+    return replace(
+        camera,
+        verdict="doubtful" if reason else "good",
+        reason=reason,
+        against=against,
+        common=placement.common,
+        used=placement.used,
+        residual_mm=1000.0 * placement.residual,
+        error_deg=placement.error_deg,
+        error_mm=1000.0 * placement.error_m,
+    )
+
+
+def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
+    """Register every camera but the first: camera -> the other camera, and its pose in the first.
+
+    Prim's algorithm: always the pair with most centres in common is next.
+    """
+    shared = {
+        (a, b): common_frames(
+            [t.stamps for t in (tracks[a], tracks[b])], [t.centres for t in (tracks[a], tracks[b])]
+        )
+        for a, b in combinations(range(len(tracks)), 2)
+    }
+    found: dict[int, tuple[int, Placement]] = {}
+    while len(found) < len(tracks) - 1:
+        placed = {0, *found}
+        edges = [pair for pair in shared if len(placed & set(pair)) == 1]
+        pair = max(edges, key=lambda p: (shared[p].centres.shape[1], -p[0], -p[1]))
+        a, b = pair if pair[0] in placed else pair[::-1]
+        names = tracks[a].camera, tracks[b].camera
+        both = shared[pair].centres[:: 1 if pair[0] == a else -1]
+        placement = place(both[0], both[1], names)
+        found[b] = a, _after(found[a][1], placement) if a else placement
+    return found
+
+
+def _after(first: Placement, second: Placement) -> Placement:
+    """Return the second placement in the frame that the first one is in."""
+    lever = math.radians(first.error_deg) * float(np.linalg.norm(second.pose.translation))
+    return second._replace(
+        pose=first.pose @ second.pose,
+        error_deg=math.hypot(first.error_deg, second.error_deg),
+        error_m=math.hypot(first.error_m, second.error_m, lever),
+    )
+
+
+def place(target: Floats, source: Floats, names: tuple[str, str]) -> Placement:
+    """Register two cameras by corresponding centres (K, 3) each, in the order of time.
+
+    Raises RegistrationError, which names the cameras and what to record, if there are too few
+    centres, if they lie on a line, or if they do not fit each other.
+    """
+    both = f"{names[0]} and {names[1]}"
+    advice = ADVICE.format(both)
+    if len(source) < LEAST_CENTRES:
+        raise RegistrationError(
+            f"{both} saw the ball at only {len(source)} common times, {LEAST_CENTRES} needed; "
+            f"{advice}"
+        )
+    try:
+        pose, kept = robust_fit(source, target)
+    except RegistrationError:
+        raise RegistrationError(f"{both}: the ball's path is a line; {advice}") from None
+    distances = _distances(pose, source, target)
+    residual = float(np.sqrt(np.mean(distances[kept] ** 2)))
+    # Kept points stay within a threshold that adapts to them. The others count, too.
+    if kept.mean() < LEAST_SHARE or residual > WRONG_M:
+        apart = 100 * float(np.median(distances))
+        raise RegistrationError(
+            f"{both}: the ball's centres are {apart:.0f} cm apart and only {kept.mean():.0%} fit; "
+            "check the cameras' clocks and the ball's radius, and move the ball slowly"
+        )
+    extents = np.minimum(_extents(source[kept]), _extents(target[kept]))
+    if extents[1] < max(NARROW_M, NARROW_ERRORS * residual):
+        raise RegistrationError(
+            f"{both}: the ball's path is nearly a line, only {100 * extents[1]:.0f} cm wide; "
+            f"{advice}"
+        )
+    error_deg, error_m = _standard_errors(source[kept], target[kept], pose)
+    if error_deg > UNCERTAIN_DEG or error_m > UNCERTAIN_M:
+        raise RegistrationError(
+            f"{both}: the pose is uncertain by {error_deg:.1f} degrees and {100 * error_m:.0f} cm; "
+            f"{advice}"
+        )
+    used = int(kept.sum())
+    return Placement(pose, len(source), used, residual, error_deg, error_m, extents)
+
+
+def _doubt(p: Placement) -> str:
+    """Why a pose may be worse than it looks, "" if it is good."""
+    if p.residual > DOUBTFUL_M:
+        return (
+            f"the ball's centres are {1000 * p.residual:.0f} mm apart; move the ball slowly, and "
+            "check the clocks"
+        )
+    if p.used < DOUBTFUL_SHARE * p.common:
+        return (
+            f"only {p.used / p.common:.0%} of the ball's centres fit; remove what looks like the "
+            "ball, and check the clocks"
+        )
+    if p.error_deg > DOUBTFUL_DEG or p.error_m > DOUBTFUL_ERROR_M:
+        return (
+            f"its standard error is {p.error_deg:.1f} degrees, {1000 * p.error_m:.0f} mm; carry "
+            "the ball for longer and through more of the room"
+        )
+    if p.extents[2] < max(0.05, NARROW_ERRORS * p.residual):
+        return (
+            "the ball's path lies in a plane, so no depth error across it would show; carry it "
+            "high and low, near and far"
+        )
+    return ""
+
+
+def robust_fit(source: Floats, target: Floats, *, seed: int = 0) -> tuple[Rigid, Flags]:
+    """Return the rigid transform from ``source`` to ``target`` despite outliers, and the inliers.
+
+    The best of many triples of pairs, by truncated squared distances, is the start. Then
+    :func:`rigid_fit` is repeated on the pairs within 3.5 robust standard deviations.
+
+    Parameters
+    ----------
+    source, target : (N, 3) corresponding points, m, none of them NaN.
+
+    Raises
+    ------
+    RegistrationError
+        There are fewer than three pairs, or the points lie on a line.
+    """
+    pose = rigid_fit(source, target)
+    rng, best = np.random.default_rng(seed), _cost(pose, source, target)
+    for triple in rng.integers(0, len(source), (TRIPLES, 3)):
+        try:
+            candidate = rigid_fit(source[triple], target[triple])
+        except RegistrationError:
+            continue
+        cost = _cost(candidate, source, target)
+        if cost < best:
+            pose, best = candidate, cost
+    kept = np.zeros(len(source), np.bool_)
+    for _ in range(20):
+        before, kept = kept, _inliers(_distances(pose, source, target))
+        if (kept == before).all():
+            break
+        pose = rigid_fit(source[kept], target[kept])
+    return pose, kept
+
+
+def _distances(pose: Rigid, source: Floats, target: Floats) -> Floats:
+    moved_points = rotate(pose.xyzw, source) + pose.translation
+    return np.asarray(np.linalg.norm(moved_points - target, axis=1))
+
+
+def _cost(pose: Rigid, source: Floats, target: Floats) -> float:
+    return float(np.sum(np.minimum(_distances(pose, source, target), WRONG_M) ** 2))
+
+
+def _inliers(distances: Floats) -> Flags:
+    """Those within 3.5 SD per axis; the median of a 3D distance is 1.54 SD."""
+    scale = max(float(np.median(distances)) / 1.54, NOISE_M)
+    return distances <= 3.5 * scale
+
+
+def _extents(points: Floats) -> Floats:
+    """(3,) SD along the principal axes, the largest first."""
+    singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return np.asarray(singular / math.sqrt(len(points)))
+
+
+def _standard_errors(source: Floats, target: Floats, pose: Rigid) -> tuple[float, float]:
+    """Return those of the orientation, degrees, and of the position, m, by a block jackknife.
+
+    The errors of successive frames are alike, so whole parts of the log are left out in turn.
+    """
+    from scipy.spatial.transform import Rotation
+
+    steps = []
+    for block in np.array_split(np.arange(len(source)), BLOCKS):
+        part = rigid_fit(np.delete(source, block, axis=0), np.delete(target, block, axis=0))
+        turn = Rotation.from_quat(part.xyzw) * Rotation.from_quat(pose.xyzw).inv()
+        steps.append([*turn.as_rotvec(), *(part.translation - pose.translation)])
+    deviations = np.array(steps) - np.mean(steps, axis=0)
+    variances = (BLOCKS - 1) / BLOCKS * np.sum(deviations**2, axis=0)
+    turn_error, shift_error = np.sqrt(variances[:3].sum()), np.sqrt(variances[3:].sum())
+    return float(np.degrees(turn_error)), float(shift_error)
+
+
+def _in_fixed_frame(
+    tracks: Sequence[BallTrack],
+    placements: Mapping[int, tuple[int, Placement]],
+    given: Mapping[str, Rigid],
+) -> tuple[Rig, str]:
+    """Return the rig where the given poses put it, or with the first camera at the origin."""
+    rig = Rig.alone(len(tracks))
+    for c, (_, placement) in placements.items():
+        rig.rotations[c] = to_matrix(placement.pose.xyzw)
+        rig.shifts[c] = placement.pose.translation
+    known = {c: given[track.frame] for c, track in enumerate(tracks) if track.frame in given}
+    if not known:
+        return rig, "first camera"
+    return moved(rig, on_transforms(rig, known)), "transforms"
+
+
+def _quaternion(matrix: Floats) -> Floats:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrix).as_quat(canonical=True))

@@ -1,0 +1,184 @@
+"""``hiros calibrate ball`` on small logs of rendered images, and of ready centres."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rendered_ball import (
+    ball_path,
+    camera_at,
+    centres_of,
+    compressed,
+    image,
+    images_of,
+    millimetres,
+    write_bag,
+    write_messages,
+)
+
+from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
+from hiros_mcap.errors import LogError, RegistrationError
+
+CAMERAS = [camera_at(0.0), camera_at(1.7)]
+FRAMES = 48
+OPTIONS = ["--radius", "0.12"]
+PNG = "16UC1; compressedDepth png"
+
+
+def as_jpeg(head: Any, pixels: Any) -> Any:
+    return compressed(head, pixels, "rgb8; jpeg compressed bgr8", ".png")
+
+
+def as_png(head: Any, metres: Any) -> Any:
+    return compressed(head, millimetres(metres), PNG, ".png", bytes(12))
+
+
+def as_float(head: Any, metres: Any) -> Any:
+    return image(head, metres.astype("<f4"), "32FC1")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two cameras: one raw in mm, the other one compressed and in m."""
+    path = ball_path(FRAMES)
+    messages = images_of(0, CAMERAS[0], path)
+    messages += images_of(1, CAMERAS[1], path, colour=as_jpeg, depth=as_float)
+    return write_messages(tmp_path_factory.mktemp("ball") / "ball.mcap", messages)
+
+
+def assert_pose(found: Rigid, true: Rigid, degrees: float, metres: float) -> None:
+    assert np.degrees(angle(found.xyzw, true.xyzw)) < degrees
+    assert np.linalg.norm(found.translation - true.translation) < metres
+
+
+def test_poses_from_images(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """48 images, 5 mm of noise, 10 % strays and holes, clutter of the same colour."""
+    target = tmp_path / "cameras.toml"
+    assert run(["calibrate", "ball", str(log), "-o", str(target), *OPTIONS]) == 0
+    assert "poses from the ball: good" in capsys.readouterr().out
+    tree = read_extrinsics(target)
+    found = tree.lookup("camera_1_optical", "camera_0_optical", 0)
+    assert_pose(found, CAMERAS[0].inverse() @ CAMERAS[1], 0.3, 0.01)
+
+
+def test_what_is_counted_and_measured(log: Path) -> None:
+    report = calibrate_ball(log, BallOptions(radius=0.12))
+    camera = report.found.cameras[1]
+    assert camera.seen > 0.9 * FRAMES
+    assert camera.seen + sum(report.skipped[camera.name].values()) == FRAMES
+    assert camera.residual_mm < 5
+    assert report.radius == pytest.approx(0.12, abs=0.004)
+    assert report.warnings == ()
+
+
+def test_another_radius_is_noticed(log: Path) -> None:
+    report = calibrate_ball(log, BallOptions(radius=0.13))
+    assert "looks like one of radius 0.12" in report.warnings[0]
+    assert report.found.verdict == "doubtful"
+
+
+def test_compressed_depth(tmp_path: Path) -> None:
+    path = ball_path(24)
+    messages = [m for k in (0, 1) for m in images_of(k, CAMERAS[k], path, depth=as_png)]
+    found = calibrate_ball(write_messages(tmp_path / "a.mcap", messages), BallOptions(0.12)).found
+    assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.6, 0.02)
+
+
+def test_the_log_s_transforms_place_ready_centres(tmp_path: Path) -> None:
+    from mcap_logs import tf_bytes
+
+    rows = [(0, "room", f"camera_{k}", c.translation, c.xyzw) for k, c in enumerate(CAMERAS)]
+    messages = centres_of(CAMERAS, ball_path(100))
+    path = write_messages(tmp_path / "a.mcap", messages, static=tf_bytes(*rows))
+    found = calibrate_ball(path).found
+    assert (found.fixed_frame, found.gauge) == ("room", "transforms")
+    for camera, true in zip(found.cameras, CAMERAS, strict=True):
+        assert_pose(camera.pose, true, 0.2, 0.005)
+
+
+def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
+    assert run(["calibrate", "ball", str(path), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["schema"] == "hiros.calibrate.ball"
+    assert data["cameras"][0]["error_deg"] is None
+    assert 0 < data["cameras"][1]["error_deg"] < 0.2
+    assert data["cameras"][1]["against"] == "/ball_0"
+
+
+def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert run(["calibrate", "ball", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def test_what_fails_says_why_in_one_line_and_writes_nothing(
+    log: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out.toml"
+    here = [str(log), "-o", str(target)]
+    assert "never saw a ball of radius 0.24 m" in failure(here, capsys)
+    assert "never saw a ball" in failure([*here, *OPTIONS, "--color", "90-99:9-90:9-90"], capsys)
+    one = [*here, *OPTIONS, "--topic", "/camera_0/*"]
+    assert "at least 2 cameras needed, found camera_0" in failure(one, capsys)
+    assert "has no colour images" in failure([str(walking)], capsys)
+    assert "--color: 'red'" in failure([*here, "--color", "red"], capsys)
+    assert not target.exists()
+
+
+def test_without_opencv_the_line_names_the_extra(
+    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    assert "pip install 'hiros-mcap[images]'" in failure([str(log), *OPTIONS], capsys)
+
+
+def test_ready_centres_need_no_opencv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_messages(tmp_path / "a.mcap", centres_of(CAMERAS, ball_path(100)))
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    assert calibrate_ball(path).found.verdict == "good"
+
+
+@pytest.mark.parametrize("storage", ["sqlite", "ros1", "split"])
+def test_other_kinds_of_logs(storage: str, tmp_path: Path) -> None:
+    messages = centres_of(CAMERAS, ball_path(60))
+    path = tmp_path / ("a.bag" if storage == "ros1" else "a")
+    if storage == "split":
+        path.mkdir()
+        for k in (0, 1):
+            write_messages(path / f"a_{k}.mcap", messages[k * 60 : k * 60 + 60])
+        files = "relative_file_paths: [a_0.mcap, a_1.mcap]"
+        (path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {files}\n")
+    else:
+        write_bag(path, messages)
+    found = calibrate_ball(path).found
+    assert_pose(found.cameras[1].pose, CAMERAS[0].inverse() @ CAMERAS[1], 0.2, 0.005)
+
+
+def test_images_without_camera_info_or_joined_frames_are_refused(tmp_path: Path) -> None:
+    messages = images_of(0, CAMERAS[0], ball_path(1))
+    bare = write_messages(tmp_path / "a.mcap", [m for m in messages if "info" not in m[0]])
+    with pytest.raises(LogError, match="record the camera_info channels"):
+        calibrate_ball(bare)
+    for topic, _, message in messages:
+        if "depth" in topic:
+            message.header.frame_id = "depth_optical"
+    with pytest.raises(LogError, match="record depth that is registered to the colour image"):
+        calibrate_ball(write_messages(tmp_path / "b.mcap", messages))
+
+
+def test_cameras_whose_clocks_differ_are_refused(tmp_path: Path) -> None:
+    messages = centres_of(CAMERAS, ball_path(300))
+    for topic, _, message in messages:
+        message.header.stamp.sec += topic == "/ball_1"
+    with pytest.raises(RegistrationError, match="check the cameras' clocks"):
+        calibrate_ball(write_messages(tmp_path / "a.mcap", messages))
