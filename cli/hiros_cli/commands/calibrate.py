@@ -96,7 +96,8 @@ def ball(
 ) -> None:
     """Find the cameras' poses from a coloured ball.
 
-    hiros finds it in their colour and depth images. The images may be missing if the log has the ball's centres as PointStamped channels.
+    hiros finds it in their colour and depth images. The images may be missing if the log has the
+    ball's centres as PointStamped channels.
     """
     from hiros_cli.ball_report import show_ball
     from hiros_cli.output import check_outputs, print_json, warn
