@@ -94,9 +94,10 @@ def ball(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Find the cameras' poses from a coloured ball in their colour and depth images.
+    """Find the cameras' poses from a coloured ball.
 
-    The images may be missing if the log has the ball's centres as PointStamped channels.
+    hiros finds it in their colour and depth images. The images may be missing if the log has the
+    ball's centres as PointStamped channels.
     """
     from hiros_cli.ball_report import show_ball
     from hiros_cli.output import check_outputs, print_json, warn
