@@ -11,6 +11,9 @@ import typer
 from hiros_cli.completing import parameters, presets, systems
 from hiros_mcap.errors import ConfigError
 
+PARAMETERS, INPUT, OUTPUT = "Parameters", "Input", "Output"
+"""Groups of options in a command's help."""
+
 LOSSES = 3
 """Exit code: a damaged log was recovered, and something is lost."""
 
@@ -20,12 +23,16 @@ Preset = Annotated[
         metavar="NAME",
         help="Start from a preset: default, realtime, paper or upstream.",
         autocompletion=presets,
+        rich_help_panel=PARAMETERS,
     ),
 ]
 ConfigFile = Annotated[
     Path | None,
     typer.Option(
-        "--config", metavar="FILE", help="TOML file with parameters, as `hiros config` prints."
+        "--config",
+        metavar="FILE",
+        help="TOML file with parameters, as `hiros config` prints.",
+        rich_help_panel=PARAMETERS,
     ),
 ]
 SystemName = Annotated[
@@ -35,6 +42,7 @@ SystemName = Annotated[
         metavar="NAME",
         help="System to run; `hiros systems` lists them.",
         autocompletion=systems,
+        rich_help_panel=PARAMETERS,
     ),
 ]
 Assignments = Annotated[
@@ -44,20 +52,30 @@ Assignments = Annotated[
         metavar="STAGE.PARAM=VALUE",
         help="Change one parameter; may be repeated.",
         autocompletion=parameters,
+        rich_help_panel=PARAMETERS,
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead.", rich_help_panel=OUTPUT)]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print only errors.", rich_help_panel=OUTPUT)
+]
 QuietResult = Annotated[
     bool,
     typer.Option(
         "--quiet",
         "-q",
         help="Print only errors; use the exit code and the files.",
+        rich_help_panel=OUTPUT,
     ),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", "-f", help="Also overwrite files that hiros did not write.")
+    bool,
+    typer.Option(
+        "--force",
+        "-f",
+        help="Also overwrite files that hiros did not write.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 
 

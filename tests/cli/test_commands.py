@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -14,12 +15,16 @@ from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
+import typer
 
 from hiros_cli.app import run
+from hiros_cli.commands import app
 from hiros_cli.commands.simulate import _params
 from hiros_cli.compiling import ALL, RUN, imported, independent, needed_by, prepare
+from hiros_cli.help_page import EXAMPLES
 from hiros_mcap import kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
@@ -279,6 +284,24 @@ COMMANDS = (
     *("process", "view", "plot", "export", "eval", "check", "compare", "info", "simulate"),
     *("systems", "config", "warmup", "completion", "recover", "calibrate"),
 )
+
+
+def test_options_of_a_run_are_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["process", "--help"]) == 0
+    text = capsys.readouterr().out
+    titles = ["Arguments:", "Output:", "Parameters:", "Input:", "Limb lengths:", "Options:"]
+    assert re.findall(r"^[A-Z].*:$", text, re.MULTILINE) == [*titles, "Examples:"]
+    assert text.count("--set") == 2  # its row, and an example
+
+
+@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+def test_examples_are_commands(line: str) -> None:
+    command: Any = typer.main.get_command(app)
+    arguments = shlex.split(line.split(" > ")[0])[1:] if line.startswith("hiros") else []
+    while arguments and hasattr(command, "commands"):
+        command, arguments = command.commands[arguments[0]], arguments[1:]
+    if arguments:
+        command.make_context(command.name, arguments)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

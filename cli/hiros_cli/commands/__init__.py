@@ -26,6 +26,7 @@ from hiros_cli.commands import (
     view,
     warmup,
 )
+from hiros_cli.help_page import HelpfulCommand
 from hiros_mcap import __version__
 from hiros_mcap.errors import ConfigError
 
@@ -66,21 +67,21 @@ def hiros(
         raise typer.Exit(2)
 
 
-app.command(no_args_is_help=False)(process.process)
-app.command()(view.view)
-app.command()(plot.plot)
-app.command()(export.export)
-app.command("eval")(evaluate.evaluate)
-app.command()(check.check)
-app.command()(compare.compare)
-app.command()(info.info)
-app.command()(recover.recover)
-app.command()(simulate.simulate)
-app.command()(systems.systems)
+app.command(cls=HelpfulCommand, no_args_is_help=False)(process.process)
+app.command(cls=HelpfulCommand)(view.view)
+app.command(cls=HelpfulCommand)(plot.plot)
+app.command(cls=HelpfulCommand)(export.export)
+app.command("eval", cls=HelpfulCommand)(evaluate.evaluate)
+app.command(cls=HelpfulCommand)(check.check)
+app.command(cls=HelpfulCommand)(compare.compare)
+app.command(cls=HelpfulCommand)(info.info)
+app.command(cls=HelpfulCommand)(recover.recover)
+app.command(cls=HelpfulCommand)(simulate.simulate)
+app.command(cls=HelpfulCommand)(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
-app.command()(show_config.config)
-app.command()(warmup.warmup)
-app.command()(completion.completion)
+app.command(cls=HelpfulCommand)(show_config.config)
+app.command(cls=HelpfulCommand)(warmup.warmup)
+app.command(cls=HelpfulCommand)(completion.completion)
 
 
 def dispatch(arguments: list[str]) -> int:

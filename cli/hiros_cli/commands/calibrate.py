@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hiros_cli.help_page import HelpfulCommand
 from hiros_cli.options import Force, Json, seconds_range
 from hiros_mcap.errors import ConfigError, LogError
 
@@ -21,7 +22,7 @@ def calibrate() -> None:
     """Measure cameras and parameters on a log."""
 
 
-@app.command()
+@app.command(cls=HelpfulCommand)
 def people(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of people who walk about.")],
     output: Annotated[
@@ -69,7 +70,7 @@ def people(
         warn(text)
 
 
-@app.command()
+@app.command(cls=HelpfulCommand)
 def ball(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a ball, with images.")],
     output: Annotated[
@@ -119,7 +120,7 @@ def ball(
         warn(f"{log}: {text}")
 
 
-@app.command()
+@app.command(cls=HelpfulCommand)
 def noise(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")

@@ -12,7 +12,10 @@ import typer
 
 from hiros_cli.completing import topics
 from hiros_cli.options import (
+    INPUT,
     LOSSES,
+    OUTPUT,
+    PARAMETERS,
     Assignments,
     ConfigFile,
     Force,
@@ -45,6 +48,7 @@ def process(
             "-o",
             metavar="OUT",
             help=f"Output file, or DIR/ for a ROS 2 bag. Default: IN's name with {SUFFIX}.",
+            rich_help_panel=OUTPUT,
         ),
     ] = None,
     system: SystemName = "hiros",
@@ -54,6 +58,7 @@ def process(
             metavar="CHAIN",
             help="Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or "
             "TMOF. Default: all stages of the system.",
+            rich_help_panel=PARAMETERS,
         ),
     ] = "",
     topic: Annotated[
@@ -62,6 +67,7 @@ def process(
             metavar="GLOB",
             help="Cameras to read; may be repeated. Default: all.",
             autocompletion=topics,
+            rich_help_panel=INPUT,
         ),
     ] = None,
     keep: Annotated[
@@ -71,6 +77,7 @@ def process(
             help="Input channels to copy; may be repeated; '' copies none. Default: the cameras "
             "read, the transforms and /truth.",
             autocompletion=topics,
+            rich_help_panel=OUTPUT,
         ),
     ] = None,
     preset: Preset = "default",
@@ -78,25 +85,43 @@ def process(
     assignments: Assignments = None,
     extrinsics: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
+        typer.Option(
+            metavar="FILE",
+            help="Camera poses that replace the log's transforms.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     fixed_frame: Annotated[
         str | None,
-        typer.Option(metavar="FRAME", help="Frame of the output. Default: root of the transforms."),
+        typer.Option(
+            metavar="FRAME",
+            help="Frame of the output. Default: root of the transforms.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     clock: Annotated[
         list[str] | None,
         typer.Option(
             metavar="CAMERA=SECONDS",
             help="Add seconds to the stamps of a camera; may be repeated.",
+            rich_help_panel=INPUT,
         ),
     ] = None,
     limbs: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Use these limb lengths of an earlier session."),
+        typer.Option(
+            metavar="FILE",
+            help="Use these limb lengths of an earlier session.",
+            rich_help_panel="Limb lengths",
+        ),
     ] = None,
     save_limbs: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the limb lengths to this file.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the limb lengths to this file.",
+            rich_help_panel="Limb lengths",
+        ),
     ] = None,
     calibrate: Annotated[
         list[str] | None,
@@ -104,40 +129,60 @@ def process(
             metavar="START:END",
             help="Calibrate limbs in this time range only, s from the log's start; may be "
             "repeated.",
+            rich_help_panel="Limb lengths",
         ),
     ] = None,
     two_pass: Annotated[
-        bool, typer.Option("--two-pass", help="Calibrate limbs on the whole log first.")
+        bool,
+        typer.Option(
+            "--two-pass",
+            help="Calibrate limbs on the whole log first.",
+            rich_help_panel="Limb lengths",
+        ),
     ] = False,
     solver: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="Optimizer: lm (default) or ceres (slow, for comparison)."
+            metavar="NAME",
+            help="Optimizer: lm (default) or ceres (slow, for comparison).",
+            rich_help_panel="Limb lengths",
         ),
     ] = None,
     markers: Annotated[
         bool,
         typer.Option(
-            "--markers", help="Also write MarkerArray, JointState and Log for RViz and Foxglove."
+            "--markers",
+            help="Also write MarkerArray, JointState and Log for RViz and Foxglove.",
+            rich_help_panel=OUTPUT,
         ),
     ] = False,
     view: Annotated[
-        bool, typer.Option("--view", help="Show the run live in the Rerun viewer.")
+        bool,
+        typer.Option(
+            "--view", help="Show the run live in the Rerun viewer.", rich_help_panel=OUTPUT
+        ),
     ] = False,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Fail if any message would be skipped.")
+        bool,
+        typer.Option(
+            "--strict", help="Fail if any message would be skipped.", rich_help_panel=INPUT
+        ),
     ] = False,
     recover: Annotated[
         bool,
         typer.Option(
             "--recover",
             help="Run on what can be read of a damaged log; exit with 3 on losses.",
+            rich_help_panel=INPUT,
         ),
     ] = False,
     memory: Annotated[
         float,
         typer.Option(
-            metavar="GIB", min=0.25, help="Memory for a log whose chunks overlap in time, GiB."
+            metavar="GIB",
+            min=0.25,
+            help="Memory for a log whose chunks overlap in time, GiB.",
+            rich_help_panel=INPUT,
         ),
     ] = 1.0,
     force: Force = False,
