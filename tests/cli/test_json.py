@@ -83,7 +83,7 @@ def assert_as_documented(data: list[dict[str, object]]) -> None:
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("json") / "out.mcap"
     source = ROOT / "sample_data/one_person_walking.mcap"
-    assert run(["process", str(source), "-o", str(out), "-q", "--set", "track.max_gap=2.0"]) == 0
+    assert run(["process", str(source), "-o", str(out), "-q", "--set", "filter.cutoff=3"]) == 0
     return out
 
 

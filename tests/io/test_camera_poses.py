@@ -106,8 +106,9 @@ def test_a_log_without_transforms_says_what_to_do(
     log = with_poses(crossing, tmp_path / "none.mcap", [], own=False)
     assert command(["process", str(log)]) == 2
     text = capsys.readouterr().err
-    assert "no /tf or /tf_static, so the camera poses are unknown; record /tf_static" in text
-    assert "pass --extrinsics cameras.toml" in text
+    assert "no /tf or /tf_static, so the camera poses are unknown; pass them with" in text
+    assert "hiros calibrate people" in text
+    assert "--extrinsics cameras.toml" in text
 
 
 def test_a_typo_in_the_fixed_frame_is_answered_with_the_frames(crossing: Path) -> None:
