@@ -11,10 +11,11 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
 
 ROOT = Path(__file__).parent.parent
 WIDTH = 78
@@ -22,6 +23,8 @@ WIDTH = 78
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages to those of the folder."""
+    from mkdocs.structure.files import File
+
     for path, text in {**generated(), "walkthrough.md": walkthrough()}.items():
         files.append(File.generated(config, path, content=text))
     return files
