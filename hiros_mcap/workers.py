@@ -191,12 +191,12 @@ def _work(connection: Connection) -> None:
         while True:
             _answer(connection, function, connection.recv())
     except (EOFError, OSError):
-        return  # the first process has no more tasks, or has ended
-    except Exception:
-        # Python wraps an exit that is raised while it creates a class.
+        pass  # the first process has no more tasks, or has ended
+    finally:
+        # The exit may have struck a library in the midst of its setup. Such a library can crash
+        # when Python takes it down, so Python does not.
         if _exit_codes:
-            raise SystemExit(_exit_codes[0]) from None
-        raise
+            os._exit(_exit_codes[0])
 
 
 def _handle_signals() -> None:
