@@ -6,7 +6,6 @@ import json
 import math
 import os
 import struct
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -19,11 +18,11 @@ import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.channels import (
-    CONFIG_ATTACHMENT,
     EVENTS_ATTACHMENT,
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
+    REPORT_ATTACHMENT,
     TRUTH_PREFIX,
     ChannelInfo,
     channels_of,
@@ -32,6 +31,7 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.chunks import Table
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.log import Log, open_log, open_reader
+from hiros_mcap.io.stored_parameters import stored_parameters, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 
@@ -372,7 +372,10 @@ def _run(reader: McapReader) -> RunRow:
     """Read what a result says about itself; whatever is missing or odd stays empty."""
     facts = dict(reader.contents.metadata).get(PROVENANCE, {})
     system = facts.get("system", "")
-    preset, changed = _changed(_flat(_table(reader)), system)
+    try:
+        preset, changed = _changed(stored_parameters(reader), system)
+    except LogError:
+        preset, changed = "", ()
     return RunRow(
         version=facts.get("version", ""),
         system=system,
@@ -384,30 +387,13 @@ def _run(reader: McapReader) -> RunRow:
     )
 
 
-def _table(reader: McapReader) -> Mapping[str, Any]:
-    text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return {}
-
-
 def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
     try:
-        report = json.loads(reader.attachment("hiros/report.json") or b"{}")
+        report = json.loads(reader.attachment(REPORT_ATTACHMENT) or b"{}")
     except ValueError:
         return ()
     found = report.get("warnings") if isinstance(report, dict) else None
     return tuple(map(str, found)) if isinstance(found, list) else ()
-
-
-def _flat(table: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        f"{section}.{name}": json.dumps(value)
-        for section, values in table.items()
-        if isinstance(values, Mapping)
-        for name, value in values.items()
-    }
 
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
@@ -420,7 +406,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
     found: dict[str, tuple[ParameterRow, ...]] = {}
     for preset in PRESETS:
         config = load_config(preset=preset, system=system)
-        usual = _flat(tomllib.loads(to_toml(config, sections_of(system))))
+        usual = values_of(to_toml(config, sections_of(system)))
         found[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
             for name, value in values.items()

@@ -88,13 +88,7 @@ def copy_latched(reader: McapReader, writer: McapWriter, channels: Iterable[Chan
         metadata = {**channel.metadata, "offered_qos_profiles": LATCHED_QOS}
         copy = writer.add_channel(info.topic, ident, metadata=metadata)
         for message in reader.messages([info.id]):
-            writer.write(
-                copy,
-                message.log_time,
-                message.data,
-                publish_time=message.publish_time,
-                sequence=message.sequence,
-            )
+            writer.write_message(copy, message)
 
 
 def write_bag_metadata(mcap: Path) -> None:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.channels import CONFIG_ATTACHMENT, PROVENANCE
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.channels import PROVENANCE
 from hiros_mcap.io.log import open_reader
+from hiros_mcap.io.stored_parameters import stored_parameters
 from hiros_mcap.regression.differences import Difference
 
 _RUN = {
@@ -47,12 +46,8 @@ class Provenance:
         """Read what a log that hiros wrote says; raises LogError if it is damaged."""
         with open_reader(path) as reader:
             run = dict(reader.contents.metadata).get(PROVENANCE, {})
-            text = (reader.attachment(CONFIG_ATTACHMENT) or b"").decode(errors="replace")
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise LogError(f"has no TOML in {CONFIG_ATTACHMENT}: {error}", path=path) from None
-        return cls({name: value for name, value in run.items() if name in _RUN}, _flat(table))
+            parameters = stored_parameters(reader)
+        return cls({name: value for name, value in run.items() if name in _RUN}, parameters)
 
     @classmethod
     def from_json(cls, data: object, path: Path) -> Provenance:
@@ -71,15 +66,6 @@ class Provenance:
     def to_json(self) -> dict[str, Any]:
         """Plain data, a line for each parameter."""
         return asdict(self)
-
-
-def _flat(table: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        f"{section}.{name}": json.dumps(value)
-        for section, values in table.items()
-        if isinstance(values, dict)
-        for name, value in values.items()
-    }
 
 
 def changes(now: Provenance, was: Provenance) -> list[Difference]:

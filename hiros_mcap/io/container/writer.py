@@ -258,9 +258,9 @@ class McapWriter:
             return
         for message in reader.messages_in(chunk):
             if message.channel_id in self.channels:
-                self._write(message.channel_id, message)
+                self.write_message(message.channel_id, message)
 
-    def _write(self, channel_id: int, message: r.Message) -> None:
+    def write_message(self, channel_id: int, message: r.Message) -> None:
         """Add a message of a file, with its times and number."""
         self.write(
             channel_id,
@@ -286,7 +286,7 @@ class McapWriter:
             elif chunk.holds(ids):
                 for message in reader.messages_in(chunk):
                     if message.channel_id in ids:
-                        self._write(ids[message.channel_id], message)
+                        self.write_message(ids[message.channel_id], message)
         self._wait()  # the file may be closed now
 
     def append_extras(self, reader: McapReader) -> None:
