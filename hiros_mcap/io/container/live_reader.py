@@ -1,0 +1,224 @@
+"""Messages of an MCAP that is still being written: a pipe, or a file that grows.
+
+The reader first listens for a while and keeps what comes, for whoever opens the log. From then on
+it hands out every message as soon as it is complete; one in a chunk when the chunk is complete.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import select
+import struct
+import time
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.order import LogOrder
+from hiros_mcap.io.container.reader import Batch, McapReader, Records
+from hiros_mcap.io.container.records import Channel, Message, Schema
+from hiros_mcap.io.container.scan import Contents
+from hiros_mcap.kernels.record_index import COLUMNS
+
+_PATIENCE = 0.1  # s: how soon a request to stop is heard
+_PAUSE = 0.01  # s between looks at a file that does not grow
+_BLOCK = 1 << 18
+_LARGEST_RECORD = 1 << 30
+T = TypeVar("T")
+
+
+class LiveInput:
+    """Bytes that are still being written; :meth:`stop` makes them end.
+
+    Parameters
+    ----------
+    descriptor : of a pipe or an open file. name : what errors and summaries call it.
+    follow : wait at the end of a file for more.
+    """
+
+    def __init__(self, descriptor: int, name: str, *, follow: bool = False) -> None:
+        self.name = name
+        self.is_stopped = False
+        self.before_waiting: Callable[[], None] = lambda: None
+        """Is called before more bytes are awaited."""
+        self._descriptor = descriptor
+        self._follow = follow
+        self._digest = hashlib.sha256()
+        self._buffer = bytearray()
+
+    def stop(self) -> None:
+        """End the input here; a signal handler may call it."""
+        self.is_stopped = True
+
+    def read(self, size: int) -> bytes:
+        """Wait for as many bytes; nothing if the input ends before.
+
+        Raises LogError if it cannot be read.
+        """
+        while len(self._buffer) < size:
+            self.before_waiting()
+            try:
+                data = self._wait()
+            except OSError as error:
+                raise LogError(f"cannot be read: {error.strerror}", path=self.name) from None
+            if not data:
+                return b""
+            self._digest.update(data)
+            self._buffer += data
+        taken = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return taken
+
+    def _wait(self) -> bytes:
+        while not self.is_stopped:
+            if self._follow:
+                if data := os.read(self._descriptor, _BLOCK):
+                    return data
+                time.sleep(_PAUSE)
+            elif select.select([self._descriptor], [], [], _PATIENCE)[0]:
+                return os.read(self._descriptor, _BLOCK)
+        return b""
+
+    def result(self) -> str:
+        """SHA-256 of all bytes so far, in hexadecimal."""
+        return self._digest.hexdigest()
+
+
+class LiveReader(McapReader):
+    """The reader of an MCAP that is still being written.
+
+    Attributes
+    ----------
+    preface : the messages that came while the reader listened.
+    forgotten : messages of the preface that were too many to keep.
+    listeners : are called with every message behind the preface, before it is handed out.
+    span : log times, ns, of the first message and of the latest, of the channels handed out.
+    is_cut : whether the input ended without its end mark.
+    """
+
+    def __init__(self, stream: LiveInput) -> None:
+        self.path = Path(stream.name)
+        self.cpu_s = 0.0
+        self.counts: Counter[int] = Counter()
+        self.preface: list[Message] = []
+        self.forgotten = 0
+        self.listeners: list[Callable[[Message], None]] = []
+        self.span = (0, 0)
+        self.is_cut = False
+        self._contents = Contents()
+        self._messages = self._read(stream)
+
+    def close(self) -> None:
+        """Do nothing: the input belongs to the caller."""
+
+    def listen(self, enough: Callable[[Message], bool], most: int, keep: Collection[str]) -> None:
+        """Fill the preface until a message is ``enough``, or the input ends.
+
+        Of more than ``most`` messages the first are forgotten, but for the topics in ``keep``.
+        """
+        for message in self._messages:
+            self.preface.append(message)
+            if enough(message):
+                return
+            if len(self.preface) > most:
+                old, recent = self.preface[: most // 2], self.preface[most // 2 :]
+                kept = [m for m in old if self.channels[m.channel_id].topic in keep]
+                self.forgotten += len(old) - len(kept)
+                self.preface = kept + recent
+
+    def batches(self, channels: Collection[int] | None = None, size: int = 0) -> Iterator[Batch]:
+        """Yield the preface, and then every message as soon as it is there.
+
+        ``channels`` may grow meanwhile. Raises LogError where the input is damaged; one that ends
+        early only sets ``is_cut``.
+        """
+        yield self._batch(self._heard(channels))
+        for message in self._messages:
+            for listener in self.listeners:
+                listener(message)
+            if channels is None or message.channel_id in channels:
+                yield self._batch([message])
+        yield Batch([_records([])], None)
+
+    def _heard(self, channels: Collection[int] | None) -> list[Message]:
+        return [m for m in self.preface if channels is None or m.channel_id in channels]
+
+    def _batch(self, messages: list[Message]) -> Batch:
+        """Return messages that nothing earlier is waited for."""
+        times = [m.log_time for m in messages]
+        if times:
+            self.span = self.span[0] or min(times), max(*times, self.span[1])
+        return Batch([_records(messages)], max(times, default=0) + 1)
+
+    def runs(self, channels: Collection[int] | None = None) -> Iterator[tuple[Records, list[int]]]:
+        """Yield the preface in the order of log times."""
+        order = LogOrder[Records]()
+        records = _records(self._heard(channels))
+        order.add(records, records.keys)
+        yield from order.before(None)
+
+    def ahead(self, items: Iterator[T]) -> Iterator[T]:
+        """Return the items: nothing can be read before it is there."""
+        return items
+
+    def _read(self, stream: LiveInput) -> Iterator[Message]:
+        """Yield the messages; note the definitions and the metadata on the way."""
+        from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+        from mcap.stream_reader import StreamReader
+        from zstandard import ZstdError
+
+        reader = StreamReader(
+            stream,  # type: ignore[arg-type]  # it needs no more than read()
+            validate_crcs=True,
+            record_size_limit=_LARGEST_RECORD,
+        )
+        try:
+            for record in reader.records:
+                if isinstance(record, Message):
+                    yield self._counted(record)
+                else:
+                    self._note(record)
+        except EndOfFile:
+            if not self._contents.library and not self.channels:
+                raise LogError("is empty or not MCAP", path=self.path) from None
+            self.is_cut = not stream.is_stopped
+        except (InvalidMagic, struct.error):
+            raise LogError("is not MCAP", path=self.path) from None
+        except (McapError, ZstdError, ValueError, RuntimeError, MemoryError) as error:
+            raise LogError(f"damaged: {error}", path=self.path) from None
+
+    def _counted(self, message: Message) -> Message:
+        if message.channel_id not in self.channels:
+            raise ValueError(f"a message belongs to channel {message.channel_id}, not defined")
+        self.counts[message.channel_id] += 1
+        return message
+
+    def _note(self, record: object) -> None:
+        from mcap.records import Header, Metadata
+
+        match record:
+            case Channel():
+                self._contents.channels.setdefault(record.id, record)
+            case Schema():
+                self._contents.schemas.setdefault(record.id, record)
+            case Metadata():
+                self._contents.metadata.append((record.name, dict(record.metadata)))
+            case Header():
+                self._contents.profile = record.profile
+                self._contents.library = record.library
+
+
+def _records(messages: list[Message]) -> Records:
+    """Return messages as if they were those of a chunk."""
+    table = np.empty((len(messages), COLUMNS), np.uint64)
+    at = 0
+    for row, m in zip(table, messages, strict=True):
+        end = at + len(m.data)
+        row[:] = m.channel_id, m.sequence, m.log_time, m.publish_time, at, end
+        at = end
+    return Records(b"".join(m.data for m in messages), table, 0)
