@@ -17,29 +17,40 @@ from hiros_mcap.outputs import target_kind
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Config
-    from hiros_mcap.io.container.live_reader import LiveInput
+    from hiros_mcap.io.container.live_input import LiveInput
     from hiros_mcap.io.live_log import LiveLog
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
     from hiros_mcap.summary import Summary
 
 STREAM = "-"
 """Stands for the standard input and the standard output."""
+SOCKETS = ("ws://", "wss://")
 
 
-def check_live(source: Path, output: str | None, *, follow: bool) -> None:
+def is_live(source: str, output: str | None, *, follow: bool) -> bool:
+    """Whether the input is still being written, or the output goes to a pipe."""
+    return follow or STREAM in (source, output) or source.startswith(SOCKETS)
+
+
+def is_file(source: str) -> bool:
+    """Whether an input is a file or a folder, neither a pipe nor a server."""
+    return source != STREAM and not source.startswith(SOCKETS)
+
+
+def check_live(source: str, output: str | None, *, follow: bool) -> None:
     """Raise ConfigError for an input or an output that cannot be live."""
-    if str(source) != STREAM and not follow:
+    if is_file(source) and not follow:
         raise ConfigError(
             "-o -: only live input goes to a pipe; add --follow, or read a pipe: hiros process - "
             f"-o - < {source}"
         )
-    if str(source) == STREAM and follow:
-        raise ConfigError("--follow is for a file; a pipe is followed anyway")
-    if str(source) != STREAM and not source.is_file():
+    if not is_file(source) and follow:
+        raise ConfigError(f"{source}: --follow is for a file; this input is live anyway")
+    if is_file(source) and not Path(source).is_file():
         raise ConfigError(f"{source}: only an MCAP file can be followed")
-    if str(source) == STREAM and output is None:
-        raise ConfigError("-: name the output: -o FILE, or -o - for a pipe")
-    if str(source) == STREAM and sys.stdin.isatty():
+    if not is_file(source) and output is None:
+        raise ConfigError(f"{source}: name the output: -o FILE, or -o - for a pipe")
+    if source == STREAM and sys.stdin.isatty():
         raise ConfigError("-: the standard input is a terminal; pipe an MCAP into hiros")
     if output == STREAM and sys.stdout.isatty():
         raise ConfigError(
@@ -56,7 +67,7 @@ def live_system(context: typer.Context, system: str) -> str:
 
 
 def run_live(
-    source: Path,
+    source: str,
     wanted: str,
     config: Config,
     options: ProcessOptions,
@@ -64,8 +75,8 @@ def run_live(
     *,
     quiet: bool,
 ) -> Summary:
-    """Process until the input ends; see :func:`hiros_mcap.running.live.process_live`."""
-    from hiros_mcap.running.live import process_live
+    """Process until the input ends; see :func:`hiros_mcap.running.process_live.process_live`."""
+    from hiros_mcap.running.process_live import process_live
 
     def started(log: LiveLog) -> None:
         cameras = ", ".join(sorted(n for c in log.cameras for n in c.sources.values()))
@@ -73,7 +84,7 @@ def run_live(
 
     if not quiet:
         print(f"hiros: listening to {_name(source)}", file=sys.stderr, flush=True)
-    with _input(source) as stream:
+    with _input(source, options) as stream:
         return process_live(
             stream,
             sys.__stdout__.fileno() if wanted == STREAM and sys.__stdout__ else Path(wanted),
@@ -91,24 +102,30 @@ def stdout_free(output: str) -> Iterator[None]:
         yield
 
 
-def _name(source: Path) -> str:
-    return "the standard input" if str(source) == STREAM else str(source)
+def _name(source: str) -> str:
+    return "the standard input" if source == STREAM else source
 
 
 @contextlib.contextmanager
-def _input(source: Path) -> Iterator[LiveInput]:
-    """Yield the standard input, or a file that grows; the first Ctrl-C or SIGTERM ends it.
+def _input(source: str, options: ProcessOptions) -> Iterator[LiveInput]:
+    """Yield the input; the first Ctrl-C or SIGTERM ends it.
 
     What was read by then is processed and written. A second signal stops the program.
     """
-    from hiros_mcap.io.container.live_reader import LiveInput
+    from hiros_mcap.io.container.live_input import McapInput
 
     with contextlib.ExitStack() as stack:
-        if str(source) == STREAM:
-            stream = LiveInput(sys.stdin.fileno(), _name(source))
+        stream: LiveInput
+        if source.startswith(SOCKETS):
+            from hiros_mcap.io.foxglove import FoxgloveInput
+            from hiros_mcap.running.process_live import subscription
+
+            stream = FoxgloveInput(source, subscription(options))
+        elif source == STREAM:
+            stream = McapInput(sys.stdin.fileno(), _name(source))
         else:
-            file = stack.enter_context(source.open("rb", buffering=0))
-            stream = LiveInput(file.fileno(), _name(source), follow=True)
+            file = stack.enter_context(Path(source).open("rb", buffering=0))
+            stream = McapInput(file.fileno(), source, follow=True)
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
         def stop(*_: int | FrameType | None) -> None:

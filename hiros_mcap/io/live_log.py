@@ -2,7 +2,7 @@
 
 ::
 
-    with open_live(LiveInput(0, "standard input")) as log:
+    with open_live(McapInput(0, "standard input")) as log:
         for frame in log.detections():
             ...
 """
@@ -21,7 +21,8 @@ from hiros_mcap.body.transforms import TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError, SchemaError
 from hiros_mcap.io.channels import TF_TOPICS, ChannelInfo, channels_of, select_skeletons
 from hiros_mcap.io.container import Message
-from hiros_mcap.io.container.live_reader import LiveInput, LiveReader
+from hiros_mcap.io.container.live_input import LiveInput
+from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.log import CameraChannel, Log, look_into
 from hiros_mcap.summary import quantity
 
@@ -75,7 +76,7 @@ class LiveLog(Log):
             for topic, n in self._waiting.items()
         ]
         found += [fault for fault in self._refused.values() if fault]
-        if self.reader.is_cut:
+        if self.reader.source.is_cut:
             found.append(
                 "the input ended without its end mark; if its writer was not stopped on purpose, "
                 "look for the fault there"
@@ -103,17 +104,10 @@ class LiveLog(Log):
                     self.transforms.add(transform, static=static, log_time=message.log_time)
             return
         info = next(info for info in channels_of(self.reader) if info.id == ident)
-        if self.takes(info):
+        if takes(info, self._topics):
             self._join(info, message)
         else:
             self._refused[ident] = ""
-
-    def takes(self, info: ChannelInfo) -> bool:
-        """Whether a channel holds detections of a camera that are wanted."""
-        try:
-            return bool(select_skeletons([info], self._topics))
-        except LogError:
-            return False
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""
@@ -141,8 +135,16 @@ class LiveLog(Log):
         self.use(camera)
 
 
+def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
+    """Whether a channel holds detections that are wanted; for ``topics`` see select_skeletons."""
+    try:
+        return bool(select_skeletons([info], topics))
+    except LogError:
+        return False
+
+
 def open_live(
-    stream: LiveInput,
+    source: LiveInput,
     *,
     topics: Sequence[str] | None = None,
     extrinsics: str | os.PathLike[str] | None = None,
@@ -164,7 +166,7 @@ def open_live(
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader = LiveReader(stream)
+    reader = LiveReader(source)
 
     def attempt() -> LiveLog:
         found = look_into(reader, select_skeletons(channels_of(reader), topics), tree)

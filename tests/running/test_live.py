@@ -13,14 +13,16 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import NonSeekingReader
+from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container import McapReader, Message
-from hiros_mcap.io.container.live_reader import LiveInput
+from hiros_mcap.io.container.live_input import McapInput
 from hiros_mcap.io.container.live_writer import LiveWriter
-from hiros_mcap.running.live import process_live
+from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.process_live import process_live
 from hiros_mcap.summary import Summary
 
 LIVE = ProcessOptions(system="hiros-realtime")
@@ -48,7 +50,7 @@ def results(data: bytes) -> Messages:
 
 
 @contextmanager
-def piped(write: Callable[[int], None]) -> Iterator[LiveInput]:
+def piped(write: Callable[[int], None]) -> Iterator[McapInput]:
     """Yield the end of a pipe into which a thread writes."""
     end, begin = os.pipe()
 
@@ -63,7 +65,7 @@ def piped(write: Callable[[int], None]) -> Iterator[LiveInput]:
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        yield LiveInput(end, "pipe")
+        yield McapInput(end, "pipe")
     finally:
         os.close(end)
         thread.join()
@@ -265,11 +267,69 @@ def test_a_file_is_followed_to_its_end_mark(
     thread = threading.Thread(target=grow)
     thread.start()
     with growing.open("rb", buffering=0) as file:
-        process_live(LiveInput(file.fileno(), "growing", follow=True), out, options=LIVE)
+        process_live(McapInput(file.fileno(), "growing", follow=True), out, options=LIVE)
     thread.join()
     assert results(out.read_bytes()) == by_file
 
 
+def test_a_foxglove_server_gives_what_a_file_gives(
+    crossing: Path, by_file: Messages, tmp_path: Path
+) -> None:
+    foxglove = pytest.importorskip("foxglove")
+    subscribed, sent = threading.Semaphore(0), recorded(crossing)
+
+    class Listener(foxglove.ServerListener):
+        def on_subscribe(self, client: object, channel: object) -> None:
+            subscribed.release()
+
+    context = foxglove.Context()
+    server = foxglove.start_server(
+        port=0, message_backlog_size=100_000, server_listener=Listener(), context=context
+    )
+    with McapReader(crossing) as reader:
+        channels = {
+            channel.topic: foxglove.Channel(
+                channel.topic,
+                message_encoding="cdr",
+                schema=foxglove.Schema(
+                    name=schema.name, encoding=schema.encoding, data=schema.data
+                ),
+                context=context,
+            )
+            for channel in reader.channels.values()
+            if (schema := reader.schema(channel))
+        }
+
+    def publish() -> None:
+        for _ in channels:
+            assert subscribed.acquire(timeout=60)
+        for topic, message in sent:
+            channels[topic].log(message.data, log_time=message.log_time)
+
+    class UntilAll(FoxgloveInput):
+        def records(self) -> Iterator[McapRecord]:
+            taken = 0
+            for record in super().records():
+                yield record
+                taken += isinstance(record, Message)
+                if taken == len(sent):
+                    self.stop()
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    out = tmp_path / "out.mcap"
+    url = f"ws://127.0.0.1:{server.port}"
+    process_live(UntilAll(url, lambda topic, kind: True), out, options=LIVE)
+    thread.join()
+    server.stop()
+    assert results(out.read_bytes()) == by_file
+
+
+def test_a_server_that_does_not_answer_is_named() -> None:
+    with pytest.raises(LogError, match="ws://127.0.0.1:1: no Foxglove WebSocket server answers"):
+        process_live(FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True), None)
+
+
 def test_what_needs_the_whole_log_is_refused() -> None:
     with pytest.raises(ConfigError, match="are for files"):
-        process_live(LiveInput(0, "pipe"), None, options=ProcessOptions(strict=True))
+        process_live(McapInput(0, "pipe"), None, options=ProcessOptions(strict=True))

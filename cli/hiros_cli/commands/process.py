@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.completing import topics
-from hiros_cli.live_run import STREAM, check_live, live_system, run_live, stdout_free
+from hiros_cli.live_run import (
+    STREAM,
+    check_live,
+    is_file,
+    is_live,
+    live_system,
+    run_live,
+    stdout_free,
+)
 from hiros_cli.options import (
     INPUT,
     LOSSES,
@@ -211,18 +219,18 @@ def process(
     from hiros_cli.progress import bar
     from hiros_mcap.outputs import target_kind
 
-    is_live = follow or STREAM in (str(source), output)
-    if is_live:
-        check_live(source, output, follow=follow)
+    live = is_live(str(source), output, follow=follow)
+    if live:
+        check_live(str(source), output, follow=follow)
         system = live_system(context, system)
-    if str(source) != STREAM:
+    if is_file(str(source)):
         source.stat()  # reports a missing file before anything slow happens
     wanted = str(beside(source, SUFFIX)) if output is None else output
     kind, target = target_kind(wanted), Path(wanted)
     check_outputs(
         (None if wanted == STREAM else target, kind),
         (save_limbs, "limb table"),
-        inputs=(None if str(source) == STREAM else source, config, extrinsics, limbs),
+        inputs=(source if is_file(str(source)) else None, config, extrinsics, limbs),
         force=force,
     )
     if kind == "log":
@@ -234,7 +242,7 @@ def process(
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     prepare(quiet=quiet, roots=RUN)
 
-    if output is None and not is_live:
+    if output is None and not live:
         _refuse_result(source)
     from hiros_mcap.config import load_config
     from hiros_mcap.running.pipeline import ProcessOptions
@@ -267,9 +275,9 @@ def process(
     effective = load_config(config, assignments or (), preset, system, shortcuts)
     with ExitStack() as stack:
         watcher = stack.enter_context(_live(source)) if view else None
-        if is_live:
+        if live:
             stack.enter_context(stdout_free(wanted))
-            summary = run_live(source, wanted, effective, options, watcher, quiet=quiet)
+            summary = run_live(str(source), wanted, effective, options, watcher, quiet=quiet)
             _show(summary, json=json, quiet=quiet)
             return
         progress = stack.enter_context(bar(source.name, quiet=quiet))

@@ -6,11 +6,6 @@ it hands out every message as soon as it is complete; one in a chunk when the ch
 
 from __future__ import annotations
 
-import hashlib
-import os
-import select
-import struct
-import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
@@ -19,74 +14,14 @@ from typing import TypeVar
 import numpy as np
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.order import LogOrder
 from hiros_mcap.io.container.reader import Batch, McapReader, Records
 from hiros_mcap.io.container.records import Channel, Message, Schema
 from hiros_mcap.io.container.scan import Contents
 from hiros_mcap.kernels.record_index import COLUMNS
 
-_PATIENCE = 0.1  # s: how soon a request to stop is heard
-_PAUSE = 0.01  # s between looks at a file that does not grow
-_BLOCK = 1 << 18
-_LARGEST_RECORD = 1 << 30
 T = TypeVar("T")
-
-
-class LiveInput:
-    """Bytes that are still being written; :meth:`stop` makes them end.
-
-    Parameters
-    ----------
-    descriptor : of a pipe or an open file. name : what errors and summaries call it.
-    follow : wait at the end of a file for more.
-    """
-
-    def __init__(self, descriptor: int, name: str, *, follow: bool = False) -> None:
-        self.name = name
-        self.is_stopped = False
-        self.before_waiting: Callable[[], None] = lambda: None
-        """Is called before more bytes are awaited."""
-        self._descriptor = descriptor
-        self._follow = follow
-        self._digest = hashlib.sha256()
-        self._buffer = bytearray()
-
-    def stop(self) -> None:
-        """End the input here; a signal handler may call it."""
-        self.is_stopped = True
-
-    def read(self, size: int) -> bytes:
-        """Wait for as many bytes; nothing if the input ends before.
-
-        Raises LogError if it cannot be read.
-        """
-        while len(self._buffer) < size:
-            self.before_waiting()
-            try:
-                data = self._wait()
-            except OSError as error:
-                raise LogError(f"cannot be read: {error.strerror}", path=self.name) from None
-            if not data:
-                return b""
-            self._digest.update(data)
-            self._buffer += data
-        taken = bytes(self._buffer[:size])
-        del self._buffer[:size]
-        return taken
-
-    def _wait(self) -> bytes:
-        while not self.is_stopped:
-            if self._follow:
-                if data := os.read(self._descriptor, _BLOCK):
-                    return data
-                time.sleep(_PAUSE)
-            elif select.select([self._descriptor], [], [], _PATIENCE)[0]:
-                return os.read(self._descriptor, _BLOCK)
-        return b""
-
-    def result(self) -> str:
-        """SHA-256 of all bytes so far, in hexadecimal."""
-        return self._digest.hexdigest()
 
 
 class LiveReader(McapReader):
@@ -98,20 +33,19 @@ class LiveReader(McapReader):
     forgotten : messages of the preface that were too many to keep.
     listeners : are called with every message behind the preface, before it is handed out.
     span : log times, ns, of the first message and of the latest, of the channels handed out.
-    is_cut : whether the input ended without its end mark.
     """
 
-    def __init__(self, stream: LiveInput) -> None:
-        self.path = Path(stream.name)
+    def __init__(self, source: LiveInput) -> None:
+        self.path = Path(source.name)
+        self.source = source
         self.cpu_s = 0.0
         self.counts: Counter[int] = Counter()
         self.preface: list[Message] = []
         self.forgotten = 0
         self.listeners: list[Callable[[Message], None]] = []
         self.span = (0, 0)
-        self.is_cut = False
         self._contents = Contents()
-        self._messages = self._read(stream)
+        self._messages = self._read(source)
 
     def close(self) -> None:
         """Do nothing: the input belongs to the caller."""
@@ -134,8 +68,7 @@ class LiveReader(McapReader):
     def batches(self, channels: Collection[int] | None = None, size: int = 0) -> Iterator[Batch]:
         """Yield the preface, and then every message as soon as it is there.
 
-        ``channels`` may grow meanwhile. Raises LogError where the input is damaged; one that ends
-        early only sets ``is_cut``.
+        ``channels`` may grow meanwhile. Raises LogError where the input is damaged.
         """
         yield self._batch(self._heard(channels))
         for message in self._messages:
@@ -166,37 +99,17 @@ class LiveReader(McapReader):
         """Return the items: nothing can be read before it is there."""
         return items
 
-    def _read(self, stream: LiveInput) -> Iterator[Message]:
+    def _read(self, source: LiveInput) -> Iterator[Message]:
         """Yield the messages; note the definitions and the metadata on the way."""
-        from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-        from mcap.stream_reader import StreamReader
-        from zstandard import ZstdError
-
-        reader = StreamReader(
-            stream,  # type: ignore[arg-type]  # it needs no more than read()
-            validate_crcs=True,
-            record_size_limit=_LARGEST_RECORD,
-        )
-        try:
-            for record in reader.records:
-                if isinstance(record, Message):
-                    yield self._counted(record)
-                else:
-                    self._note(record)
-        except EndOfFile:
-            if not self._contents.library and not self.channels:
-                raise LogError("is empty or not MCAP", path=self.path) from None
-            self.is_cut = not stream.is_stopped
-        except (InvalidMagic, struct.error):
-            raise LogError("is not MCAP", path=self.path) from None
-        except (McapError, ZstdError, ValueError, RuntimeError, MemoryError) as error:
-            raise LogError(f"damaged: {error}", path=self.path) from None
-
-    def _counted(self, message: Message) -> Message:
-        if message.channel_id not in self.channels:
-            raise ValueError(f"a message belongs to channel {message.channel_id}, not defined")
-        self.counts[message.channel_id] += 1
-        return message
+        for record in source.records():
+            if not isinstance(record, Message):
+                self._note(record)
+                continue
+            if record.channel_id not in self.channels:
+                fault = f"damaged: a message belongs to channel {record.channel_id}, not defined"
+                raise LogError(fault, path=self.path)
+            self.counts[record.channel_id] += 1
+            yield record
 
     def _note(self, record: object) -> None:
         from mcap.records import Header, Metadata

@@ -3,7 +3,7 @@
 ::
 
     with open("out.mcap", "wb") as out:
-        process_live(LiveInput(0, "standard input"), out.fileno(), options=...)
+        process_live(McapInput(0, "standard input"), out.fileno(), options=...)
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pathlib import Path
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.channels import LATCHED_QOS, channels_of
+from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapWriter, Message
-from hiros_mcap.io.container.live_reader import LiveInput
+from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_writer import LiveWriter
-from hiros_mcap.io.live_log import LiveLog, open_live
+from hiros_mcap.io.live_log import LiveLog, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
 from hiros_mcap.running.clock_alignment import align_clocks
 from hiros_mcap.running.observe import Observer
@@ -89,7 +89,7 @@ def process_live(
         output: LogOutput | NoOutput = NoOutput()
         if writer is not None:
             copier = _LiveCopier(log, writer, options)
-            output = LogOutput(writer, copier, log, run, chain, options, source.result)
+            output = LogOutput(writer, copier, log, run, chain, options, source.digest)
         sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
         for _ in stream(clocks.correct(log.blocks()), run, chain, watch, sinks):
             pass
@@ -100,6 +100,18 @@ def process_live(
     if options.limbs_out:
         run.limbs.save(options.limbs_out)
     return report.summary(str(target) if isinstance(target, Path) else None)
+
+
+def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
+    """Return what tells from topic and type whether a run reads or copies a channel."""
+
+    def wanted(topic: str, kind: str) -> bool:
+        info = ChannelInfo(0, topic, kind, "cdr", 1, {})
+        reads = takes(info, options.topics or None)
+        needed = topic in TF_TOPICS and options.extrinsics is None
+        return reads or needed or is_kept(info, options, is_read=False)
+
+    return wanted
 
 
 def _causal(config: Config, options: ProcessOptions) -> Config:
@@ -151,7 +163,7 @@ class _LiveCopier:
     def _define(self, ident: int) -> int | None:
         reader = self._log.reader
         info = next(info for info in channels_of(reader) if info.id == ident)
-        if not is_kept(info, self._options, is_read=self._log.takes(info)):
+        if not is_kept(info, self._options, is_read=takes(info, self._options.topics or None)):
             return None
         channel = reader.channels[ident]
         if needs_latching(info):
