@@ -132,6 +132,8 @@ class Log:
         self.strict = False
         self.accounts: dict[str, Account] = {}
         self._fixed_frame = fixed_frame
+        self._inputs: dict[int, _Input] = {}
+        self._layouts: dict[int, Layout] = {}
 
     def __repr__(self) -> str:
         return f"<Log {self.path}: {len(self.cameras)} skeleton channels, {self.model!r}>"
@@ -339,9 +341,12 @@ class Log:
         """
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
-        inputs = {c.channel.id: _Input(c, self.accounts[c.channel.topic]) for c in self.cameras}
-        layouts = {camera.channel.id: camera.layout for camera in self.cameras}
-        decoder = Decoder(self.model, layouts=layouts, poses=poses)
+        self._inputs.clear()
+        self._layouts.clear()
+        for camera in self.cameras:
+            self.use(camera)
+        inputs = self._inputs
+        decoder = Decoder(self.model, layouts=self._layouts, poses=poses)
         decoded = (d for batch in self.reader.batches(inputs) for d in decoder.decode(batch))
         order = LogOrder[Decoded]()
         with _named(self.path):
@@ -349,6 +354,13 @@ class Log:
                 order.add(some, some.keys)
                 for part, messages in order.before(some.until):
                     yield from self._accounted(part, messages, inputs)
+
+    def use(self, camera: CameraChannel) -> None:
+        """Read the messages of a camera from here on."""
+        topic = camera.channel.topic
+        account = self.accounts.setdefault(topic, Account(topic))
+        self._inputs[camera.channel.id] = _Input(camera, account)
+        self._layouts[camera.channel.id] = camera.layout
 
     def _accounted(
         self, decoded: Decoded, messages: Sequence[int], inputs: Mapping[int, _Input]
@@ -529,23 +541,32 @@ def open_log(
     try:
         with _named(reader.path):
             chosen = select_skeletons(channels_of(reader), topics, output_prefix)
-            layouts = {info.id: _layout(reader, info) for info in chosen}
-            model, first = _learn(reader, layouts)
-            decoder = Decoder(model, layouts=layouts)
-            seen = [
-                _look(reader, info, decoder, layouts[info.id], first[info.id])
-                if info.count
-                else CameraChannel(info, layouts[info.id], {"": ""}, ())
-                for info in chosen
-            ]
-            cameras = _name_cameras(seen)
-            begin = min((message.log_time for message in first.values()), default=0)
-            begin = min(begin, _LATEST)
-            transforms = _transforms(reader, begin) if tree is None else tree
-        return Log(reader, cameras, model, transforms, fixed_frame)
+        return Log(reader, *look_into(reader, chosen, tree), fixed_frame)
     except BaseException:
         reader.close()
         raise
+
+
+def look_into(
+    reader: McapReader, chosen: Sequence[ChannelInfo], tree: TransformTree | None
+) -> tuple[list[CameraChannel], SkeletonModel, TransformTree]:
+    """Find out about the chosen channels: cameras, skeleton model, and transforms unless given.
+
+    Raises as :func:`open_log` does.
+    """
+    with _named(reader.path):
+        layouts = {info.id: _layout(reader, info) for info in chosen}
+        model, first = _learn(reader, layouts)
+        decoder = Decoder(model, layouts=layouts)
+        seen = [
+            _look(reader, info, decoder, layouts[info.id], first[info.id])
+            if info.count
+            else CameraChannel(info, layouts[info.id], {"": ""}, ())
+            for info in chosen
+        ]
+        begin = min((message.log_time for message in first.values()), default=0)
+        transforms = _transforms(reader, min(begin, _LATEST)) if tree is None else tree
+    return _name_cameras(seen), model, transforms
 
 
 def span_of(reader: McapReader) -> tuple[int, int]:

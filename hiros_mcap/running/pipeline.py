@@ -91,17 +91,17 @@ def process(
         if kind == "rosbag2 folder":
             kept = kept_channels(log, options)
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
-        config = _with_clocks(config, log, options.extrinsics)
-        run = _set_up(log, config, options)
+        config = with_clocks(config, log, options.extrinsics)
+        run = set_up(log, config, options)
         with watch.timing("read"):
             clocks = align_clocks(log, config, _reorder_of(run))
         _calibrate_first(log, run, chain, clocks)
         observer = Observer(chain)
         report = Report(log, run, observer, watch, clocks, unmatched_globs(log, options))
         with open_output(path, log, run, chain, options) as output:
-            sinks = [observer.see, *_shown_to(watcher, log, chain), output.write]
+            sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
             detections = clocks.correct(log.blocks())
-            blocks = _stream(detections, run, chain, watch, sinks)
+            blocks = stream(detections, run, chain, watch, sinks)
             _consume(blocks, log, progress or Silent())
             watch.charge("read", log.reader.cpu_s)
             clocks.tell(run.events)
@@ -153,7 +153,7 @@ def open_input(source: str | os.PathLike[str], config: Config, options: ProcessO
     )
 
 
-def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
+def with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
     """Add the clocks of a file with poses to the configuration, whose own come first."""
     if extrinsics is None:
         return config
@@ -163,7 +163,7 @@ def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
     return config.model_copy(update={"clock": clock})
 
 
-def _set_up(log: Log, config: Config, options: ProcessOptions) -> Run:
+def set_up(log: Log, config: Config, options: ProcessOptions) -> Run:
     """Return what the stages share.
 
     Raises ConfigError for a calibration window that starts after the end of the log.
@@ -205,7 +205,7 @@ def _calibrate_first(log: Log, run: Run, chain: Sequence[str], clocks: ClockAlig
     run.limbs.people.update(table.people)
 
 
-def _stream(
+def stream(
     detections: Iterator[Block],
     run: Run,
     chain: Sequence[str],
@@ -224,7 +224,7 @@ def _stream(
     yield from blocks
 
 
-def _shown_to(watcher: Watcher | None, log: Log, chain: Sequence[str]) -> Iterator[Sink]:
+def shown_to(watcher: Watcher | None, log: Log, chain: Sequence[str]) -> Iterator[Sink]:
     """Yield the sink of a watcher, if there is one; it gets the frames one by one."""
     if watcher is None:
         return

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 from hiros_mcap._version import __version__
 from hiros_mcap.config import to_toml
@@ -23,13 +24,14 @@ from hiros_mcap.io.channels import (
     REPORT_ATTACHMENT,
     TF_TOPICS,
     TRUTH_PREFIX,
+    ChannelInfo,
     add_skeleton_channel,
     add_static_poses,
 )
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
-from hiros_mcap.io.digest import Digest, digest_of
+from hiros_mcap.io.digest import digest_of
 from hiros_mcap.io.log import Log
 from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
@@ -65,28 +67,51 @@ def open_output(
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
         digest_of(log.path) as digest,
     ):
-        yield LogOutput(writer, log, run, chain, options, digest)
+        copier = _file_copier(log, writer, options)
+        yield LogOutput(writer, copier, log, run, chain, options, digest.result)
+
+
+def _file_copier(log: Log, writer: McapWriter, options: ProcessOptions) -> ChunkCopier:
+    """Copy /tf_static at once if players need it latched; return what copies the rest."""
+    kept = kept_channels(log, options)
+    latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
+    copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
+    copy_latched(log.reader, writer, latched)
+    return copier
+
+
+class Copier(Protocol):
+    """Copies the input in step with what else is written."""
+
+    def until(self, log_time: int) -> None:
+        """Copy what was logged up to a time, ns."""
+
+    def finish(self) -> None:
+        """Copy the rest."""
 
 
 class LogOutput:
-    """An MCAP file with the input and the results."""
+    """An MCAP file with the input and the results.
+
+    Parameters
+    ----------
+    writer, copier : of the file, and of the input into it.
+    log, run, chain, options : of the run. digest : gives the SHA-256 of the input at the end.
+    """
 
     def __init__(
         self,
         writer: McapWriter,
+        copier: Copier,
         log: Log,
         run: Run,
         chain: Sequence[str],
         options: ProcessOptions,
-        digest: Digest,
+        digest: Callable[[], str],
     ) -> None:
         params = run.config.output
         self._writer, self._run, self._chain = writer, run, chain
-        kept = kept_channels(log, options)
-        latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
-        unchanged = set(kept) - {info.id for info in latched}
-        self._copier = ChunkCopier(log.reader, writer, unchanged)
-        copy_latched(log.reader, writer, latched)
+        self._copier = copier
         if options.extrinsics is not None and options.keep is None:
             _write_poses(writer, log)
         self._channels = {
@@ -145,7 +170,7 @@ class LogOutput:
             "fixed_frame": run.fixed_frame,
             "config_sha256": hashlib.sha256(config).hexdigest(),
             "input_messages": str(sum(self._input_messages.values())),
-            "input_sha256": self._digest.result(),
+            "input_sha256": self._digest(),
             **self._given,
         }
         if "merge" in sections and LETTERS["M"] in self._chain:
@@ -180,20 +205,17 @@ def _given(options: ProcessOptions) -> Mapping[str, str]:
 
 def kept_channels(log: Log, options: ProcessOptions) -> list[int]:
     """Return the ids of the input channels that are copied."""
+    read = {camera.channel.id for camera in log.cameras}
+    return [info.id for info in log.channels if is_kept(info, options, is_read=info.id in read)]
+
+
+def is_kept(info: ChannelInfo, options: ProcessOptions, *, is_read: bool) -> bool:
+    """Whether a channel of the input is copied; ``is_read``: its skeletons are read."""
     if options.keep is None:
-        read = {camera.channel.id for camera in log.cameras}
         # Transforms that a file replaced would contradict the result.
         transforms = () if options.extrinsics else TF_TOPICS
-        return [
-            i.id
-            for i in log.channels
-            if i.id in read or i.topic in transforms or i.topic.startswith(f"{TRUTH_PREFIX}/")
-        ]
-    return [
-        info.id
-        for info in log.channels
-        if info.topic not in OUTPUT_TOPICS and any(fnmatchcase(info.topic, g) for g in options.keep)
-    ]
+        return is_read or info.topic in transforms or info.topic.startswith(f"{TRUTH_PREFIX}/")
+    return info.topic not in OUTPUT_TOPICS and any(fnmatchcase(info.topic, g) for g in options.keep)
 
 
 def unmatched_globs(log: Log, options: ProcessOptions) -> list[str]:

@@ -11,6 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.completing import topics
+from hiros_cli.live_run import (
+    STREAM,
+    check_live,
+    is_file,
+    is_live,
+    live_system,
+    run_live,
+    stdout_free,
+)
 from hiros_cli.options import (
     INPUT,
     LOSSES,
@@ -38,8 +47,10 @@ SUFFIX = ".hiros.mcap"
 
 
 def process(
+    context: typer.Context,
     source: Annotated[
-        Path, typer.Argument(metavar="IN", help="The recording: MCAP file or ROS bag.")
+        Path,
+        typer.Argument(metavar="IN", help="The recording: MCAP file or ROS bag; - reads a pipe."),
     ],
     output: Annotated[
         str | None,
@@ -47,7 +58,8 @@ def process(
             "--output",
             "-o",
             metavar="OUT",
-            help=f"Output file, or DIR/ for a ROS 2 bag. Default: IN's name with {SUFFIX}.",
+            help=f"Output file, DIR/ for a ROS 2 bag, - for a pipe. Default: IN's name with "
+            f"{SUFFIX}.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -176,6 +188,14 @@ def process(
             rich_help_panel=INPUT,
         ),
     ] = False,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow",
+            help="Process a log while it is being written; Ctrl-C ends it.",
+            rich_help_panel=INPUT,
+        ),
+    ] = False,
     memory: Annotated[
         float,
         typer.Option(
@@ -199,13 +219,18 @@ def process(
     from hiros_cli.progress import bar
     from hiros_mcap.outputs import target_kind
 
-    source.stat()  # reports a missing file before anything slow happens
+    live = is_live(str(source), output, follow=follow)
+    if live:
+        check_live(str(source), output, follow=follow)
+        system = live_system(context, system)
+    if is_file(str(source)):
+        source.stat()  # reports a missing file before anything slow happens
     wanted = str(beside(source, SUFFIX)) if output is None else output
     kind, target = target_kind(wanted), Path(wanted)
     check_outputs(
-        (target, kind),
+        (None if wanted == STREAM else target, kind),
         (save_limbs, "limb table"),
-        inputs=(source, config, extrinsics, limbs),
+        inputs=(source if is_file(str(source)) else None, config, extrinsics, limbs),
         force=force,
     )
     if kind == "log":
@@ -217,7 +242,7 @@ def process(
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     prepare(quiet=quiet, roots=RUN)
 
-    if output is None:
+    if output is None and not live:
         _refuse_result(source)
     from hiros_mcap.config import load_config
     from hiros_mcap.running.pipeline import ProcessOptions
@@ -250,6 +275,11 @@ def process(
     effective = load_config(config, assignments or (), preset, system, shortcuts)
     with ExitStack() as stack:
         watcher = stack.enter_context(_live(source)) if view else None
+        if live:
+            stack.enter_context(stdout_free(wanted))
+            summary = run_live(str(source), wanted, effective, options, watcher, quiet=quiet)
+            _show(summary, json=json, quiet=quiet)
+            return
         progress = stack.enter_context(bar(source.name, quiet=quiet))
         summary = run(
             source,

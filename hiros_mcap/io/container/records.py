@@ -32,6 +32,7 @@ __all__ = [
     "AttachmentIndex",
     "Channel",
     "ChunkIndex",
+    "McapRecord",
     "Message",
     "Opcode",
     "Schema",

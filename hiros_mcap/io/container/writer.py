@@ -115,10 +115,13 @@ class McapWriter:
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
-        self._out = OutputFile(path, inputs)
+        self._out = self._open(inputs)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="hiros-write")
         header = r.record(Opcode.HEADER, r.text("ros2"), r.text(f"hiros {__version__}"))
         self._submit(self._out.write, r.MAGIC, header)
+
+    def _open(self, inputs: Iterable[str | os.PathLike[str]]) -> OutputFile:
+        return OutputFile(self.path, inputs)
 
     def __enter__(self) -> Self:
         return self
@@ -276,7 +279,10 @@ class McapWriter:
         A channel keeps its id unless one of another file has it; equal channels of several files
         become one.
         """
-        ids = {i: self._adopt(reader, i) for i in sorted(channels)}
+        ids = {
+            i: self.adopt(reader.channels[i], reader.schema(reader.channels[i]))
+            for i in sorted(channels)
+        }
         others = reader.channels.keys() - ids.keys()
         kept = all(i == new for i, new in ids.items()) and not (others & self.channels.keys())
         for chunk in sorted(reader.contents.chunks, key=lambda chunk: chunk.offset):
@@ -302,10 +308,9 @@ class McapWriter:
         while self._waiting:
             self._waiting.popleft().result()
 
-    def _adopt(self, reader: McapReader, ident: int) -> int:
-        """Return the id of a channel that is equal to one of a file; add it if there is none."""
-        channel = reader.channels[ident]
-        schema = reader.schema(channel)
+    def adopt(self, channel: r.Channel, schema: r.Schema | None) -> int:
+        """Return the id of a channel that is equal to one of a log; add it if there is none."""
+        ident = channel.id
 
         def equal(other: r.Channel) -> bool:
             mine = self.schemas.get(other.schema_id)
@@ -356,6 +361,9 @@ class McapWriter:
         self._submit(self._flush)
         self._wait()
         self._summary()
+        self._publish()
+
+    def _publish(self) -> None:
         self._out.sync()
         check = LogFile(self._out.temp)
         try:

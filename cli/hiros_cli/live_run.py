@@ -1,0 +1,143 @@
+"""``hiros process -`` and ``hiros process --follow``: input that is still being written."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import typer
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.outputs import target_kind
+
+if TYPE_CHECKING:
+    from hiros_mcap.config import Config
+    from hiros_mcap.io.container.live_input import LiveInput
+    from hiros_mcap.io.live_log import LiveLog
+    from hiros_mcap.running.process_options import ProcessOptions, Watcher
+    from hiros_mcap.summary import Summary
+
+STREAM = "-"
+"""Stands for the standard input and the standard output."""
+SOCKETS = ("ws://", "wss://")
+
+
+def is_live(source: str, output: str | None, *, follow: bool) -> bool:
+    """Whether the input is still being written, or the output goes to a pipe."""
+    return follow or STREAM in (source, output) or source.startswith(SOCKETS)
+
+
+def is_file(source: str) -> bool:
+    """Whether an input is a file or a folder, neither a pipe nor a server."""
+    return source != STREAM and not source.startswith(SOCKETS)
+
+
+def check_live(source: str, output: str | None, *, follow: bool) -> None:
+    """Raise ConfigError for an input or an output that cannot be live."""
+    if is_file(source) and not follow:
+        raise ConfigError(
+            "-o -: only live input goes to a pipe; add --follow, or read a pipe: hiros process - "
+            f"-o - < {source}"
+        )
+    if not is_file(source) and follow:
+        raise ConfigError(f"{source}: --follow is for a file; this input is live anyway")
+    if is_file(source) and not Path(source).is_file():
+        raise ConfigError(f"{source}: only an MCAP file can be followed")
+    if not is_file(source) and output is None:
+        raise ConfigError(f"{source}: name the output: -o FILE, or -o - for a pipe")
+    if source == STREAM and sys.stdin.isatty():
+        raise ConfigError("-: the standard input is a terminal; pipe an MCAP into hiros")
+    if output == STREAM and sys.stdout.isatty():
+        raise ConfigError(
+            "-o -: the standard output is a terminal; pipe it into a program, or name a file"
+        )
+    if output is not None and target_kind(output) != "log":
+        raise ConfigError(f"{output}: live input gives an MCAP file or a pipe, not a bag's folder")
+
+
+def live_system(context: typer.Context, system: str) -> str:
+    """Return the system to run: unless one is named, that which waits for nothing."""
+    source = context.get_parameter_source("system")
+    return "hiros-realtime" if source is None or source.name == "DEFAULT" else system
+
+
+def run_live(
+    source: str,
+    wanted: str,
+    config: Config,
+    options: ProcessOptions,
+    watcher: Watcher | None,
+    *,
+    quiet: bool,
+) -> Summary:
+    """Process until the input ends; see :func:`hiros_mcap.running.process_live.process_live`."""
+    from hiros_mcap.running.process_live import process_live
+
+    def started(log: LiveLog) -> None:
+        cameras = ", ".join(sorted(n for c in log.cameras for n in c.sources.values()))
+        print(f"hiros: running on {cameras}; Ctrl-C ends the input", file=sys.stderr, flush=True)
+
+    if not quiet:
+        print(f"hiros: listening to {_name(source)}", file=sys.stderr, flush=True)
+    with _input(source, options) as stream:
+        return process_live(
+            stream,
+            sys.__stdout__.fileno() if wanted == STREAM and sys.__stdout__ else Path(wanted),
+            config=config,
+            options=options,
+            watcher=watcher,
+            started=None if quiet else started,
+        )
+
+
+@contextlib.contextmanager
+def stdout_free(output: str) -> Iterator[None]:
+    """Print on stderr whatever is printed, if stdout is the output itself."""
+    with contextlib.redirect_stdout(sys.stderr) if output == STREAM else contextlib.nullcontext():
+        yield
+
+
+def _name(source: str) -> str:
+    return "the standard input" if source == STREAM else source
+
+
+@contextlib.contextmanager
+def _input(source: str, options: ProcessOptions) -> Iterator[LiveInput]:
+    """Yield the input; the first Ctrl-C or SIGTERM ends it.
+
+    What was read by then is processed and written. A second signal stops the program.
+    """
+    from hiros_mcap.io.container.live_input import McapInput
+
+    with contextlib.ExitStack() as stack:
+        stream: LiveInput
+        if source.startswith(SOCKETS):
+            from hiros_mcap.io.foxglove import FoxgloveInput
+            from hiros_mcap.running.process_live import subscription
+
+            stream = FoxgloveInput(source, subscription(options))
+        elif source == STREAM:
+            stream = McapInput(sys.stdin.fileno(), _name(source))
+        else:
+            file = stack.enter_context(Path(source).open("rb", buffering=0))
+            stream = McapInput(file.fileno(), source, follow=True)
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+        def stop(*_: int | FrameType | None) -> None:
+            stream.stop()
+            restore()
+
+        def restore() -> None:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, stop)
+        stack.callback(restore)
+        yield stream

@@ -1,0 +1,137 @@
+"""Messages of an MCAP that is still being written: a pipe, or a file that grows.
+
+The reader first listens for a while and keeps what comes, for whoever opens the log. From then on
+it hands out every message as soon as it is complete; one in a chunk when the chunk is complete.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.live_input import LiveInput
+from hiros_mcap.io.container.order import LogOrder
+from hiros_mcap.io.container.reader import Batch, McapReader, Records
+from hiros_mcap.io.container.records import Channel, Message, Schema
+from hiros_mcap.io.container.scan import Contents
+from hiros_mcap.kernels.record_index import COLUMNS
+
+T = TypeVar("T")
+
+
+class LiveReader(McapReader):
+    """The reader of an MCAP that is still being written.
+
+    Attributes
+    ----------
+    preface : the messages that came while the reader listened.
+    forgotten : messages of the preface that were too many to keep.
+    listeners : are called with every message behind the preface, before it is handed out.
+    span : log times, ns, of the first message and of the latest, of the channels handed out.
+    """
+
+    def __init__(self, source: LiveInput) -> None:
+        self.path = Path(source.name)
+        self.source = source
+        self.cpu_s = 0.0
+        self.counts: Counter[int] = Counter()
+        self.preface: list[Message] = []
+        self.forgotten = 0
+        self.listeners: list[Callable[[Message], None]] = []
+        self.span = (0, 0)
+        self._contents = Contents()
+        self._messages = self._read(source)
+
+    def close(self) -> None:
+        """Do nothing: the input belongs to the caller."""
+
+    def listen(self, enough: Callable[[Message], bool], most: int, keep: Collection[str]) -> None:
+        """Fill the preface until a message is ``enough``, or the input ends.
+
+        Of more than ``most`` messages the first are forgotten, but for the topics in ``keep``.
+        """
+        for message in self._messages:
+            self.preface.append(message)
+            if enough(message):
+                return
+            if len(self.preface) > most:
+                old, recent = self.preface[: most // 2], self.preface[most // 2 :]
+                kept = [m for m in old if self.channels[m.channel_id].topic in keep]
+                self.forgotten += len(old) - len(kept)
+                self.preface = kept + recent
+
+    def batches(self, channels: Collection[int] | None = None, size: int = 0) -> Iterator[Batch]:
+        """Yield the preface, and then every message as soon as it is there.
+
+        ``channels`` may grow meanwhile. Raises LogError where the input is damaged.
+        """
+        yield self._batch(self._heard(channels))
+        for message in self._messages:
+            for listener in self.listeners:
+                listener(message)
+            if channels is None or message.channel_id in channels:
+                yield self._batch([message])
+        yield Batch([_records([])], None)
+
+    def _heard(self, channels: Collection[int] | None) -> list[Message]:
+        return [m for m in self.preface if channels is None or m.channel_id in channels]
+
+    def _batch(self, messages: list[Message]) -> Batch:
+        """Return messages that nothing earlier is waited for."""
+        times = [m.log_time for m in messages]
+        if times:
+            self.span = self.span[0] or min(times), max(*times, self.span[1])
+        return Batch([_records(messages)], max(times, default=0) + 1)
+
+    def runs(self, channels: Collection[int] | None = None) -> Iterator[tuple[Records, list[int]]]:
+        """Yield the preface in the order of log times."""
+        order = LogOrder[Records]()
+        records = _records(self._heard(channels))
+        order.add(records, records.keys)
+        yield from order.before(None)
+
+    def ahead(self, items: Iterator[T]) -> Iterator[T]:
+        """Return the items: nothing can be read before it is there."""
+        return items
+
+    def _read(self, source: LiveInput) -> Iterator[Message]:
+        """Yield the messages; note the definitions and the metadata on the way."""
+        for record in source.records():
+            if not isinstance(record, Message):
+                self._note(record)
+                continue
+            if record.channel_id not in self.channels:
+                fault = f"damaged: a message belongs to channel {record.channel_id}, not defined"
+                raise LogError(fault, path=self.path)
+            self.counts[record.channel_id] += 1
+            yield record
+
+    def _note(self, record: object) -> None:
+        from mcap.records import Header, Metadata
+
+        match record:
+            case Channel():
+                self._contents.channels.setdefault(record.id, record)
+            case Schema():
+                self._contents.schemas.setdefault(record.id, record)
+            case Metadata():
+                self._contents.metadata.append((record.name, dict(record.metadata)))
+            case Header():
+                self._contents.profile = record.profile
+                self._contents.library = record.library
+
+
+def _records(messages: list[Message]) -> Records:
+    """Return messages as if they were those of a chunk."""
+    table = np.empty((len(messages), COLUMNS), np.uint64)
+    at = 0
+    for row, m in zip(table, messages, strict=True):
+        end = at + len(m.data)
+        row[:] = m.channel_id, m.sequence, m.log_time, m.publish_time, at, end
+        at = end
+    return Records(b"".join(m.data for m in messages), table, 0)

@@ -1,0 +1,70 @@
+"""Writes an MCAP to a pipe, message by message."""
+
+from __future__ import annotations
+
+import os
+
+from isal.isal_zlib import crc32
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.atomic import OutputFile
+from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.io.container.writer import McapWriter
+
+
+class LiveWriter(McapWriter):
+    """An MCAP on its way through a pipe: :meth:`flush` sends what was written since the last.
+
+    Messages are not in chunks, since a chunk would have to wait for its last message, and no index
+    grows with the length of the recording. Whatever leaves the ``with`` block without a commit has
+    no end mark.
+
+    A reader that is slow makes the writer wait; BrokenPipeError is raised if it is gone.
+    """
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        self._descriptor = descriptor
+        super().__init__(name, compression="")
+
+    def _open(self, _: object) -> OutputFile:
+        return _PipeEnd(self._descriptor, str(self.path))
+
+    def flush(self) -> None:
+        """Send everything so far, and wait until the reader, or the pipe, has taken it."""
+        self._submit(self._flush)
+        self._wait()
+
+    def _publish(self) -> None:
+        """Do nothing: all is sent."""
+
+    def _emit_batch(self) -> None:
+        batch = self._batch
+        first, last = self._times or (batch.start_time, batch.end_time)
+        self._times = [min(first, batch.start_time), max(last, batch.end_time)]
+        self._out.write(batch.buffer.data[: batch.size])
+
+
+class _PipeEnd(OutputFile):
+    """A pipe in place of a file."""
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        self.offset = 0
+        self.crc = 0
+        self._descriptor = descriptor
+        self._name = name
+
+    def write(self, *parts: Bytes) -> None:
+        """Write everything, however long that takes; raises BrokenPipeError or LogError."""
+        data = memoryview(b"".join(parts))
+        self.crc = crc32(data, self.crc)
+        self.offset += len(data)
+        try:
+            while data:
+                data = data[os.write(self._descriptor, data) :]
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise LogError(f"cannot be written: {error.strerror}", path=self._name) from None
+
+    def discard(self) -> None:
+        """Do nothing: what is in the pipe is not ours any more."""

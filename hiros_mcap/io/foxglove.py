@@ -1,0 +1,133 @@
+"""Live messages of a Foxglove WebSocket server, such as foxglove_bridge beside a ROS 2 system.
+
+Protocol: foxglove.websocket.v1, docs/spec.md of github.com/foxglove/ws-protocol. The server
+advertises its channels in JSON. Each message comes in binary: opcode 1, the number of the
+subscription (4 bytes), the time at which the server took it (8 bytes, ns), and its data.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
+
+_PROTOCOLS: Any = ("foxglove.websocket.v1", "foxglove.sdk.v1")
+_DATA = struct.Struct("<BIQ")
+_PATIENCE = 0.1  # s: how soon a request to stop is heard
+
+Wanted = Callable[[str, str], bool]
+"""Tells from topic and message type whether to subscribe."""
+
+
+class FoxgloveInput:
+    """The channels of a server: a :class:`~hiros_mcap.io.container.live_input.LiveInput`.
+
+    Parameters
+    ----------
+    url : ``ws://HOST:PORT`` or ``wss://...``.
+    wanted : which channels to subscribe to; others are not sent.
+    """
+
+    def __init__(self, url: str, wanted: Wanted) -> None:
+        self.name = url
+        self.is_cut = False
+        self.before_waiting: Callable[[], None] = lambda: None
+        self._wanted = wanted
+        self._stopped = False
+        self._ids: dict[int, int] = {}
+        """Channel of the server -> our number of it and of the subscription."""
+        self._counts: dict[int, int] = {}
+        """Our number of a channel -> messages so far."""
+
+    def stop(self) -> None:
+        """End the input here; a signal handler may call it."""
+        self._stopped = True
+
+    def digest(self) -> str:
+        """Return "": what came cannot be had again."""
+        return ""
+
+    def records(self) -> Iterator[McapRecord]:
+        """Subscribe, and yield what comes until the server closes the connection.
+
+        Raises LogError if there is no such server.
+        """
+        try:
+            from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
+            from websockets.sync.client import connect
+        except ImportError:
+            raise LogError(
+                'needs the package websockets: pip install "hiros-mcap[websocket]"', path=self.name
+            ) from None
+        try:
+            with connect(
+                self.name, subprotocols=_PROTOCOLS, max_size=None, compression=None
+            ) as socket:
+                yield from self._received(socket)
+        except ConnectionClosed:
+            return
+        except (OSError, InvalidHandshake, InvalidURI, TimeoutError) as error:
+            raise LogError(
+                f"no Foxglove WebSocket server answers: {error}; start one, for example "
+                "`ros2 run foxglove_bridge foxglove_bridge`",
+                path=self.name,
+            ) from None
+
+    def _received(self, socket: Any) -> Iterator[McapRecord]:
+        while not self._stopped:
+            self.before_waiting()
+            try:
+                data = socket.recv(timeout=_PATIENCE)
+            except TimeoutError:
+                continue
+            if isinstance(data, bytes):
+                yield from self._message(data)
+            else:
+                yield from self._advertised(socket, data)
+
+    def _advertised(self, socket: Any, text: str) -> Iterator[McapRecord]:
+        """Subscribe to what is wanted of the advertised channels, and yield the definitions."""
+        try:
+            found = json.loads(text)
+            channels = found["channels"] if found.get("op") == "advertise" else []
+            news = [c for c in channels if c["id"] not in self._ids]
+            wanted = [c for c in news if self._wanted(c["topic"], c["schemaName"])]
+            numbers = {c["id"]: len(self._ids) + k for k, c in enumerate(wanted, 1)}
+            definitions = [_definitions(c, numbers[c["id"]]) for c in wanted]
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise LogError(f"sent an odd message: {error!r}", path=self.name) from None
+        if not wanted:
+            return
+        for schema, channel in definitions:
+            self._counts[channel.id] = 0
+            yield schema
+            yield channel
+        self._ids |= numbers
+        pairs = [{"id": ours, "channelId": theirs} for theirs, ours in numbers.items()]
+        socket.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+
+    def _message(self, data: bytes) -> Iterator[Message]:
+        if data[:1] != b"\x01" or len(data) < _DATA.size:
+            return
+        _, ident, time = _DATA.unpack_from(data)
+        if ident in self._counts:
+            self._counts[ident] += 1
+            yield Message(ident, time, data[_DATA.size :], time, self._counts[ident])
+
+
+def _definitions(found: dict[str, Any], ident: int) -> tuple[Schema, Channel]:
+    """Return schema and channel, both with our number of the channel."""
+    text, encoding = str(found["schema"]), str(found.get("schemaEncoding") or "ros2msg")
+    schema = Schema(id=ident, name=str(found["schemaName"]), encoding=encoding, data=text.encode())
+    channel = Channel(
+        id=ident,
+        topic=str(found["topic"]),
+        message_encoding=str(found["encoding"]),
+        metadata={},
+        schema_id=ident,
+    )
+    return schema, channel

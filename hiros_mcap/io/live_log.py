@@ -1,0 +1,226 @@
+"""A log of skeletons that is still being written: a pipe, or a file that grows.
+
+::
+
+    with open_live(McapInput(0, "standard input")) as log:
+        for frame in log.detections():
+            ...
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import hiros_schemas
+from hiros_mcap.body.transforms import TransformTree, parse_tf, read_extrinsics
+from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.io.channels import TF_TOPICS, ChannelInfo, channels_of, select_skeletons
+from hiros_mcap.io.container import Message
+from hiros_mcap.io.container.live_input import LiveInput
+from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.log import CameraChannel, Log, look_into
+from hiros_mcap.summary import quantity
+
+LISTEN_S = 1.0
+"""s of the log's own time: a camera sends several messages in it."""
+_AGAIN_S = 0.25
+_PATIENCE_S = 10.0
+"""How long after the first skeletons transforms may come."""
+_MOST = 20_000
+"""Messages that are kept while nobody is there: about two minutes of five cameras."""
+
+
+class LiveLog(Log):
+    """A log that is still being written; made by :func:`open_live`.
+
+    Cameras may join later. What they send counts from when their place is known.
+    """
+
+    reader: LiveReader
+
+    def __init__(
+        self,
+        reader: LiveReader,
+        found: tuple[list[CameraChannel], Any, TransformTree],
+        *,
+        topics: Sequence[str] | None,
+        extrinsics: bool,
+        fixed_frame: str | None,
+    ) -> None:
+        super().__init__(reader, *found, fixed_frame)
+        self._topics = topics
+        self._reads_transforms = not extrinsics
+        self._refused: dict[int, str] = {}
+        """Channel -> why it is not read, "" for what holds no detections."""
+        self._waiting: Counter[str] = Counter()
+        """Messages of cameras that could not be used yet, by topic."""
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Log times, ns, of the first and the latest message of the cameras."""
+        return self.reader.span
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the result doubtful, with the remedy."""
+        found = list(super().warnings)
+        found += [
+            f"{topic}: {quantity(n, 'message')} not used, since no transform joins their frame to "
+            f"{self.fixed_frame}; record /tf_static, or pass the camera poses with --extrinsics "
+            "FILE"
+            for topic, n in self._waiting.items()
+        ]
+        found += [fault for fault in self._refused.values() if fault]
+        if self.reader.source.is_cut:
+            found.append(
+                "the input ended without its end mark; if its writer was not stopped on purpose, "
+                "look for the fault there"
+            )
+        return tuple(found)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes about the log."""
+        if not self.reader.forgotten:
+            return super().remarks
+        n = quantity(self.reader.forgotten, "message")
+        return (*super().remarks, f"{n} from before the first person neither read nor copied")
+
+    def hear(self, message: Message) -> None:
+        """Learn from a message before it is handed out: transforms, new cameras."""
+        ident = message.channel_id
+        if ident in self._inputs or ident in self._refused:
+            return
+        topic = self.reader.channels[ident].topic
+        if topic in TF_TOPICS:
+            if self._reads_transforms:
+                for transform in parse_tf(message.data):
+                    static = topic == TF_TOPICS[0]
+                    self.transforms.add(transform, static=static, log_time=message.log_time)
+            return
+        info = next(info for info in channels_of(self.reader) if info.id == ident)
+        if takes(info, self._topics):
+            self._join(info, message)
+        else:
+            self._refused[ident] = ""
+
+    def _join(self, info: ChannelInfo, message: Message) -> None:
+        """Read a camera from its first message on that holds somebody in a known place."""
+        self.reader.preface = [message]
+        try:
+            (camera,), model, _ = look_into(self.reader, [info], self.transforms)
+        except LogError as error:
+            self._refused[info.id] = f"{info.topic}: not used: {error.fault}"
+            return
+        if not model.n_markers:
+            return
+        try:
+            for frame in camera.frames:
+                self.transforms.lookup(frame, self.fixed_frame, 0)
+        except LogError:
+            self._waiting[info.topic] += 1
+            return
+        del self._waiting[info.topic]
+        taken = {name for other in self.cameras for name in other.sources.values()}
+        if taken & set(camera.sources.values()):
+            names = {source: f"{info.topic}:{source}" for source in camera.sources}
+            camera = replace(camera, sources=names)
+        self.cameras = (*self.cameras, camera)
+        self.channels = channels_of(self.reader)
+        self.use(camera)
+
+
+def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
+    """Whether a channel holds detections that are wanted; for ``topics`` see select_skeletons."""
+    try:
+        return bool(select_skeletons([info], topics))
+    except LogError:
+        return False
+
+
+def open_live(
+    source: LiveInput,
+    *,
+    topics: Sequence[str] | None = None,
+    extrinsics: str | os.PathLike[str] | None = None,
+    fixed_frame: str | None = None,
+) -> LiveLog:
+    """Listen to an MCAP until it is known what is in it: people, cameras, and where they stand.
+
+    That takes a second of the log, or longer if nobody is there. For the parameters see
+    :func:`hiros_mcap.io.log.open_log`.
+
+    Raises
+    ------
+    LogError
+        the input is not MCAP or damaged; it ends, or ten seconds pass, and there are no skeletons
+        or transforms are missing.
+    SchemaError
+        a camera's message definition is not that of SkeletonGroup.
+    ConfigError
+        the extrinsics file is wrong.
+    """
+    tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
+    reader = LiveReader(source)
+
+    def attempt() -> LiveLog:
+        found = look_into(reader, select_skeletons(channels_of(reader), topics), tree)
+        return LiveLog(
+            reader, found, topics=topics, extrinsics=tree is not None, fixed_frame=fixed_frame
+        )
+
+    listener = _Listener(reader, attempt)
+    reader.listen(listener.has_heard_enough, _MOST, TF_TOPICS)
+    try:
+        log = listener.log or attempt()
+    except LogError as error:
+        if error.path is not None:
+            raise
+        raise type(error)(error.fault, path=reader.path, topic=error.topic) from None
+    reader.listeners.append(log.hear)
+    return log
+
+
+class _Listener:
+    """Decides when enough was heard: there are people, and it is known where the cameras stand."""
+
+    def __init__(self, reader: LiveReader, attempt: Callable[[], LiveLog]) -> None:
+        self.log: LiveLog | None = None
+        self._reader = reader
+        self._attempt = attempt
+        self._next = 0
+        """Log time, ns, of the next attempt; 0 before the first skeletons."""
+        self._people_since = 0
+
+    def has_heard_enough(self, message: Message) -> bool:
+        """Try to open the log, every now and then. Raises SchemaError."""
+        now = message.log_time
+        if not self._next and self._holds_skeletons(message):
+            self._next = now + int(LISTEN_S * 1e9)
+        if not self._next or now < self._next:
+            return False
+        self._next = now + int(_AGAIN_S * 1e9)
+        try:
+            log = self._attempt()
+            if not log.model.n_markers:
+                return False
+            self._people_since = self._people_since or now
+            log.fixed_frame  # noqa: B018  # raises if transforms are missing
+        except SchemaError:
+            raise
+        except LogError:
+            since = self._people_since
+            return bool(since) and now - since > _PATIENCE_S * 1e9
+        self.log = log
+        return True
+
+    def _holds_skeletons(self, message: Message) -> bool:
+        schema = self._reader.schema(self._reader.channels[message.channel_id])
+        return schema is not None and hiros_schemas.short_name(
+            schema.name
+        ) == hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)

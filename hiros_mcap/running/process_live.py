@@ -1,0 +1,172 @@
+"""Detections in from a pipe, clean skeletons out to another, message by message.
+
+::
+
+    with open("out.mcap", "wb") as out:
+        process_live(McapInput(0, "standard input"), out.fileno(), options=...)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+from hiros_mcap.config import Config, load_config
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
+from hiros_mcap.io.container import McapWriter, Message
+from hiros_mcap.io.container.live_input import LiveInput
+from hiros_mcap.io.container.live_writer import LiveWriter
+from hiros_mcap.io.live_log import LiveLog, open_live, takes
+from hiros_mcap.io.rosbag2 import needs_latching
+from hiros_mcap.running.clock_alignment import align_clocks
+from hiros_mcap.running.observe import Observer
+from hiros_mcap.running.pipeline import set_up, shown_to, stream, with_clocks
+from hiros_mcap.running.process_options import ProcessOptions, Watcher
+from hiros_mcap.running.report import Report
+from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.running.write import LogOutput, NoOutput, is_kept
+from hiros_mcap.summary import Summary
+from hiros_mcap.systems import chain_of
+
+REALTIME = "hiros-realtime"
+"""The system for live input: no stage waits for later frames."""
+
+
+def process_live(
+    source: LiveInput,
+    target: int | Path | None,
+    *,
+    config: Config | None = None,
+    options: ProcessOptions | None = None,
+    watcher: Watcher | None = None,
+    started: Callable[[LiveLog], None] | None = None,
+) -> Summary:
+    """Turn detections into clean skeletons as they come.
+
+    The input is copied to the output as in a run of a file. Each message goes out as soon as the
+    stages give it; how long they wait for later ones is up to the system.
+
+    Parameters
+    ----------
+    source : the input.
+    target : descriptor of a pipe, or a file, which appears when the input ends; None for neither.
+    config, options, watcher : as of :func:`hiros_mcap.running.pipeline.process`; the default
+        system is ``hiros-realtime``. Clocks are judged as the messages come.
+    started : is called with the log when the first messages are read.
+
+    Raises
+    ------
+    LogError
+        see :func:`hiros_mcap.io.live_log.open_live`; also where the input is damaged. What was
+        sent to a pipe before stays sent.
+    ConfigError
+        a parameter is wrong, or needs the whole log at once.
+    BrokenPipeError
+        the reader of the output is gone.
+    """
+    options = options or ProcessOptions(system=REALTIME)
+    config = _causal(config or load_config(system=options.system), options)
+    chain = chain_of(options.system, options.stages)
+    watch = Stopwatch()
+    log = open_live(
+        source,
+        topics=options.topics or None,
+        extrinsics=options.extrinsics,
+        fixed_frame=config.input.fixed_frame or None,
+    )
+    if started is not None:
+        started(log)
+    run = set_up(log, with_clocks(config, log, options.extrinsics), options)
+    clocks = align_clocks(log, run.config, 0.0)
+    observer = Observer(chain)
+    report = Report(log, run, observer, watch, clocks)
+    with _writer(target, options) as writer:
+        if isinstance(writer, LiveWriter):
+            source.before_waiting = writer.flush
+        output: LogOutput | NoOutput = NoOutput()
+        if writer is not None:
+            copier = _LiveCopier(log, writer, options)
+            output = LogOutput(writer, copier, log, run, chain, options, source.digest)
+        sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
+        for _ in stream(clocks.correct(log.blocks()), run, chain, watch, sinks):
+            pass
+        clocks.tell(run.events)
+        output.commit(report.summary(None))
+    if watcher is not None:
+        watcher.end(run.events)
+    if options.limbs_out:
+        run.limbs.save(options.limbs_out)
+    return report.summary(str(target) if isinstance(target, Path) else None)
+
+
+def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:
+    """Return what tells from topic and type whether a run reads or copies a channel."""
+
+    def wanted(topic: str, kind: str) -> bool:
+        info = ChannelInfo(0, topic, kind, "cdr", 1, {})
+        reads = takes(info, options.topics or None)
+        needed = topic in TF_TOPICS and options.extrinsics is None
+        return reads or needed or is_kept(info, options, is_read=False)
+
+    return wanted
+
+
+def _causal(config: Config, options: ProcessOptions) -> Config:
+    """Return the configuration with clocks that are judged by what came before."""
+    if config.optimize.calibration == "two-pass":
+        raise ConfigError("--two-pass reads the whole log first, which live input does not allow")
+    if options.recover or options.strict:
+        raise ConfigError("--recover and --strict are for files; live input is read as it comes")
+    if config.input.clocks == "off":
+        return config
+    return config.model_copy(update={"input": config.input.model_copy(update={"clocks": "causal"})})
+
+
+def _writer(
+    target: int | Path | None, options: ProcessOptions
+) -> AbstractContextManager[McapWriter | None]:
+    if target is None:
+        return nullcontext()
+    if isinstance(target, int):
+        return LiveWriter(target, "standard output")
+    return McapWriter(target, compression=options.compression)
+
+
+class _LiveCopier:
+    """Copies messages of the input as they are read."""
+
+    def __init__(self, log: LiveLog, writer: McapWriter, options: ProcessOptions) -> None:
+        self._log, self._writer, self._options = log, writer, options
+        self._ids: dict[int, int | None] = {}
+        """Channel of the input -> that of the output, None = not copied."""
+        for message in log.reader.preface:
+            self._copy(message)
+        log.reader.listeners.append(self._copy)
+
+    def until(self, log_time: int) -> None:
+        """Do nothing: what was read is copied."""
+
+    def finish(self) -> None:
+        """Do nothing."""
+
+    def _copy(self, message: Message) -> None:
+        ident = message.channel_id
+        if ident not in self._ids:
+            self._ids[ident] = self._define(ident)
+        copy = self._ids[ident]
+        if copy is not None:
+            self._writer.write_message(copy, message)
+
+    def _define(self, ident: int) -> int | None:
+        reader = self._log.reader
+        info = next(info for info in channels_of(reader) if info.id == ident)
+        if not is_kept(info, self._options, is_read=takes(info, self._options.topics or None)):
+            return None
+        channel = reader.channels[ident]
+        if needs_latching(info):
+            metadata = {**channel.metadata, "offered_qos_profiles": LATCHED_QOS}
+            channel = replace(channel, metadata=metadata)
+        return self._writer.adopt(channel, reader.schema(channel))

@@ -1,0 +1,335 @@
+"""Live input: the results of a file, as they come, whatever joins, ends early or goes away."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mcap.reader import NonSeekingReader
+from mcap.records import McapRecord
+from mcap.stream_reader import StreamReader
+
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.container import McapReader, Message
+from hiros_mcap.io.container.live_input import McapInput
+from hiros_mcap.io.container.live_writer import LiveWriter
+from hiros_mcap.io.foxglove import FoxgloveInput
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.process_live import process_live
+from hiros_mcap.summary import Summary
+
+LIVE = ProcessOptions(system="hiros-realtime")
+Messages = dict[str, list[tuple[int, bytes]]]
+Sent = Sequence[tuple[str, Message]]
+
+
+def recorded(path: Path) -> list[tuple[str, Message]]:
+    """Topic and message, in the order of the log."""
+    with McapReader(path) as reader:
+        return [
+            (reader.channels[m.channel_id].topic, replace(m, data=bytes(m.data)))
+            for m in reader.messages()
+        ]
+
+
+def results(data: bytes) -> Messages:
+    """Messages of every result channel, as the mcap library reads them."""
+    found: Messages = defaultdict(list)
+    reader = NonSeekingReader(io.BytesIO(data), validate_crcs=True)
+    for _, channel, message in reader.iter_messages(log_time_order=False):
+        if channel.topic.startswith("/hiros/"):
+            found[channel.topic].append((message.log_time, message.data))
+    return found
+
+
+@contextmanager
+def piped(write: Callable[[int], None]) -> Iterator[McapInput]:
+    """Yield the end of a pipe into which a thread writes."""
+    end, begin = os.pipe()
+
+    def run() -> None:
+        try:
+            write(begin)
+        except BrokenPipeError:
+            pass
+        finally:
+            os.close(begin)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield McapInput(end, "pipe")
+    finally:
+        os.close(end)
+        thread.join()
+
+
+def send(path: Path, messages: Sent, *, commit: bool = True) -> Callable[[int], None]:
+    """Return what writes messages of a log into a pipe; a channel is defined when it is used."""
+
+    def write(descriptor: int) -> None:
+        with McapReader(path) as reader, LiveWriter(descriptor, "pipe") as writer:
+            for topic, message in messages:
+                channel = next(c for c in reader.channels.values() if c.topic == topic)
+                writer.write_message(writer.adopt(channel, reader.schema(channel)), message)
+                writer.flush()
+            if commit:
+                writer.commit()
+
+    return write
+
+
+def run_live(write: Callable[[int], None], options: ProcessOptions = LIVE) -> tuple[Summary, bytes]:
+    """Run with a pipe at both ends."""
+    taken: list[bytes] = []
+    end, begin = os.pipe()
+
+    def drain() -> None:
+        with open(end, "rb", buffering=0) as file:  # noqa: PTH123
+            while data := file.read(1 << 16):
+                taken.append(data)
+
+    thread = threading.Thread(target=drain)
+    thread.start()
+    try:
+        with piped(write) as source:
+            summary = process_live(source, begin, options=options)
+    finally:
+        os.close(begin)
+        thread.join()
+    return summary, b"".join(taken)
+
+
+@pytest.fixture(scope="module")
+def by_file(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Messages:
+    out = tmp_path_factory.mktemp("live") / "out.mcap"
+    process(crossing, out, options=LIVE)
+    return results(out.read_bytes())
+
+
+def test_a_pipe_gives_what_a_file_gives(crossing: Path, by_file: Messages) -> None:
+    summary, out = run_live(send(crossing, recorded(crossing)))
+    assert results(out) == by_file
+    assert [person.id for person in summary.people] == [0, 1]
+    assert summary.warnings == ()
+
+
+def test_a_recording_in_chunks_gives_the_same(crossing: Path, by_file: Messages) -> None:
+    def write(descriptor: int) -> None:
+        data = memoryview(crossing.read_bytes())
+        while data:
+            data = data[os.write(descriptor, data) :]
+
+    _, out = run_live(write)
+    assert results(out) == by_file
+
+
+def test_the_input_is_copied(crossing: Path) -> None:
+    sent = recorded(crossing)
+    _, out = run_live(send(crossing, sent))
+    copied = [r.data for r in StreamReader(io.BytesIO(out)).records if isinstance(r, Message)]
+    assert [m.data for _, m in sent] == [
+        data for data in copied if data in {m.data for _, m in sent}
+    ]
+
+
+def test_results_come_before_the_input_ends(crossing: Path) -> None:
+    sent = recorded(crossing)
+    seen, done = threading.Event(), threading.Event()
+    taken = bytearray()
+    end, begin = os.pipe()
+
+    def drain() -> None:
+        with open(end, "rb", buffering=0) as file:  # noqa: PTH123
+            while data := file.read(1 << 16):
+                taken.extend(data)
+                if b"/hiros/filtered" in taken and len(taken) > 1_000_000:
+                    seen.set()
+        done.set()
+
+    def write(descriptor: int) -> None:
+        half = len(sent) // 2
+        send(crossing, sent[:half], commit=False)(descriptor)
+        assert seen.wait(60)  # the input is still open
+
+    threading.Thread(target=drain).start()
+    with piped(write) as source:
+        process_live(source, begin, options=LIVE)
+    os.close(begin)
+    assert done.wait(60)
+
+
+def test_a_camera_may_join_later(crossing: Path) -> None:
+    sent = recorded(crossing)
+    late = sorted({topic for topic, _ in sent if topic.startswith("/camera")})[0]
+    start = min(m.log_time for topic, m in sent if topic.startswith("/camera"))
+    sent = [(t, m) for t, m in sent if t != late or m.log_time > start + 2_000_000_000]
+    summary, _ = run_live(send(crossing, sent))
+    camera = next(camera for camera in summary.cameras if camera.topic == late)
+    assert camera.used == sum(topic == late for topic, _ in sent)
+    assert summary.warnings == ()
+
+
+def test_transforms_may_come_later(crossing: Path, by_file: Messages) -> None:
+    sent = recorded(crossing)
+    tf = [pair for pair in sent if pair[0] == "/tf_static"]
+    others = [pair for pair in sent if pair[0] != "/tf_static"]
+    _, out = run_live(send(crossing, [*others[:300], *tf, *others[300:]]))
+    found = results(out)
+    assert [m for _, m in found["/hiros/filtered"]] == [m for _, m in by_file["/hiros/filtered"]]
+
+
+def test_without_transforms_it_gives_up_with_the_remedy(crossing: Path) -> None:
+    sent = [pair for pair in recorded(crossing) if pair[0] != "/tf_static"]
+    with pytest.raises(LogError, match="pass them with --extrinsics"):
+        run_live(send(crossing, sent))
+
+
+def test_an_input_that_is_cut_off_gives_what_came(crossing: Path, by_file: Messages) -> None:
+    sent = recorded(crossing)
+    summary, out = run_live(send(crossing, sent, commit=False))
+    assert results(out) == by_file
+    assert len(summary.warnings) == 1
+    assert "without its end mark" in summary.warnings[0]
+
+
+def test_a_message_that_is_cut_off_is_left_out(crossing: Path) -> None:
+    def write(descriptor: int) -> None:
+        send(crossing, recorded(crossing), commit=False)(descriptor)
+        os.write(descriptor, b"\x05" + (1000).to_bytes(8, "little") + b"only a part")
+
+    summary, _ = run_live(write)
+    assert "without its end mark" in summary.warnings[0]
+
+
+def test_damage_is_named(crossing: Path) -> None:
+    data = bytearray(crossing.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+
+    def write(descriptor: int) -> None:
+        rest = memoryview(bytes(data))
+        while rest:
+            rest = rest[os.write(descriptor, rest) :]
+
+    with pytest.raises(LogError, match="pipe: damaged: "):
+        run_live(write)
+
+
+@pytest.mark.parametrize("data", [b"", b"text that is no MCAP"])
+def test_what_is_no_mcap_is_refused(data: bytes) -> None:
+    with pytest.raises(LogError, match="not MCAP"):
+        run_live(lambda descriptor: os.write(descriptor, data) and None)
+
+
+def test_a_reader_that_goes_away_ends_the_run(crossing: Path) -> None:
+    end, begin = os.pipe()
+    os.close(end)
+    with piped(send(crossing, recorded(crossing))) as source, pytest.raises(BrokenPipeError):
+        process_live(source, begin, options=LIVE)
+    os.close(begin)
+
+
+def test_stopping_ends_the_input(crossing: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+
+    def write(descriptor: int) -> None:
+        send(crossing, recorded(crossing), commit=False)(descriptor)
+        source.stop()
+        finished.wait(60)  # the pipe stays open
+
+    finished = threading.Event()
+    with piped(write) as source:
+        summary = process_live(source, out, options=LIVE)
+        finished.set()
+    assert results(out.read_bytes())["/hiros/filtered"]
+    assert summary.warnings == ()
+
+
+def test_a_file_is_followed_to_its_end_mark(
+    crossing: Path, by_file: Messages, tmp_path: Path
+) -> None:
+    growing, out = tmp_path / "growing.mcap", tmp_path / "out.mcap"
+    data = crossing.read_bytes()
+    growing.write_bytes(data[:1000])
+
+    def grow() -> None:
+        with growing.open("ab", buffering=0) as file:
+            for at in range(1000, len(data), 20_000):
+                file.write(data[at : at + 20_000])
+
+    thread = threading.Thread(target=grow)
+    thread.start()
+    with growing.open("rb", buffering=0) as file:
+        process_live(McapInput(file.fileno(), "growing", follow=True), out, options=LIVE)
+    thread.join()
+    assert results(out.read_bytes()) == by_file
+
+
+def test_a_foxglove_server_gives_what_a_file_gives(
+    crossing: Path, by_file: Messages, tmp_path: Path
+) -> None:
+    foxglove = pytest.importorskip("foxglove")
+    subscribed, sent = threading.Semaphore(0), recorded(crossing)
+
+    class Listener(foxglove.ServerListener):
+        def on_subscribe(self, client: object, channel: object) -> None:
+            subscribed.release()
+
+    context = foxglove.Context()
+    server = foxglove.start_server(
+        port=0, message_backlog_size=100_000, server_listener=Listener(), context=context
+    )
+    with McapReader(crossing) as reader:
+        channels = {
+            channel.topic: foxglove.Channel(
+                channel.topic,
+                message_encoding="cdr",
+                schema=foxglove.Schema(
+                    name=schema.name, encoding=schema.encoding, data=schema.data
+                ),
+                context=context,
+            )
+            for channel in reader.channels.values()
+            if (schema := reader.schema(channel))
+        }
+
+    def publish() -> None:
+        for _ in channels:
+            assert subscribed.acquire(timeout=60)
+        for topic, message in sent:
+            channels[topic].log(message.data, log_time=message.log_time)
+
+    class UntilAll(FoxgloveInput):
+        def records(self) -> Iterator[McapRecord]:
+            taken = 0
+            for record in super().records():
+                yield record
+                taken += isinstance(record, Message)
+                if taken == len(sent):
+                    self.stop()
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    out = tmp_path / "out.mcap"
+    url = f"ws://127.0.0.1:{server.port}"
+    process_live(UntilAll(url, lambda topic, kind: True), out, options=LIVE)
+    thread.join()
+    server.stop()
+    assert results(out.read_bytes()) == by_file
+
+
+def test_a_server_that_does_not_answer_is_named() -> None:
+    with pytest.raises(LogError, match="ws://127.0.0.1:1: no Foxglove WebSocket server answers"):
+        process_live(FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True), None)
+
+
+def test_what_needs_the_whole_log_is_refused() -> None:
+    with pytest.raises(ConfigError, match="are for files"):
+        process_live(McapInput(0, "pipe"), None, options=ProcessOptions(strict=True))
