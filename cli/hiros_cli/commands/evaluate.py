@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -107,17 +105,17 @@ def evaluate(
     from hiros_mcap.config import load_config
     from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
     from hiros_mcap.evaluate.remarks import warnings_of
+    from hiros_mcap.evaluate.scored import check_scorable, results_of
 
     effective = load_config(config, list(assignments or ()), preset)
     output = _Output(log, html, json=json, quiet=quiet, joints=joints)
     true = None if leave_one_out else find_truth(log, truth)
-    _check_input(log, truth, has_truth=true is not None)
+    check_scorable(log, truth, has_truth=true is not None)
     if true is None:
         _show_self(output, effective)
         return
     true = true.moved(shift, start=start_of(log), up=up)
-    with ExitStack() as stack:
-        processed, default = _processed(log, effective, stack, truth)
+    with results_of(log, effective, truth) as (processed, default):
         globs = channel or default
         true, others = covered_by(processed, true, truth_covers, globs, match_distance)
         results = evaluate_log(processed, true, globs, match_distance)
@@ -134,46 +132,6 @@ class _Output:
     json: bool
     quiet: bool
     joints: bool
-
-
-def _check_input(log: Path, truth: str | None, *, has_truth: bool) -> None:
-    """Refuse a log that holds neither a result nor cameras, or nothing to judge its result by."""
-    from hiros_mcap.evaluate.logs import has_cameras, has_outputs
-
-    if has_cameras(log):
-        return
-    if not has_truth:
-        raise ConfigError(
-            f"{log}: has no truth, and no cameras that could be left out; name a truth: "
-            f"hiros eval {log} --truth FILE"
-        )
-    if truth is None and not has_outputs(log):
-        raise ConfigError(
-            f"{log}: holds a truth but no result; name the result: hiros eval RESULT --truth {log}"
-        )
-
-
-def _processed(
-    log: Path, config: Config, stack: ExitStack, truth: str | None
-) -> tuple[Path, list[str]]:
-    """Return where the result is, and its channels: [] = all outputs.
-
-    It is the log itself if it holds outputs, the truth in it if it holds no cameras either, else
-    its output in a temporary folder.
-    """
-    from hiros_mcap.evaluate.logs import fused_topics, has_cameras, has_outputs
-    from hiros_mcap.io.channels import TRUTH_PREFIX
-    from hiros_mcap.running.pipeline import ProcessOptions, process
-
-    if has_outputs(log):
-        return log, []
-    if not has_cameras(log):
-        return log, [f"{TRUTH_PREFIX}/*"]
-
-    out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
-    options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
-    process(log, out, config=config, options=options)
-    return out, []
 
 
 def _show_truth(

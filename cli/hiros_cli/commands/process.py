@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,24 +11,28 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.completing import topics
+from hiros_cli.many_logs import ManyLogs
 from hiros_cli.options import (
     INPUT,
     LOSSES,
     OUTPUT,
     PARAMETERS,
     Assignments,
+    Cluster,
     ConfigFile,
     Force,
+    Jobs,
     Json,
     Preset,
     Quiet,
     SystemName,
+    Table,
     seconds_range,
 )
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
-    from hiros_mcap.config import Table
+    from hiros_mcap.config import Table as Parameters
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.summary import Summary
 
@@ -38,8 +42,11 @@ SUFFIX = ".hiros.mcap"
 
 
 def process(
-    source: Annotated[
-        Path, typer.Argument(metavar="IN", help="The recording: MCAP file or ROS bag.")
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG", help="Recordings: MCAP files, ROS bags, folders of them, globs, URLs."
+        ),
     ],
     output: Annotated[
         str | None,
@@ -47,7 +54,8 @@ def process(
             "--output",
             "-o",
             metavar="OUT",
-            help=f"Output file, or DIR/ for a ROS 2 bag. Default: IN's name with {SUFFIX}.",
+            help=f"Output file, or DIR/ for a ROS 2 bag; with many logs, the folder for all. "
+            f"Default: LOG's name with {SUFFIX}.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -185,6 +193,9 @@ def process(
             rich_help_panel=INPUT,
         ),
     ] = 1.0,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    csv: Table = None,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -195,21 +206,21 @@ def process(
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
     from hiros_cli.compiling import RUN, prepare
-    from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
-    from hiros_mcap.outputs import target_kind
 
-    source.stat()  # reports a missing file before anything slow happens
-    wanted = str(beside(source, SUFFIX)) if output is None else output
-    kind, target = target_kind(wanted), Path(wanted)
-    check_outputs(
-        (target, kind),
-        (save_limbs, "limb table"),
-        inputs=(source, config, extrinsics, limbs),
-        force=force,
-    )
-    if kind == "log":
-        _refuse_other_formats(target)
+    many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
+    source = Path(logs[0])
+    wanted = ""
+    is_many = many.wanted
+    if is_many:
+        many.refuse(view=view, save_limbs=save_limbs)
+        if output is None:
+            raise ConfigError("with many logs, name a folder for the results: -o FOLDER")
+    else:
+        many.refuse_alone()
+        wanted = _checked_output(
+            source, output, (config, extrinsics, limbs), save_limbs, force=force
+        )
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
@@ -239,8 +250,8 @@ def process(
         stages=stages,
         topics=tuple(topic or ()),
         keep=None if keep is None else tuple(filter(None, keep)),
-        extrinsics=extrinsics,
-        limbs_in=limbs,
+        extrinsics=extrinsics and extrinsics.absolute(),
+        limbs_in=limbs and limbs.absolute(),
         limbs_out=save_limbs,
         markers=markers,
         strict=strict,
@@ -248,6 +259,11 @@ def process(
         memory=memory,
     )
     effective = load_config(config, assignments or (), preset, system, shortcuts)
+    if is_many:
+        from hiros_cli.many_logs import run as run_many
+        from hiros_mcap.many.jobs import ProcessJob
+
+        raise typer.Exit(run_many(ProcessJob(effective, options), many))
     with ExitStack() as stack:
         watcher = stack.enter_context(_live(source)) if view else None
         progress = stack.enter_context(bar(source.name, quiet=quiet))
@@ -263,6 +279,27 @@ def process(
     _show(summary, json=json, quiet=quiet)
     if summary.losses:
         raise typer.Exit(LOSSES)
+
+
+def _checked_output(
+    source: Path,
+    output: str | None,
+    sides: Sequence[Path | None],
+    limbs: Path | None,
+    *,
+    force: bool,
+) -> str:
+    """Return where the result of one log goes, after what must not be written was refused."""
+    from hiros_cli.output import beside, check_outputs
+    from hiros_mcap.outputs import target_kind
+
+    source.stat()  # reports a missing file before anything slow happens
+    wanted = str(beside(source, SUFFIX)) if output is None else output
+    kind, target = target_kind(wanted), Path(wanted)
+    check_outputs((target, kind), (limbs, "limb table"), inputs=(source, *sides), force=force)
+    if kind == "log":
+        _refuse_other_formats(target)
+    return wanted
 
 
 def _refuse_result(source: Path) -> None:
@@ -302,9 +339,9 @@ def _live(source: Path) -> AbstractContextManager[Watcher]:
 
 def _shortcuts(
     fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
-) -> dict[str, Table]:
+) -> dict[str, Parameters]:
     """Return the parameters that options with a name of their own set."""
-    named: dict[str, Table] = {}
+    named: dict[str, Parameters] = {}
     if fixed_frame is not None:
         named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
     if calibrate:
