@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typer import Context
+
 from hiros_cli.options import LOSSES
 from hiros_mcap.errors import ConfigError
 
@@ -42,9 +44,11 @@ class ManyLogs:
     @property
     def wanted(self) -> bool:
         """Whether there is more than one log, or one is to be treated so."""
+        from hiros_mcap.io.remote import is_remote
         from hiros_mcap.many.find import are_many
 
-        return self.jobs is not None or self.cluster is not None or are_many(self.named)
+        asked = self.jobs is not None or self.cluster is not None or is_remote(self.folder)
+        return asked or are_many(self.named)
 
     def refuse(self, **given: object) -> None:
         """Refuse options that are for one log; raises ConfigError."""
@@ -59,6 +63,18 @@ class ManyLogs:
             raise ConfigError("--csv is for many logs; for one, use --json")
 
 
+def one_log(context: Context, named: str) -> Path:
+    """Return the path of the only log of a command; a copy of a remote one lives as long as that.
+
+    Raises OSError or LogError if it does not exist.
+    """
+    from hiros_mcap.io.remote import local_copy
+
+    path: Path = context.with_resource(local_copy(named))
+    path.stat()  # reports a missing file before anything slow happens
+    return path
+
+
 def run(job: Job, many: ManyLogs) -> int:
     """Do the work of a command for many logs; return the exit code.
 
@@ -70,6 +86,8 @@ def run(job: Job, many: ManyLogs) -> int:
     from hiros_mcap.outputs import write_text
 
     check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
+    if many.folder.endswith((".mcap", ".json", ".csv")) and not Path(many.folder).is_dir():
+        raise ConfigError(f"{many.folder}: with many logs, -o names a folder, not a file")
     logs = find_logs(many.named, many.folder)
     found: dict[str, LogRecord] = {}
     with _follower(len(logs), quiet=many.quiet) as follower:

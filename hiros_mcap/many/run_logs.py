@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -98,9 +99,10 @@ def run_logs(
         }
         todo = [record for record in planned if record.log not in done]
         if place is not None and job.suffix:
-            names = [record.name + job.suffix for record in todo]
             ours = {name for record in manifest.records.values() for name in record.files}
-            place.check([n for n in names if n not in ours], job.kind, logs, folder.force)
+            names = {record.name for record in todo}
+            there = [n for n in sizes if n not in ours and _base(n, job.suffix) in names]
+            place.check(there, job.kind, logs, folder.force)
         for former in done.values():
             yield former, False
         tasks = [(job, record, folder.path) for record in todo]
@@ -108,6 +110,11 @@ def run_logs(
         for _, record in runner(run_one, tasks, lost=lambda k, why: _lost(todo[k], why)):
             manifest.add(record)
             yield record, True
+
+
+def _base(file: str, suffix: str) -> str:
+    """Return the name of the log that an output is of: lab for lab.trc, and for lab.0.trc."""
+    return re.sub(r"\.\d+$", "", file.removesuffix(suffix)) if file.endswith(suffix) else ""
 
 
 def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecord]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.completing import topics
-from hiros_cli.many_logs import ManyLogs
+from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.options import (
     INPUT,
     LOSSES,
@@ -42,6 +42,7 @@ SUFFIX = ".hiros.mcap"
 
 
 def process(
+    context: typer.Context,
     logs: Annotated[
         list[str],
         typer.Argument(
@@ -207,10 +208,10 @@ def process(
     """
     from hiros_cli.compiling import RUN, prepare
     from hiros_cli.progress import bar
+    from hiros_mcap.io.remote import is_remote
 
     many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
-    source = Path(logs[0])
-    wanted = ""
+    source, wanted = Path(logs[0]), ""
     is_many = many.wanted
     if is_many:
         many.refuse(view=view, save_limbs=save_limbs)
@@ -218,8 +219,10 @@ def process(
             raise ConfigError("with many logs, name a folder for the results: -o FOLDER")
     else:
         many.refuse_alone()
+        source = one_log(context, logs[0])
+        named = Path(source.name) if is_remote(logs[0]) else source
         wanted = _checked_output(
-            source, output, (config, extrinsics, limbs), save_limbs, force=force
+            named, output, (config, extrinsics, limbs), save_limbs, force=force
         )
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
@@ -293,7 +296,6 @@ def _checked_output(
     from hiros_cli.output import beside, check_outputs
     from hiros_mcap.outputs import target_kind
 
-    source.stat()  # reports a missing file before anything slow happens
     wanted = str(beside(source, SUFFIX)) if output is None else output
     kind, target = target_kind(wanted), Path(wanted)
     check_outputs((target, kind), (limbs, "limb table"), inputs=(source, *sides), force=force)
