@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hiros_cli.app import run
+from hiros_cli.many_logs import exit_code
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.places import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, ProcessJob
-from hiros_mcap.many.manifest import LogRecord, Manifest
+from hiros_mcap.many.manifest import LogRecord, Manifest, Verdict
 from hiros_mcap.many.run_logs import Folder, in_processes, run_logs, run_one
 
+SAMPLES = Path(__file__).parents[1] / "sample_data"
 BAG = "rosbag2_bagfile_information:\n  version: 8\n"
 
 
@@ -234,3 +238,103 @@ def test_what_is_for_one_log_is_refused(
         "--csv is for many logs",
     ]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, walking: Path, crossing: Path) -> Path:
+    """Return a folder with two results."""
+    out = tmp_path_factory.mktemp("many") / "results"
+    assert process(walking, crossing, out) == 0
+    return out
+
+
+def printed(capsys: pytest.CaptureFixture[str], *command: object) -> dict[str, Any]:
+    """Run a command on many logs with --json; return what became of each, by its name."""
+    capsys.readouterr()
+    run([*map(str, command), "--jobs", "1", "--json"])
+    data = json.loads(capsys.readouterr().out)
+    return {Path(row["log"]).name.partition(".")[0]: row for row in data["logs"]}
+
+
+def test_eval_of_many_says_what_it_says_of_one(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = printed(capsys, "eval", results, "-o", tmp_path / "scores")
+    run(["eval", str(results / "one_person_walking.hiros.mcap"), "--json"])
+    one = list(json.loads(capsys.readouterr().out)["channels"].values())[-1]
+    assert rows["one_person_walking"]["values"]["mpjpe"] == pytest.approx(one["mean"])
+    before = (tmp_path / "scores/hiros-eval.json").read_text()
+    again = printed(capsys, "eval", results, "-o", tmp_path / "scores")
+    assert again == rows
+    assert (tmp_path / "scores/hiros-eval.json").read_text() == before
+
+
+def test_eval_finds_the_truth_of_each_log_by_its_name(
+    results: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(walking, tmp_path / "one_person_walking.truth.mcap")
+    rows = printed(capsys, "eval", results, "--truth", tmp_path)
+    assert rows["one_person_walking"]["values"]["people"] == 1
+    error = rows["two_people_crossing"]["error"]
+    assert "has no truth two_people_crossing.truth.mcap (or .mcap, .trc, .csv)" in error
+
+
+def test_check_of_many_compares_each_with_its_golden_file(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    golden = tmp_path / "golden"
+    command = ["check", str(results), "--golden", str(golden), "--jobs", "1", "-q"]
+    assert run([*command, "--bless"]) == 0
+    assert run(command) == 0
+    one = min(golden.glob("*.mcap"))
+    process("--set", "filter.cutoff=2", SAMPLES / one.name, tmp_path / "new")
+    rows = printed(capsys, "check", tmp_path / "new", "--golden", golden)
+    (row,) = rows.values()
+    assert (row["verdict"], row["values"]["differences"] > 0) == ("different", True)
+    assert run(["check", str(tmp_path / "new"), *command[2:]]) == 1
+
+
+def test_export_of_many_does_not_replace_foreign_files(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["export", str(results), "-o", str(tmp_path), "--format", "trc", "--jobs", "1", "-q"]
+    (tmp_path / "two_people_crossing.hiros.1.trc").write_text("")
+    (tmp_path / "two_people_crossing.1.trc").write_text("mine")
+    assert run(command) == 2
+    assert "two_people_crossing.1.trc: exists; --force overwrites it" in capsys.readouterr().err
+    (tmp_path / "two_people_crossing.1.trc").unlink()
+    assert run(command) == 0
+    names = {path.name for path in tmp_path.glob("*.trc")} - {"two_people_crossing.hiros.1.trc"}
+    assert names == {
+        "one_person_walking.trc", "two_people_crossing.0.trc", "two_people_crossing.1.trc"
+    }  # fmt: skip
+    assert run([*command, "--what", "joints"]) == 0  # its own files
+
+
+def test_the_table_of_many_logs_as_csv(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "table.csv"
+    assert run(["info", str(recordings), "--jobs", "1", "--csv", str(table)]) == 2
+    said = capsys.readouterr()
+    assert "4 logs: 3 done, 1 failed" in said.out
+    with table.open() as file:
+        rows = {Path(row["log"]).name: row for row in csv.DictReader(file)}
+    assert (rows["walk.mcap"]["verdict"], rows["walk.mcap"]["cameras"]) == ("done", "3")
+    assert rows["cut.mcap"]["error"].startswith("truncated")
+    assert sum("truncated" in line for line in said.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "code"),
+    [
+        (["done", "doubtful", "equal", "skipped"], 0),
+        (["different", "recovered"], 1),
+        (["done", "recovered"], 3),
+        (["failed", "different"], 2),
+    ],
+)
+def test_the_exit_code_says_the_worst(verdicts: list[Verdict], code: int) -> None:
+    records = [LogRecord(name, name, verdict) for name, verdict in zip("abcd", verdicts)]  # noqa: B905
+    assert exit_code(records) == code
+    assert exit_code([*records, LogRecord("e", "e", "failed", bug=True)]) == 70
