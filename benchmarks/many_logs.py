@@ -2,9 +2,10 @@
 
     python benchmarks/many_logs.py [LOGS [SECONDS [JOBS]]]
 
-Simulates a few logs and processes LOGS copies of them (64) of SECONDS (30): in one process, then in
-JOBS (2). Prints wall and CPU time. The overhead per log is what the command takes beyond the runs
-themselves: finding, hashing, planning, manifest, hand-over; the start of the processes is apart.
+Simulates a few logs and processes LOGS copies of them (64) of SECONDS (30): some by a command each,
+all in one process, then in JOBS (2). Prints wall and CPU time. The overhead per log is what it takes
+beyond the runs themselves: finding, hashing, planning, manifest, hand-over; the start of the
+processes is apart.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import resource
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -59,6 +61,15 @@ def measure(logs: list[str], out: Path, jobs: int) -> tuple[float, float, list[L
     return time.perf_counter() - start, first, records
 
 
+def by_command(logs: list[str], folder: Path) -> float:
+    """Return the wall time of `hiros process` for one log after the other."""
+    start = time.perf_counter()
+    for log in logs:
+        command = [sys.executable, "-m", "hiros_cli", "process", log, "-q"]
+        subprocess.run([*command, "-o", str(folder / "out.mcap")], check=True)
+    return time.perf_counter() - start
+
+
 def main() -> None:
     given = [float(text) for text in sys.argv[1:]]
     count, seconds, jobs = (*given, *(64.0, 30.0, 2.0)[len(given) :])
@@ -67,6 +78,8 @@ def main() -> None:
         logs = recordings(folder / "in", int(count), seconds)
         size = sum(Path(log).stat().st_size for log in logs) / len(logs) / 1e6
         print(f"{len(logs)} logs of {seconds:g} s, {size:.1f} MB each")
+        wall = by_command(logs[:DIFFERENT], folder) / DIFFERENT
+        print(f"a command per log: {wall:.2f} s per log, {seconds / wall:.1f} times real time")
         rates = []
         for n in (1, int(jobs)):
             before = cpu()
@@ -75,9 +88,10 @@ def main() -> None:
             runs = [record.values["log_s"] / record.values["times_real_time"] for record in records]
             overhead = (wall - first) * n / (len(logs) - n) - sum(runs) / len(logs)
             rates.append(len(logs) / wall)
+            mean = sum(runs) / len(logs)
             print(
                 f"{n} at once: {wall:.1f} s, {seconds * rates[-1]:.1f} times real time, first log "
-                f"after {first:.1f} s; per log {used:.2f} s CPU, {sum(runs) / len(logs):.2f} s run, "
+                f"after {first:.1f} s; per log {used:.2f} s CPU, {mean:.2f} s run, "
                 f"{overhead:.2f} s overhead"
             )
             written = sum(sum(record.files.values()) for record in records) / len(records) / 1e6

@@ -133,6 +133,13 @@ def short(log: str) -> str:
     return log.removeprefix(here)
 
 
+def _without_common(logs: Sequence[str]) -> list[str]:
+    """Return paths and addresses without the folders that all of them begin with."""
+    folders = [f"{log.rpartition('/')[0]}/" for log in logs]
+    common = os.path.commonprefix(folders).rpartition("/")[0]  # noqa: RUF071 - also addresses
+    return [log.removeprefix(f"{common}/") for log in logs]
+
+
 class _Follower:
     """Prints a line for each log, and on a terminal shows how far all of them are."""
 
@@ -219,11 +226,13 @@ def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
     out = console()
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
     good = ("done", "equal")
-    shown = [r for r in records if len(records) <= _ALL_ROWS or r.verdict not in good]
-    totals = column_totals(records, job)
+    named = zip(_without_common([r.log for r in records]), records, strict=True)
     rows = [
-        (short(r.log), r.verdict, *(_cell(r.values.get(name)) for name in columns)) for r in shown
+        (log, r.verdict, *(_cell(r.values.get(name)) for name in columns))
+        for log, r in named
+        if len(records) <= _ALL_ROWS or r.verdict not in good
     ]
+    shown, totals = len(rows), column_totals(records, job)
     added = [totals[name].sum if name in totals else None for name in columns]
     means = [totals[name].mean if name in totals else None for name in columns]
     if any(value is not None for value in added):
@@ -233,7 +242,7 @@ def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
     out.print(table("Log", "Verdict", *titles, rows=rows))
     counts = ", ".join(f"{n} {verdict}" for verdict, n in verdicts(records).items())
     say(out, f"{quantity(len(records), 'log')}: {counts}", "bold", "\n")
-    if len(shown) < len(records):
+    if shown < len(records):
         say(out, "the table has those that are not simply done; --csv and --json have all")
     if many.folder:
         say(out, f"manifest: {many.folder.rstrip('/')}/hiros-{job.command}.json")

@@ -80,6 +80,7 @@ class Manifest:
         self._place = place
         self._file = f"hiros-{command}.json"
         self._next = 0.0
+        self._changed = False
         if place is not None and (text := place.read_text(self._file)) is not None:
             self.records = {record.log: record for record in self._parsed(text)}
 
@@ -99,17 +100,19 @@ class Manifest:
     def add(self, record: LogRecord) -> None:
         """Take note of what became of a log."""
         self.records[record.log] = record
+        self._changed = True
         if time.monotonic() >= self._next:
             self.save()
 
     def save(self) -> None:
-        """Write the manifest."""
-        if self._place is None:
+        """Write the manifest if there is anything new."""
+        if self._place is None or not self._changed:
             return
         start = time.monotonic()
         rows = [plain(self.records[log]) for log in sorted(self.records)]
         data = {"schema": SCHEMA, "version": VERSION, "command": self.command, "logs": rows}
         self._place.write_text(self._file, json.dumps(data, indent=1) + "\n")
+        self._changed = False
         end = time.monotonic()
         self._next = end + max(_PERIOD_S, _SHARE * (end - start))
 
