@@ -3,9 +3,9 @@
     python benchmarks/many_logs.py [LOGS [SECONDS [JOBS]]]
 
 Simulates a few logs and processes LOGS copies of them (64) of SECONDS (30): some by a command each,
-all in one process, then in JOBS (2). Prints wall and CPU time. The overhead per log is what it takes
-beyond the runs themselves: finding, hashing, planning, manifest, hand-over; the start of the
-processes is apart.
+all in one process, then in JOBS (2). Prints wall and CPU time. The overhead per log is what a log
+takes beyond its run: finding, hashing, planning, manifest, hand-over; the start of the processes is
+apart.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -76,6 +77,7 @@ def _client(address: str, n: int) -> Iterator[Any]:
                 threads_per_worker=1,
                 host="127.0.0.1",
                 dashboard_address=None,
+                preload=__name__,
                 silence_logs=logging.CRITICAL,
             )
             address = stack.enter_context(cluster)
@@ -88,6 +90,14 @@ def _client(address: str, n: int) -> Iterator[Any]:
                 f"({error})"
             ) from None
         yield client
+
+
+def dask_setup(_: Any) -> None:
+    """Let a worker of a local cluster ignore Ctrl-C, which reaches every process of a terminal.
+
+    The first process stops it. Dask calls this by its name when a worker starts.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _check_workers(client: Any, paths: Sequence[str]) -> None:
