@@ -23,11 +23,13 @@ Kind = Literal[
     "export",
     "rosbag2 folder",
     "rosbag2 metadata",
+    "table of logs",
 ]
 
 HTML_MARK = '<meta name="generator" content="hiros">'
 JUNIT_MARK = "<!-- hiros check -->"
 MARKDOWN_MARK = "### hiros check: "
+TABLE_MARK = "log,verdict,"
 BAG_MARK = "# hiros rosbag2 metadata\n"
 LIMBS_MARK = "# hiros limb lengths\n"
 CAMERAS_MARK = "# hiros cameras\n"
@@ -140,7 +142,11 @@ def _may_replace(path: Path, kind: Kind) -> bool:
     if not path.exists():
         return True
     with path.open("rb") as file:
-        head = file.read(_HEAD)
+        return may_replace(file.read(_HEAD), kind)
+
+
+def may_replace(head: bytes, kind: Kind) -> bool:
+    """Whether a file that begins so is empty, or of this kind and by hiros."""
     return not head or _IS_OURS[kind](head)
 
 
@@ -164,6 +170,7 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "PNG picture": lambda head: head.startswith(b"\x89PNG") and b"tEXtSoftware\0hiros" in head,
     "rosbag2 folder": lambda head: False,
     "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),
+    "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
     # Most formats have no place for a mark, so nobody knows who wrote the file.
     "export": lambda head: False,
 }

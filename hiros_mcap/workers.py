@@ -10,8 +10,9 @@ import os
 import signal
 import sys
 import traceback
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -22,6 +23,8 @@ from hiros_mcap.errors import HirosError
 
 Result = TypeVar("Result")
 
+ATTEMPTS = 2
+"""Times that a task is tried which kills its process: memory may be short only for a while."""
 _JOIN_S = 10.0
 _RAISE_AGAIN_S = 2.0
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -33,7 +36,10 @@ _HELD = [*_STOPPING, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else [])]
 
 
 def run_tasks(
-    function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], jobs: int = 0
+    function: Callable[..., Result],
+    tasks: Sequence[tuple[Any, ...]],
+    jobs: int = 0,
+    lost: Callable[[int, str], Result] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """Yield (number of the task, result of the function) as they get ready.
 
@@ -42,21 +48,24 @@ def run_tasks(
     function : at the top level of a module. tasks : its arguments.
     jobs : processes at once; 0 = one per core that this process may use. With 1, this process
         does everything.
+    lost : gives the result of a task, by its number and what happened, that killed its process
+        :data:`ATTEMPTS` times. The others go on in new processes.
 
     Raises
     ------
     HirosError
-        A process was killed. Errors of ``function`` are raised here, and the others are stopped.
+        A process was killed, and there is no ``lost``. Errors of ``function`` are raised here, and
+        the others are stopped.
     """
-    n = min(jobs or _cores(), len(tasks))
+    n = min(jobs or cores(), len(tasks))
     if n <= 1:
         for k, task in enumerate(tasks):
             yield k, function(*task)
         return
-    pool = _Pool()
+    pool = _Pool(function)
     try:
         pool.start(n)
-        yield from pool.work(function, tasks)
+        yield from pool.work(tasks, lost)
     except BaseException:
         pool.stop()
         raise
@@ -64,22 +73,28 @@ def run_tasks(
         pool.close()
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return how many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
+class _EndedError(HirosError):
+    """A process ended before it gave its answer."""
+
+
 class _Pool:
     """The processes, each with the pipe to it."""
 
-    def __init__(self) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
         self._workers: dict[Connection, SpawnProcess] = {}
 
-    def start(self, n: int) -> None:
-        """Start ``n`` processes."""
+    def start(self, n: int) -> list[Connection]:
+        """Start ``n`` processes; return the pipes to them."""
         context = get_context("spawn")
+        started = []
         with _safe_path():
             if os.name == "posix":
                 # If it were started later, it would unblock the signals.
@@ -91,32 +106,55 @@ class _Pool:
                     worker.start()
                     theirs.close()  # so that the pipe ends when the process does
                     self._workers[ours] = worker
+                    self._send(ours, self._function)
+                    started.append(ours)
+        return started
 
     def work(
-        self, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Result]]:
+        self, tasks: Sequence[tuple[Any, ...]], lost: Callable[[int, str], Any] | None
+    ) -> Iterator[tuple[int, Any]]:
         """Hand out the tasks in order, the next one to the first process that is ready."""
-        waiting = iter(enumerate(tasks))
-        busy: dict[Connection, int] = {}
-        for connection, (k, task) in zip(self._workers, waiting, strict=False):
-            self._send(connection, function)
-            self._send(connection, task)
-            busy[connection] = k
+        waiting, deaths = deque(range(len(tasks))), Counter[int]()
+        idle, busy = list(self._workers), dict[Connection, int]()
+
+        def hand_out() -> None:
+            while idle and waiting:
+                connection = idle.pop(0)
+                busy[connection] = waiting.popleft()
+                self._send(connection, tasks[busy[connection]])
+
+        hand_out()
         while busy:
-            ready = wait(list(busy))
+            ready = set(wait(list(busy)))
             for connection in [each for each in busy if each in ready]:
-                done, result = busy.pop(connection), self._receive(connection)
-                following = next(waiting, None)
-                if following is not None:
-                    busy[connection], task = following
-                    self._send(connection, task)
-                yield done, result
+                k = busy.pop(connection)
+                try:
+                    result = self._receive(connection)
+                except _EndedError as end:
+                    if lost is None:
+                        raise
+                    deaths[k] += 1
+                    idle += self._replace(connection)
+                    if deaths[k] < ATTEMPTS:
+                        waiting.append(k)
+                        hand_out()
+                        continue
+                    result = lost(k, str(end))
+                else:
+                    idle.append(connection)
+                hand_out()  # before whoever asks takes their time with the result
+                yield k, result
+
+    def _replace(self, connection: Connection) -> list[Connection]:
+        """Forget a process that has ended, and start another one."""
+        connection.close()
+        del self._workers[connection]
+        return self.start(1)
 
     def _send(self, connection: Connection, item: object) -> None:
-        try:
+        # Of a process that has ended, reading the answer will say so.
+        with suppress(OSError):
             connection.send(item)
-        except OSError:
-            raise self._ended(connection) from None
 
     def _receive(self, connection: Connection) -> Any:
         try:
@@ -127,12 +165,12 @@ class _Pool:
             raise result
         return result
 
-    def _ended(self, connection: Connection) -> HirosError:
+    def _ended(self, connection: Connection) -> _EndedError:
         worker = self._workers[connection]
         worker.join(_JOIN_S)
         code = worker.exitcode or 0
         how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-        return HirosError(f"a process {how}; is there enough memory? --jobs 1 needs the least")
+        return _EndedError(f"a process {how}; is there enough memory? --jobs 1 needs the least")
 
     def stop(self) -> None:
         """Interrupt all processes."""

@@ -38,6 +38,13 @@ def die(number: int) -> int:
     return number
 
 
+def dies_once(flag: str) -> int:
+    if not Path(flag).exists():
+        Path(flag).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
 def hold(folder: str) -> None:
     """Hold a temporary folder until somebody stops it."""
     with tempfile.TemporaryDirectory(dir=folder):
@@ -71,6 +78,22 @@ def test_an_error_is_raised_as_it_was() -> None:
 def test_a_killed_process_is_an_error_that_says_so() -> None:
     with pytest.raises(HirosError, match="killed by signal 9; is there enough memory"):
         list(run_tasks(die, [(n,) for n in range(5)], 2))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
+def test_a_task_whose_process_was_killed_is_tried_again(tmp_path: Path) -> None:
+    tasks = [(str(tmp_path / "a"),), (str(tmp_path / "b"),), (str(tmp_path / "c"),)]
+    answers = dict(run_tasks(dies_once, tasks, 2, lost=lambda k, why: -1))
+    assert sorted(answers) == [0, 1, 2]
+    assert all(pid > 0 for pid in answers.values())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
+def test_a_task_that_kills_every_process_is_lost_and_the_others_are_not() -> None:
+    tasks = [(n,) for n in range(6)]
+    answers = dict(run_tasks(die, tasks, 2, lost=lambda k, why: f"{k}: {why}"))
+    assert answers.pop(2).startswith("2: a process was killed by signal 9")
+    assert answers == {n: n for n in range(6) if n != 2}
 
 
 def test_whoever_stops_asking_stops_the_processes(tmp_path: Path) -> None:

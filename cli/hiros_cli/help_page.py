@@ -12,6 +12,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "hiros process lab.mcap",
         "hiros process lab.mcap -o clean.mcap --set track.max_gap=3",
         "hiros process lab.mcap --system malaguti --extrinsics cameras.toml",
+        "hiros process recordings/ -o results/ --jobs 4",
     ),
     "view": (
         "hiros view lab.hiros.mcap",
@@ -22,11 +23,13 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "export": (
         "hiros export lab.hiros.mcap -o lab.csv",
         "hiros export lab.hiros.mcap -o lab.trc --person 0 --rate 100",
+        "hiros export results/ -o tables/ --format parquet",
     ),
     "eval": (
         "hiros eval lab.hiros.mcap",
         "hiros eval lab.hiros.mcap --truth mocap.trc --up y",
         "hiros eval lab.mcap --leave-one-out",
+        "hiros eval results/ --truth mocap/ --csv scores.csv",
     ),
     "check": (
         "hiros check lab.hiros.mcap --golden golden/lab.mcap --bless",
@@ -36,7 +39,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "hiros compare lab.mcap",
         "hiros compare lab.mcap --system hiros --system lee,cluster.radius=0.2",
     ),
-    "info": ("hiros info lab.mcap",),
+    "info": ("hiros info lab.mcap", "hiros info recordings/"),
     "recover": ("hiros recover lab.mcap -o readable.mcap",),
     "simulate": ("hiros simulate lab.mcap --people 2 --action cross --seconds 10",),
     "config": ("hiros config --system lee > lee.toml",),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -27,9 +27,9 @@ STREAM = "-"
 SOCKETS = ("ws://", "wss://")
 
 
-def is_live(source: str, output: str | None, *, follow: bool) -> bool:
+def is_live(logs: Sequence[str], output: str | None, *, follow: bool) -> bool:
     """Whether the input is still being written, or the output goes to a pipe."""
-    return follow or STREAM in (source, output) or source.startswith(SOCKETS)
+    return follow or output == STREAM or not all(map(is_file, logs))
 
 
 def is_file(source: str) -> bool:
@@ -37,8 +37,11 @@ def is_file(source: str) -> bool:
     return source != STREAM and not source.startswith(SOCKETS)
 
 
-def check_live(source: str, output: str | None, *, follow: bool) -> None:
+def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None:
     """Raise ConfigError for an input or an output that cannot be live."""
+    if len(logs) > 1:
+        raise ConfigError("live input is one log; name one")
+    (source,) = logs
     if is_file(source) and not follow:
         raise ConfigError(
             "-o -: only live input goes to a pipe; add --follow, or read a pipe: hiros process - "

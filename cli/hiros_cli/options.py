@@ -78,6 +78,35 @@ Force = Annotated[
     ),
 ]
 
+MANY = "Many logs"
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="NUMBER",
+        help="Logs at once; 0 = one per core. With it, one log is treated as many are.",
+        show_default="0",
+        rich_help_panel=MANY,
+    ),
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
+        rich_help_panel=MANY,
+    ),
+]
+Table = Annotated[
+    Path | None,
+    typer.Option(
+        "--csv",
+        metavar="FILE",
+        help="Also write the table of all logs as CSV.",
+        rich_help_panel=MANY,
+    ),
+]
+
 
 def seconds_range(option: str, text: str) -> tuple[float, float]:
     """Read ``START:END`` in seconds.

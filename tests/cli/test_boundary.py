@@ -43,7 +43,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     [
         (["frobnicate"], "No such command 'frobnicate'. (see hiros --help)"),
         (["process", "--frobnicate"], "(see hiros process --help)"),
-        (["process"], "Missing argument 'IN'. (see hiros process --help)"),
+        (["process"], "Missing argument 'LOG'. (see hiros process --help)"),
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
         (["process", ""], "an argument is empty; is a variable not set?"),
         (["plot", "/"], "/: gives no name for the output; choose one with --output"),

@@ -142,5 +142,14 @@ def test_compare(
     assert_as_documented([printed(command, capsys)])
 
 
+def test_export_and_many_logs(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "out.csv")
+    assert_as_documented([printed(["export", str(result), "-o", out], capsys)])
+    command = ["export", str(result), "-o", str(tmp_path / "tables"), "--jobs", "1"]
+    assert_as_documented([printed(command, capsys)])
+
+
 def test_every_schema_is_documented() -> None:
     assert set(documented()) == {f"hiros.{name}" for name in SCHEMA_VERSIONS}

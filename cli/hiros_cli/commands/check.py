@@ -11,26 +11,34 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.completing import topics
-from hiros_cli.options import Force, Json, QuietResult
+from hiros_cli.many_logs import ManyLogs, one_log, run
+from hiros_cli.options import Cluster, Force, Jobs, Json, QuietResult, Table
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
+    from hiros_mcap.many.jobs import CheckJob
     from hiros_mcap.regression.suite import CaseResult, SuiteOptions
 
 EQUAL, DIFFERENT, CANNOT = 0, 1, 2
 
 
 def check(
-    target: Annotated[
-        Path,
+    context: typer.Context,
+    targets: Annotated[
+        list[str],
         typer.Argument(
             metavar="OUT|SUITE",
-            help="Output of `hiros process`, or a suite (.toml) of recordings.",
+            help="Outputs of `hiros process` (files, folders, globs, URLs), or one suite (.toml) "
+            "of recordings.",
         ),
     ],
     golden: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="With OUT: the golden log to compare with."),
+        typer.Option(
+            metavar="FILE",
+            help="With OUT: the golden log to compare with. With many: the folder of golden files "
+            "with the same names.",
+        ),
     ] = None,
     tolerances: Annotated[
         Path | None,
@@ -59,12 +67,9 @@ def check(
         list[str] | None,
         typer.Option(metavar="NAME", help="With SUITE: this log only; may be repeated."),
     ] = None,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            min=0, metavar="NUMBER", help="With SUITE: logs to process at once; 0 = one per core."
-        ),
-    ] = 0,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    csv: Table = None,
     keep: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="With SUITE: keep the outputs in this folder."),
@@ -86,18 +91,29 @@ def check(
     """
     from hiros_cli.compiling import RUN, prepare
 
-    target.stat()
-    is_suite = target.suffix == ".toml"
+    is_suite = len(targets) == 1 and Path(targets[0]).suffix == ".toml"
+    many = ManyLogs(targets, "", jobs, cluster, csv, force, json, quiet)
+    is_many = not is_suite and many.wanted
+    if not is_many:
+        many.refuse_alone()
+    target = Path() if is_many else one_log(context, targets[0])
     _check_options(
         is_suite,
-        for_log={"--golden": golden, "--tolerances": tolerances, "--channel": channel},
+        for_log={
+            "--golden": golden,
+            "--tolerances": tolerances,
+            "--channel": channel,
+            "--cluster": cluster,
+        },
         for_suite={"--only": only, "--keep": keep, "--junit": junit, "--markdown": markdown},
     )
-    prepare(quiet=quiet or json, roots=RUN if is_suite else ())
+    prepare(quiet=quiet or json, roots=RUN if is_suite or is_many else ())
+    if is_many:
+        return run(_job(golden, tolerances, channel, bless=bless), many)
     if is_suite:
         from hiros_mcap.regression.suite import SuiteOptions
 
-        options = SuiteOptions(bless, tuple(only or ()), jobs, keep, force)
+        options = SuiteOptions(bless, tuple(only or ()), jobs or 0, keep, force)
         results = _run_suite(target, options, _Reports(junit, markdown), quiet=quiet)
     elif golden is None:
         raise ConfigError(f"{target}: name the golden log with --golden")
@@ -112,6 +128,18 @@ def check(
     if any(result.status == "error" for result in results):
         return CANNOT
     return DIFFERENT if any(result.status == "different" for result in results) else EQUAL
+
+
+def _job(
+    golden: Path | None, tolerances: Path | None, channels: list[str] | None, *, bless: bool
+) -> CheckJob:
+    from hiros_mcap.many.jobs import CheckJob
+    from hiros_mcap.regression.tolerances import load_tolerances
+
+    if golden is None or (golden.exists() and not golden.is_dir()):
+        raise ConfigError("with many outputs, --golden names a folder with a golden file for each")
+    limits = None if tolerances is None else load_tolerances(tolerances)
+    return CheckJob(golden.absolute(), limits, tuple(channels or ()), bless)
 
 
 def _check_options(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hiros_cli.completing import topics
-from hiros_cli.options import Assignments, ConfigFile, Force, Json, Preset, QuietResult
+from hiros_cli.many_logs import ManyLogs, one_log, run
+from hiros_cli.options import (
+    MANY,
+    Assignments,
+    Cluster,
+    ConfigFile,
+    Force,
+    Jobs,
+    Json,
+    Preset,
+    QuietResult,
+    Table,
+)
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,17 +31,21 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    log: Annotated[
-        Path,
+    context: typer.Context,
+    logs: Annotated[
+        list[str],
         typer.Argument(
-            metavar="LOG", help="Output of `hiros process`, or a recording to process first."
+            metavar="LOG",
+            help="Outputs of `hiros process`, or recordings to process first: files, folders, "
+            "globs, URLs.",
         ),
     ],
     truth: Annotated[
         str | None,
         typer.Option(
             metavar="FILE|TOPIC",
-            help="MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel.",
+            help="MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With "
+            "many logs: a channel, or a folder of files with the logs' names.",
         ),
     ] = None,
     channel: Annotated[
@@ -84,6 +98,19 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FILE", help="Also write an HTML report with plots."),
     ] = None,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Keep the scores of many logs there; the same command goes on where it stopped.",
+            rich_help_panel=MANY,
+        ),
+    ] = "",
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    csv: Table = None,
     force: Force = False,
     json: Json = False,
     quiet: QuietResult = False,
@@ -93,36 +120,59 @@ def evaluate(
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    from hiros_cli.compiling import prepare
+    from hiros_cli.compiling import RUN, prepare
     from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
         raise ConfigError(f"--up: {up!r} is neither z nor y")
     if truth_covers not in ("all", "partial", "auto"):
         raise ConfigError(f"--truth-covers: {truth_covers!r} is none of all, partial, auto")
-    check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
-    log.stat()
-    prepare(quiet=quiet or json)
+    many = ManyLogs(logs, output, jobs, cluster, csv, force, json, quiet)
+    is_many, log = many.wanted, Path(logs[0])
+    if is_many:
+        many.refuse(html=html, joints=joints)
+    else:
+        many.refuse_alone()
+        if output:
+            raise ConfigError("--output is for many logs; for one, use --json or --html")
+        log = one_log(context, logs[0])
+        check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
+    prepare(quiet=quiet or json, roots=RUN if is_many else ())
 
     from hiros_mcap.config import load_config
     from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
     from hiros_mcap.evaluate.remarks import warnings_of
+    from hiros_mcap.evaluate.scored import check_scorable, results_of
 
     effective = load_config(config, list(assignments or ()), preset)
-    output = _Output(log, html, json=json, quiet=quiet, joints=joints)
+    if is_many:
+        from hiros_mcap.many.jobs import EvalJob
+
+        folder = truth if truth is None or not Path(truth).is_dir() else str(Path(truth).absolute())
+        job = EvalJob(
+            effective,
+            folder,
+            tuple(channel or ()),
+            leave_one_out,
+            truth_covers,
+            match_distance,
+            shift,
+            up,
+        )
+        raise typer.Exit(run(job, many))
+    shown = _Output(log, html, json=json, quiet=quiet, joints=joints)
     true = None if leave_one_out else find_truth(log, truth)
-    _check_input(log, truth, has_truth=true is not None)
+    check_scorable(log, truth, has_truth=true is not None)
     if true is None:
-        _show_self(output, effective)
+        _show_self(shown, effective)
         return
     true = true.moved(shift, start=start_of(log), up=up)
-    with ExitStack() as stack:
-        processed, default = _processed(log, effective, stack, truth)
+    with results_of(log, effective, truth) as (processed, default):
         globs = channel or default
         true, others = covered_by(processed, true, truth_covers, globs, match_distance)
         results = evaluate_log(processed, true, globs, match_distance)
     asked = truth_covers != "auto"
-    _show_truth(output, true, results, others, warnings_of(true, results, others, asked=asked))
+    _show_truth(shown, true, results, others, warnings_of(true, results, others, asked=asked))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,46 +184,6 @@ class _Output:
     json: bool
     quiet: bool
     joints: bool
-
-
-def _check_input(log: Path, truth: str | None, *, has_truth: bool) -> None:
-    """Refuse a log that holds neither a result nor cameras, or nothing to judge its result by."""
-    from hiros_mcap.evaluate.logs import has_cameras, has_outputs
-
-    if has_cameras(log):
-        return
-    if not has_truth:
-        raise ConfigError(
-            f"{log}: has no truth, and no cameras that could be left out; name a truth: "
-            f"hiros eval {log} --truth FILE"
-        )
-    if truth is None and not has_outputs(log):
-        raise ConfigError(
-            f"{log}: holds a truth but no result; name the result: hiros eval RESULT --truth {log}"
-        )
-
-
-def _processed(
-    log: Path, config: Config, stack: ExitStack, truth: str | None
-) -> tuple[Path, list[str]]:
-    """Return where the result is, and its channels: [] = all outputs.
-
-    It is the log itself if it holds outputs, the truth in it if it holds no cameras either, else
-    its output in a temporary folder.
-    """
-    from hiros_mcap.evaluate.logs import fused_topics, has_cameras, has_outputs
-    from hiros_mcap.io.channels import TRUTH_PREFIX
-    from hiros_mcap.running.pipeline import ProcessOptions, process
-
-    if has_outputs(log):
-        return log, []
-    if not has_cameras(log):
-        return log, [f"{TRUTH_PREFIX}/*"]
-
-    out = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "out.mcap"
-    options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
-    process(log, out, config=config, options=options)
-    return out, []
 
 
 def _show_truth(

@@ -8,21 +8,38 @@ from typing import Annotated
 import typer
 
 from hiros_cli.completing import topics
-from hiros_cli.options import Force, Quiet
+from hiros_cli.many_logs import ManyLogs, one_log, run
+from hiros_cli.options import MANY, Cluster, Force, Jobs, Json, Quiet, Table
 from hiros_mcap.errors import ConfigError
 
 
 def export(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Output of `hiros process`.")],
+    context: typer.Context,
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG", help="Outputs of `hiros process`: files, folders, globs, URLs."
+        ),
+    ],
     output: Annotated[
-        Path,
+        str,
         typer.Option(
             "-o",
             "--output",
             metavar="FILE",
-            help="Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh.",
+            help="Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh; with many "
+            "logs, the folder for all.",
         ),
     ],
+    file_format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="SUFFIX",
+            help="Format of the files of many logs.",
+            rich_help_panel=MANY,
+        ),
+    ] = "csv",
     what: Annotated[
         str,
         typer.Option(
@@ -66,28 +83,45 @@ def export(
             "the joint centres of that OpenSim model. Default: our names.",
         ),
     ] = "",
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    csv: Table = None,
     force: Force = False,
+    json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
-    from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs
+    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.output import check_outputs, print_json
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
     from hiros_mcap.io.export.marker_set import SUFFIXES, load_marker_set, renamed
 
-    log.stat()
-    format_of(output)
-    if marker_set and (output.suffix.lower() not in SUFFIXES or what not in ("", "joints")):
-        raise ConfigError(f"{output}: --marker-set is for the joints of {' and '.join(SUFFIXES)}")
+    many = ManyLogs(logs, output, jobs, cluster, csv, force, json, quiet)
+    is_many, suffix = many.wanted, f".{file_format.lstrip('.').lower()}"
+    target = Path("log").with_suffix(suffix) if is_many else Path(output)
+    format_of(target)
+    if marker_set and (target.suffix.lower() not in SUFFIXES or what not in ("", "joints")):
+        raise ConfigError(f"{target}: --marker-set is for the joints of {' and '.join(SUFFIXES)}")
+    if is_many:
+        from hiros_mcap.many.jobs import ExportJob
+
+        prepare(quiet=quiet, roots=RUN)
+        names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
+        job = ExportJob(suffix, what, person, channel, rate, start, end, names)
+        raise typer.Exit(run(job, many))
+    many.refuse_alone()
+    log = one_log(context, logs[0])
     prepare(quiet=quiet)
     from hiros_mcap.io.result import open_result
 
     result = open_result(log, channel).select(person, start, end, rate)
     if marker_set:
         result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
-    targets = files_of(output, result.people)
+    targets = files_of(target, result.people)
     check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
-    for path in write(result, output, what):
-        if not quiet:
-            print(f"wrote {path}")
+    written = write(result, target, what)
+    if json:
+        print_json("export", {"log": logs[0], "files": list(map(str, written))})
+    for path in () if quiet or json else written:
+        print(f"wrote {path}")

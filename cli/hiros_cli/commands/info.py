@@ -8,14 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiros_cli.completing import topics
-from hiros_cli.options import Json
+from hiros_cli.many_logs import ManyLogs, one_log, run
+from hiros_cli.options import Cluster, Force, Jobs, Json, Quiet, Table
 
 if TYPE_CHECKING:
     from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
 
 
 def info(
-    source: Annotated[Path, typer.Argument(metavar="LOG", help="MCAP file or ROS bag.")],
+    context: typer.Context,
+    logs: Annotated[
+        list[str],
+        typer.Argument(metavar="LOG", help="MCAP files, ROS bags, folders of them, globs, URLs."),
+    ],
     topic: Annotated[
         list[str] | None,
         typer.Option(
@@ -28,18 +33,31 @@ def info(
         Path | None,
         typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
     ] = None,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    csv: Table = None,
+    force: Force = False,
     json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show what an MCAP file or bag holds.
 
     It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
     version, the system and the changed parameters.
     """
-    from hiros_cli.compiling import prepare
+    from hiros_cli.compiling import RUN, prepare
     from hiros_cli.output import warn
 
-    source.stat()
-    prepare(quiet=json)
+    many = ManyLogs(logs, "", jobs, cluster, csv, force, json, quiet)
+    if many.wanted:
+        prepare(quiet=json or quiet, roots=RUN)
+        from hiros_mcap.many.jobs import InfoJob
+
+        side = extrinsics and extrinsics.absolute()
+        raise typer.Exit(run(InfoJob(tuple(topic or ()), side), many))
+    many.refuse_alone()
+    source = one_log(context, logs[0])
+    prepare(quiet=json or quiet)
     from hiros_mcap.io.overview import look
 
     overview = look(source, topics=topic, extrinsics=extrinsics)
@@ -49,7 +67,7 @@ def info(
         from hiros_cli.output import print_json
 
         print_json("info", overview.to_dict())
-    else:
+    elif not quiet:
         _show(overview)
 
 

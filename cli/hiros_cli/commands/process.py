@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,30 +14,33 @@ from hiros_cli.completing import topics
 from hiros_cli.live_run import (
     STREAM,
     check_live,
-    is_file,
     is_live,
     live_system,
     run_live,
     stdout_free,
 )
+from hiros_cli.many_logs import ManyLogs, one_log
 from hiros_cli.options import (
     INPUT,
     LOSSES,
     OUTPUT,
     PARAMETERS,
     Assignments,
+    Cluster,
     ConfigFile,
     Force,
+    Jobs,
     Json,
     Preset,
     Quiet,
     SystemName,
+    Table,
     seconds_range,
 )
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
-    from hiros_mcap.config import Table
+    from hiros_mcap.config import Table as Parameters
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.summary import Summary
 
@@ -48,9 +51,12 @@ SUFFIX = ".hiros.mcap"
 
 def process(
     context: typer.Context,
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="IN", help="The recording: MCAP file or ROS bag; - reads a pipe."),
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG",
+            help="Recordings: MCAP files, ROS bags, folders of them, globs, URLs; - is a pipe.",
+        ),
     ],
     output: Annotated[
         str | None,
@@ -58,8 +64,8 @@ def process(
             "--output",
             "-o",
             metavar="OUT",
-            help=f"Output file, DIR/ for a ROS 2 bag, - for a pipe. Default: IN's name with "
-            f"{SUFFIX}.",
+            help=f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
+            f"all. Default: LOG's name with {SUFFIX}.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -205,6 +211,9 @@ def process(
             rich_help_panel=INPUT,
         ),
     ] = 1.0,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    csv: Table = None,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -215,26 +224,29 @@ def process(
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
     from hiros_cli.compiling import RUN, prepare
-    from hiros_cli.output import beside, check_outputs
     from hiros_cli.progress import bar
-    from hiros_mcap.outputs import target_kind
+    from hiros_mcap.io.remote import is_remote
 
-    live = is_live(str(source), output, follow=follow)
-    if live:
-        check_live(str(source), output, follow=follow)
+    many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
+    source, wanted = Path(logs[0]), STREAM
+    live = is_live(logs, output, follow=follow)
+    is_many = not live and many.wanted
+    sides = (config, extrinsics, limbs)
+    if is_many:
+        many.refuse(view=view, save_limbs=save_limbs)
+        if output is None:
+            raise ConfigError("with many logs, name a folder for the results: -o FOLDER")
+    elif live:
+        many.refuse_alone()
+        check_live(logs, output, follow=follow)
         system = live_system(context, system)
-    if is_file(str(source)):
-        source.stat()  # reports a missing file before anything slow happens
-    wanted = str(beside(source, SUFFIX)) if output is None else output
-    kind, target = target_kind(wanted), Path(wanted)
-    check_outputs(
-        (None if wanted == STREAM else target, kind),
-        (save_limbs, "limb table"),
-        inputs=(source if is_file(str(source)) else None, config, extrinsics, limbs),
-        force=force,
-    )
-    if kind == "log":
-        _refuse_other_formats(target)
+        if output != STREAM:
+            wanted = _checked_output(source, output, sides, save_limbs, force=force)
+    else:
+        many.refuse_alone()
+        source = one_log(context, logs[0])
+        named = Path(source.name) if is_remote(logs[0]) else source
+        wanted = _checked_output(named, output, sides, save_limbs, force=force)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
@@ -264,8 +276,8 @@ def process(
         stages=stages,
         topics=tuple(topic or ()),
         keep=None if keep is None else tuple(filter(None, keep)),
-        extrinsics=extrinsics,
-        limbs_in=limbs,
+        extrinsics=extrinsics.absolute() if is_many and extrinsics else extrinsics,
+        limbs_in=limbs.absolute() if is_many and limbs else limbs,
         limbs_out=save_limbs,
         markers=markers,
         strict=strict,
@@ -273,11 +285,16 @@ def process(
         memory=memory,
     )
     effective = load_config(config, assignments or (), preset, system, shortcuts)
+    if is_many:
+        from hiros_cli.many_logs import run as run_many
+        from hiros_mcap.many.jobs import ProcessJob
+
+        raise typer.Exit(run_many(ProcessJob(effective, options), many))
     with ExitStack() as stack:
         watcher = stack.enter_context(_live(source)) if view else None
         if live:
             stack.enter_context(stdout_free(wanted))
-            summary = run_live(str(source), wanted, effective, options, watcher, quiet=quiet)
+            summary = run_live(logs[0], wanted, effective, options, watcher, quiet=quiet)
             _show(summary, json=json, quiet=quiet)
             return
         progress = stack.enter_context(bar(source.name, quiet=quiet))
@@ -293,6 +310,26 @@ def process(
     _show(summary, json=json, quiet=quiet)
     if summary.losses:
         raise typer.Exit(LOSSES)
+
+
+def _checked_output(
+    source: Path,
+    output: str | None,
+    sides: Sequence[Path | None],
+    limbs: Path | None,
+    *,
+    force: bool,
+) -> str:
+    """Return where the result of one log goes, after what must not be written was refused."""
+    from hiros_cli.output import beside, check_outputs
+    from hiros_mcap.outputs import target_kind
+
+    wanted = str(beside(source, SUFFIX)) if output is None else output
+    kind, target = target_kind(wanted), Path(wanted)
+    check_outputs((target, kind), (limbs, "limb table"), inputs=(source, *sides), force=force)
+    if kind == "log":
+        _refuse_other_formats(target)
+    return wanted
 
 
 def _refuse_result(source: Path) -> None:
@@ -332,9 +369,9 @@ def _live(source: Path) -> AbstractContextManager[Watcher]:
 
 def _shortcuts(
     fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
-) -> dict[str, Table]:
+) -> dict[str, Parameters]:
     """Return the parameters that options with a name of their own set."""
-    named: dict[str, Table] = {}
+    named: dict[str, Parameters] = {}
     if fixed_frame is not None:
         named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
     if calibrate:

@@ -1,0 +1,265 @@
+"""A command that was given many logs: how far it is, what came of each, and the totals."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from typer import Context
+
+from hiros_cli.options import LOSSES
+from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hiros_mcap.many.jobs import Job
+    from hiros_mcap.many.manifest import LogRecord
+    from hiros_mcap.many.run_logs import Runner
+
+DIFFERENT, BAD_INPUT, BUG = 1, 2, 70
+_LAST_ROWS = 8
+_ALL_ROWS = 40
+"""Logs up to which the table has a row for each."""
+
+
+@dataclass(frozen=True, slots=True)
+class ManyLogs:
+    """What the user asked for, besides the settings of the command."""
+
+    named: Sequence[str]
+    folder: str = ""
+    jobs: int | None = None
+    cluster: str | None = None
+    csv: Path | None = None
+    force: bool = False
+    json: bool = False
+    quiet: bool = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is more than one log, or one is to be treated so."""
+        from hiros_mcap.io.remote import is_remote
+        from hiros_mcap.many.find import are_many
+
+        asked = self.jobs is not None or self.cluster is not None or is_remote(self.folder)
+        return asked or are_many(self.named)
+
+    def refuse(self, **given: object) -> None:
+        """Refuse options that are for one log; raises ConfigError."""
+        for name, value in given.items():
+            if value:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} is for one log, and there are many")
+
+    def refuse_alone(self) -> None:
+        """Refuse options that are for many logs; raises ConfigError."""
+        if self.csv is not None:
+            raise ConfigError("--csv is for many logs; for one, use --json")
+
+
+def one_log(context: Context, named: str) -> Path:
+    """Return the path of the only log of a command; a copy of a remote one lives as long as that.
+
+    Raises OSError or LogError if it does not exist.
+    """
+    from hiros_mcap.io.remote import local_copy
+
+    path: Path = context.with_resource(local_copy(named))
+    path.stat()  # reports a missing file before anything slow happens
+    return path
+
+
+def run(job: Job, many: ManyLogs) -> int:
+    """Do the work of a command for many logs; return the exit code.
+
+    Raises HirosError or OSError if the logs are not found, or the folder cannot be written.
+    """
+    from hiros_cli.output import check_outputs
+    from hiros_mcap.many.find import find_logs
+    from hiros_mcap.many.run_logs import Folder, run_logs
+    from hiros_mcap.outputs import write_text
+
+    check_outputs((many.csv, "table of logs"), inputs=(), force=many.force)
+    if many.folder.endswith((".mcap", ".json", ".csv")) and not Path(many.folder).is_dir():
+        raise ConfigError(f"{many.folder}: with many logs, -o names a folder, not a file")
+    logs = find_logs(many.named, many.folder)
+    found: dict[str, LogRecord] = {}
+    with _follower(len(logs), quiet=many.quiet) as follower:
+        runner = _runner(many, logs)
+        folder = Folder(many.folder, many.force)
+        for record, is_new in run_logs(job, logs, folder, runner):
+            found[record.log] = record
+            follower.finished(record, is_new=is_new)
+    records = [found[log] for log in logs]
+    _report(job, records, many)
+    if many.csv is not None:
+        from hiros_mcap.many.totals import as_csv
+
+        write_text(many.csv, as_csv(records))
+    return exit_code(records)
+
+
+def exit_code(records: Sequence[LogRecord]) -> int:
+    """Return 70 after a fault of hiros, else 2 if a log failed, 1 if one differs, 3 for losses."""
+    verdicts = {record.verdict for record in records}
+    if any(record.bug for record in records):
+        return BUG
+    for verdict, code in (("failed", BAD_INPUT), ("different", DIFFERENT), ("recovered", LOSSES)):
+        if verdict in verdicts:
+            return code
+    return 0
+
+
+def _runner(many: ManyLogs, logs: Sequence[str]) -> Runner:
+    from hiros_mcap.many.run_logs import in_processes
+
+    if many.cluster is None:
+        return in_processes(many.jobs or 0)
+    from hiros_mcap.many.cluster_runner import on_cluster
+
+    paths = [*logs[:1], *([many.folder] if many.folder else [])]
+    return on_cluster(many.cluster, paths, many.jobs or 0)
+
+
+def short(log: str) -> str:
+    """Return a path relative to the current folder if it lies below it."""
+    here = f"{Path.cwd()}{os.sep}"
+    return log.removeprefix(here)
+
+
+def _without_common(logs: Sequence[str]) -> list[str]:
+    """Return paths and addresses without the folders that all of them begin with."""
+    folders = [f"{log.rpartition('/')[0]}/" for log in logs]
+    common = os.path.commonprefix(folders).rpartition("/")[0]  # noqa: RUF071 - also addresses
+    return [log.removeprefix(f"{common}/") for log in logs]
+
+
+class _Follower:
+    """Prints a line for each log, and on a terminal shows how far all of them are."""
+
+    def __init__(self, total: int, *, quiet: bool) -> None:
+        self._total, self._quiet = total, quiet
+        self._counts: Counter[str] = Counter()
+        self._log_s, self._start = 0.0, time.monotonic()
+        self._last: deque[tuple[str, ...]] = deque(maxlen=_LAST_ROWS)
+        self.live: Any = None
+
+    def finished(self, record: LogRecord, *, is_new: bool) -> None:
+        """Show what came of a log."""
+        from hiros_cli.output import warn
+        from hiros_cli.printable import printable
+
+        self._counts[record.verdict if is_new else "before"] += 1
+        self._log_s += float(record.values.get("log_s") or 0.0) if is_new else 0.0
+        name = printable(short(record.log))
+        for text in record.warnings:
+            warn(f"{name}: {text}")
+        if record.losses:
+            warn(f"{name}: {record.losses}")
+        if record.verdict == "failed":
+            print(f"hiros: error: {name}: {printable(record.error, 1000)}", file=sys.stderr)
+        time_taken = f"{record.seconds:.1f} s" if is_new else "before"
+        if self.live is not None:
+            self._last.append((name, record.verdict, time_taken))
+            self.live.update(self.__rich__())
+        elif not self._quiet and record.verdict != "failed":
+            n = sum(self._counts.values())
+            line = f"[{n}/{self._total}] {name}: {record.verdict}, {time_taken}"
+            print(line, file=sys.stderr, flush=True)
+
+    def __rich__(self) -> Any:
+        from rich.console import Group
+        from rich.text import Text
+
+        from hiros_cli.run_report import table
+        from hiros_mcap.summary import duration
+
+        n, seconds = sum(self._counts.values()), time.monotonic() - self._start
+        counts = ", ".join(f"{k} {verdict}" for verdict, k in self._counts.items())
+        parts = [f"{n} of {self._total} logs", *([counts] if counts else [])]
+        if self._log_s:
+            parts.append(f"{self._log_s / seconds:.0f} times real time")
+        new = n - self._counts["before"]
+        if new and n < self._total:
+            parts.append(f"about {duration(seconds / new * (self._total - n))} left")
+        rows = table("Log", "Verdict", ">Time", rows=self._last)
+        return Group(rows, Text("; ".join(parts), style="bold"))
+
+
+@contextmanager
+def _follower(total: int, *, quiet: bool) -> Iterator[_Follower]:
+    """Yield what shows how far the logs are: a table on a terminal, lines in a pipe."""
+    follower = _Follower(total, quiet=quiet)
+    if quiet or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+        yield follower
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(follower, console=Console(stderr=True), transient=True, refresh_per_second=4) as live:
+        follower.live = live
+        yield follower
+
+
+def _report(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
+    if many.json:
+        from hiros_cli.output import print_json
+        from hiros_mcap.many.totals import to_dict
+
+        warnings = [f"{record.log}: {text}" for record in records for text in record.warnings]
+        print_json("logs", to_dict(records, job), warnings)
+    elif not many.quiet:
+        _show(job, records, many)
+
+
+def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
+    from hiros_cli.run_report import console, say, table
+    from hiros_mcap.many.totals import column_totals, columns_of, verdicts
+    from hiros_mcap.summary import quantity
+
+    out = console()
+    columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
+    good = ("done", "equal")
+    named = zip(_without_common([r.log for r in records]), records, strict=True)
+    rows = [
+        (log, r.verdict, *(_cell(r.values.get(name)) for name in columns))
+        for log, r in named
+        if len(records) <= _ALL_ROWS or r.verdict not in good
+    ]
+    shown, totals = len(rows), column_totals(records, job)
+    added = [totals[name].sum if name in totals else None for name in columns]
+    means = [totals[name].mean if name in totals else None for name in columns]
+    if any(value is not None for value in added):
+        rows.append(("sum", "", *map(_cell, added)))
+    rows.append(("mean", "", *map(_cell, means)))
+    titles = (f">{name.replace('_', ' ')}" for name in columns)
+    out.print(table("Log", "Verdict", *titles, rows=rows))
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in verdicts(records).items())
+    say(out, f"{quantity(len(records), 'log')}: {counts}", "bold", "\n")
+    if shown < len(records):
+        say(out, "the table has those that are not simply done; --csv and --json have all")
+    if many.folder:
+        say(out, f"manifest: {many.folder.rstrip('/')}/hiros-{job.command}.json")
+
+
+def shown_columns(command: str) -> tuple[str, ...]:
+    """Return the columns for a terminal of 80 characters; CSV and JSON have all."""
+    return {
+        "process": ("people", "log_s", "skipped", "times_real_time"),
+        "eval": ("people", "mpjpe", "jitter", "limb_cv", "id_switches", "idf1", "left_out_camera"),
+        "check": ("differences", "mpjpe", "jitter", "id_switches"),
+        "info": ("kind", "seconds", "megabytes", "cameras", "people"),
+        "export": ("people", "files"),
+    }[command]
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,208 @@
+"""Files behind an address: ``s3://``, ``gs://``, ``https://``, ``sftp://`` and others by fsspec.
+
+A file that is read is copied to a temporary file first, some MB at a time, since a log is read more
+than once and at many places. A file that is written is sent when it is complete.
+"""
+
+from __future__ import annotations
+
+import glob
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from hiros_mcap.errors import LogError
+
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
+_BLOCK = 8 << 20  # bytes
+_RESERVE = 256 << 20  # bytes of the disk that a copy leaves free
+_WHOLE = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "memory"})
+"""Protocols of stores where a file appears only when all of it has arrived."""
+_READ_ONLY = frozenset({"http", "https"})
+
+
+def is_remote(text: str) -> bool:
+    """Whether a text is an address, not a path of this machine."""
+    return _ADDRESS.match(text) is not None
+
+
+def protocol_of(address: str) -> str:
+    """Return what stands before ``://``."""
+    return address.partition("://")[0].lower()
+
+
+@contextmanager
+def in_words(address: str) -> Iterator[None]:
+    """Turn whatever a store has to say against an address into one LogError with a remedy."""
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:
+        raise LogError(_fault(address, error), path=address) from error
+
+
+def _fault(address: str, error: Exception) -> str:
+    kind, protocol = type(error).__name__, protocol_of(address)
+    reason = " ".join(str(error).split()).rstrip(".") or kind
+    status = getattr(error, "status", None) or getattr(error, "code", None)
+    if isinstance(error, ImportError):
+        return f'{protocol}:// needs further libraries: pip install "hiros-mcap[remote]" ({reason})'
+    if isinstance(error, ValueError) and "rotocol" in reason:
+        return f"nobody knows the protocol {protocol}://; there are s3, gs, https, sftp and others"
+    if isinstance(error, FileNotFoundError) or status == 404:
+        return f"does not exist: neither the file nor perhaps the bucket; check the name ({reason})"
+    refused = isinstance(error, PermissionError) or status in (401, 403)
+    if refused or "Credential" in kind or "Authentic" in kind:
+        return (
+            f"permission denied; sign in as for the store's own tools, e.g. with AWS_PROFILE or "
+            f"an SSH key ({reason})"
+        )
+    return (
+        f"cannot be reached; check the network, and AWS_ENDPOINT_URL if the store is not "
+        f"Amazon's ({kind}: {reason})"
+    )
+
+
+def _opened(address: str) -> tuple[Any, str]:
+    """Return the file system of an address, and the path in it."""
+    import fsspec
+
+    system, path = fsspec.core.url_to_fs(address)
+    system.invalidate_cache()
+    return system, path
+
+
+def find(address: str) -> list[str]:
+    """Return the addresses of all files that a glob or a folder (it ends in a slash) has.
+
+    Anything else is returned as it is. Raises LogError.
+    """
+    if not (address.endswith("/") or glob.has_magic(address)):
+        return [address]
+    with in_words(address):
+        system, path = _opened(address)
+        before = address.rstrip("/").removesuffix(path.rstrip("/"))
+        if glob.has_magic(address):
+            return sorted(before + name for name in system.glob(path))
+        system.ls(path)  # `find` says nothing of a bucket that does not exist
+        return sorted(before + name for name in system.find(path))
+
+
+def look(address: str) -> tuple[int, str]:
+    """Return the size, bytes, and what tells whether a file has changed; of a folder, of its files.
+
+    Raises LogError.
+    """
+    with in_words(address):
+        system, path = _opened(address)
+        info = system.info(path)
+        rows = [info] if info["type"] == "file" else _files(system, path)
+        marks = [str(_changed(row)) for row in rows]
+        return sum(row["size"] or 0 for row in rows), max(marks, default="")
+
+
+def _changed(info: Mapping[str, Any]) -> object:
+    names = ("ETag", "etag", "mtime", "LastModified", "updated")
+    return next((info[name] for name in names if info.get(name)), "")
+
+
+def _files(system: Any, folder: str) -> list[dict[str, Any]]:
+    rows = system.ls(folder, detail=True)
+    return [row for row in rows if row["type"] == "file" and row["name"].rstrip("/") != folder]
+
+
+@contextmanager
+def local_copy(log: str) -> Iterator[Path]:
+    """Yield where a file or a folder of files can be read; a copy is removed afterwards.
+
+    Raises LogError if an address cannot be read, or the disk has no room for a copy.
+    """
+    if not is_remote(log):
+        yield Path(log)
+        return
+    with tempfile.TemporaryDirectory(prefix="hiros-") as temporary:
+        target = Path(temporary) / PurePosixPath(log.rstrip("/")).name
+        with in_words(log):
+            system, path = _opened(log)
+            if system.isdir(path):
+                target.mkdir()
+                for row in _files(system, path):
+                    _fetch(system, row["name"], target / PurePosixPath(row["name"]).name, log)
+            else:
+                _fetch(system, path, target, log)
+        yield target
+
+
+def _fetch(system: Any, path: str, target: Path, address: str) -> None:
+    """Copy a file, block by block, as long as the disk has room."""
+    with (
+        system.open(path, "rb", block_size=_BLOCK, cache_type="readahead") as source,
+        target.open("wb") as copy,
+    ):
+        while block := source.read(_BLOCK):
+            if shutil.disk_usage(target.parent).free < len(block) + _RESERVE:
+                raise LogError(
+                    f"there is no room for a copy in {tempfile.gettempdir()}; name a folder with "
+                    "TMPDIR, or use fewer --jobs",
+                    path=address,
+                )
+            copy.write(block)
+
+
+def send(file: Path, address: str) -> None:
+    """Store a complete file; until it has arrived, a former one stays.
+
+    Raises LogError.
+    """
+    with in_words(address):
+        system, path = _opened(address)
+        if protocol_of(address) in _WHOLE:
+            system.put_file(str(file), path)
+            return
+        folder, _, name = path.rpartition("/")
+        temporary = f"{folder}/.hiros-{name}.tmp"
+        try:
+            system.put_file(str(file), temporary)
+            system.mv(temporary, path)
+        except BaseException:
+            if system.exists(temporary):
+                system.rm_file(temporary)
+            raise
+
+
+def sizes_in(folder: str) -> dict[str, int]:
+    """Return the size of each file of a folder, by name; empty if there is no such folder yet.
+
+    Raises LogError, also if the bucket does not exist.
+    """
+    if protocol_of(folder) in _READ_ONLY:
+        raise LogError("can only be read; choose another output", path=folder)
+    with in_words(folder):
+        system, path = _opened(folder)
+        if not system.exists(path):
+            # A store has no folders, but its bucket must be there.
+            system.ls(path.split("/")[0] if protocol_of(folder) in _WHOLE else "/")
+            return {}
+        return {PurePosixPath(row["name"]).name: row["size"] for row in _files(system, path)}
+
+
+def read(address: str, n: int | None = None) -> bytes:
+    """Return the first ``n`` bytes of a small file, or all; raises LogError."""
+    with in_words(address):
+        system, path = _opened(address)
+        data: bytes = system.cat_file(path, start=None if n is None else 0, end=n)
+        return data
+
+
+def make_folder(folder: str) -> None:
+    """Create a folder where the store has folders; raises LogError."""
+    if protocol_of(folder) in _WHOLE:
+        return
+    with in_words(folder):
+        system, path = _opened(folder)
+        system.makedirs(path, exist_ok=True)

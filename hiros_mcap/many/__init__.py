@@ -1,0 +1,1 @@
+"""Many logs: which there are, what is done with each, on which machines, and what came of it."""

@@ -1,0 +1,177 @@
+"""Which logs are meant: files, recordings of several files, folders, globs and addresses."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io import remote
+
+SUFFIXES = frozenset({".mcap", ".bag", ".db3"})
+_METADATA = "metadata.yaml"
+_RECORDED = "rosbag2_bagfile_information"
+_RESULT = re.compile(r"(\.hiros)?\.(mcap|bag|db3)$", re.IGNORECASE)
+
+
+def are_many(named: Sequence[str]) -> bool:
+    """Whether a command was given more than one log: several names, a folder of logs or a glob."""
+    if len(named) != 1:
+        return True
+    (text,) = named
+    if remote.is_remote(text):
+        return text.endswith("/") or glob.has_magic(text)
+    path = Path(text)
+    if path.is_dir():
+        return not is_recording(path)
+    return glob.has_magic(text) and not path.exists()
+
+
+def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
+    """Return absolute paths and addresses of the logs that are named, each once, in their order.
+
+    A recording of several files is one log, also if a glob names its files.
+
+    Parameters
+    ----------
+    named : files, folders (searched with all folders below), globs, addresses.
+    leave_out : folder of results, which may lie within the others.
+
+    Raises
+    ------
+    ConfigError
+        A folder or a glob has no logs.
+    OSError
+        A file does not exist.
+    """
+    found: dict[str, None] = {}
+    for text in named:
+        logs = list(_remote(text) if remote.is_remote(text) else _local(text, leave_out))
+        if not logs:
+            raise ConfigError(f"{text}: there is no log (.mcap, .bag, .db3 or ROS 2 bag folder)")
+        if remote.is_remote(leave_out):
+            logs = [one for one in logs if not one.startswith(leave_out.rstrip("/") + "/")]
+        found.update(dict.fromkeys(logs))
+    return list(found)
+
+
+def _local(text: str, leave_out: str) -> Iterator[str]:
+    path = Path(text)
+    if text == "-":
+        raise ConfigError("- is one log; it cannot be one of many")
+    if glob.has_magic(text) and not path.exists():
+        for one in sorted(glob.glob(text, recursive=True)):  # noqa: PTH207 - may be absolute
+            if Path(one).is_dir() or _is_log(Path(one)):
+                yield from _logs_of(Path(one), leave_out)
+        return
+    path.stat()
+    yield from _logs_of(path, leave_out)
+
+
+def _logs_of(path: Path, leave_out: str) -> Iterator[str]:
+    path = path.absolute()
+    if path.is_dir() and not is_recording(path):
+        yield from _below(path, Path(leave_out).absolute() if leave_out else None)
+    elif path.is_file() and is_recording(path.parent):
+        yield str(path.parent)
+    else:
+        yield str(path)
+
+
+def _below(folder: Path, leave_out: Path | None) -> Iterator[str]:
+    """Yield the logs in a folder and those below it; links to folders are not followed."""
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path == leave_out:
+            continue
+        if _is_log(path) or (path.is_dir() and is_recording(path)):
+            yield str(path)
+        elif path.is_dir() and not path.is_symlink():
+            yield from _below(path, leave_out)
+
+
+def _is_log(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES and path.is_file()
+
+
+def _remote(text: str) -> Iterator[str]:
+    """Yield the addresses of the logs among the files of a folder or a glob."""
+    found = remote.find(text)
+    if found == [text]:
+        yield text
+        return
+    folders: dict[str, list[str]] = {}
+    for address in found:
+        folder, _, name = address.rpartition("/")
+        folders.setdefault(folder, []).append(name)
+    for folder, names in folders.items():
+        title = PurePosixPath(folder).name
+        parts = [name for name in names if name.startswith(f"{title}_")]
+        logs = [name for name in names if PurePosixPath(name).suffix.lower() in SUFFIXES]
+        if (_METADATA in names and parts) or are_splits(title, logs):
+            yield folder
+        else:
+            yield from (f"{folder}/{name}" for name in logs)
+
+
+def is_recording(folder: Path) -> bool:
+    """Whether a folder is one recording of ROS 2.
+
+    It has a metadata.yaml of rosbag2. After a power loss that is missing; then the files have the
+    names that rosbag2 gives them: ``lab/lab_0.mcap``, ``lab/lab_1.mcap``.
+    """
+    try:
+        with (folder / _METADATA).open(encoding="utf-8", errors="replace") as file:
+            if _RECORDED in file.read(4096):
+                return True
+    except OSError:
+        pass
+    return are_splits(folder.name, [path.name for path in folder.glob("*.mcap")])
+
+
+def are_splits(folder: str, names: Sequence[str]) -> bool:
+    """Whether files in a folder have the names that rosbag2 gives the parts of a recording."""
+    wanted = {f"{folder}_{k}.mcap" for k in range(len(names))}
+    return len(names) > 1 and wanted == set(names)
+
+
+def base_name(log: str) -> str:
+    """Return the name of a log, or of its result, without suffixes: lab for lab.hiros.mcap."""
+    return _RESULT.sub("", PurePosixPath(log.rstrip("/")).name)
+
+
+def distinct_names(logs: Iterable[str], known: Mapping[str, str]) -> dict[str, str]:
+    """Return a name for each log, without suffix, by which files of all of them differ.
+
+    It is the log's own name. Where several have the same, the names of their folders come before
+    it, as many as it takes: ``monday_lab``. A log that has a name in ``known`` keeps it.
+    """
+    names = {log: known[log] for log in logs if log in known}
+    waiting = [log for log in logs if log not in known]
+    taken = {name.casefold() for name in known.values()}
+    for depth in range(1, 1 + max((log.count("/") for log in waiting), default=0) + 1):
+        tails = {log: _tail(log, depth) for log in waiting}
+        counts = Counter(tail.casefold() for tail in tails.values())
+        free = {
+            log: tail
+            for log, tail in tails.items()
+            if counts[tail.casefold()] == 1 and tail.casefold() not in taken
+        }
+        names.update(free)
+        taken |= {tail.casefold() for tail in free.values()}
+        waiting = [log for log in waiting if log not in names]
+    for log in waiting:  # lab.mcap and lab.bag in one folder
+        number = 2
+        while (name := f"{base_name(log)}-{number}").casefold() in taken:
+            number += 1
+        names[log] = name
+        taken.add(name.casefold())
+    return names
+
+
+def _tail(log: str, depth: int) -> str:
+    """Return the last parts of a log's path: at depth 2, its folder's name and its own."""
+    parts = [part for part in re.split(r"[/\\]+", log.rstrip("/")) if part and part[-1] != ":"]
+    return "_".join([*parts[:-1], base_name(log)][-depth:])

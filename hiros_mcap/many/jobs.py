@@ -1,0 +1,277 @@
+"""What is done with each of many logs, a class per command.
+
+A job has the settings of its command. It is sent to the processes that work, with the paths of one
+log after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from hiros_mcap.config import Config
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.evaluate.leave_one_out import leave_one_out
+from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
+from hiros_mcap.evaluate.remarks import warnings_of
+from hiros_mcap.evaluate.scored import check_scorable, results_of
+from hiros_mcap.io.export.files import export
+from hiros_mcap.io.export.marker_set import load_marker_set, renamed
+from hiros_mcap.io.overview import look
+from hiros_mcap.io.result import is_result, open_result
+from hiros_mcap.many.find import base_name
+from hiros_mcap.many.manifest import Verdict
+from hiros_mcap.outputs import Kind
+from hiros_mcap.regression.metrics import METRICS
+from hiros_mcap.regression.provenance import Provenance
+from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
+from hiros_mcap.regression.tolerances import Tolerances
+from hiros_mcap.running.pipeline import ProcessOptions, process
+
+TRUTH_SUFFIXES = (".truth.mcap", ".mcap", ".trc", ".csv")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a job says of one log."""
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """What was measured, by the name of a column; the name has the unit."""
+    verdict: Verdict = "done"
+    error: str = ""
+    """Why the log was skipped, or in what it differs."""
+    warnings: tuple[str, ...] = ()
+    losses: str = ""
+    files: tuple[Path, ...] = ()
+    """What was written."""
+    sha256: str = ""
+    """Of the log, if the job knows it."""
+
+
+class Job(Protocol):
+    """Does the work of a command for one log."""
+
+    command: ClassVar[str]
+    kind: ClassVar[Kind]
+    """Of the output."""
+    counted: ClassVar[frozenset[str]]
+    """Columns of which a sum makes sense; of the others the table has means."""
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the output, "" if there is none."""
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        """Return further files that the result depends on; ``name`` is the base name of the log."""
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Do it, and write ``target`` if the job has a suffix.
+
+        Raises HirosError or OSError if the log cannot be used.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessJob:
+    """Turns recordings into clean motion."""
+
+    config: Config
+    options: ProcessOptions = field(default_factory=ProcessOptions)
+
+    command: ClassVar[str] = "process"
+    kind: ClassVar[Kind] = "log"
+    counted: ClassVar[frozenset[str]] = frozenset({"people", "log_s", "messages", "skipped"})
+    suffix: ClassVar[str] = ".hiros.mcap"
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        """Return the files of poses and limb lengths."""
+        return tuple(p for p in (self.options.extrinsics, self.options.limbs_in) if p is not None)
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Process a recording. A result of hiros is skipped."""
+        if is_result(log):
+            return Finding(verdict="skipped", error="is a result of hiros, not a recording")
+        # Which files may be replaced was asked before the first log.
+        summary = process(log, target, config=self.config, options=self.options, force=True)
+        values = {
+            "people": len(summary.people),
+            "cameras": len(summary.cameras),
+            "log_s": summary.log_s,
+            "messages": sum(camera.messages for camera in summary.cameras),
+            "skipped": summary.skipped,
+            "times_real_time": summary.times_real_time,
+        }
+        sha256 = Provenance.of_log(target).run.get("input_sha256", "")
+        return Finding(values, "done", "", summary.warnings, summary.losses, (target,), sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class EvalJob:
+    """Scores results, or recordings after a run on them."""
+
+    config: Config
+    truth: str | None = None
+    """Folder with a file of the same name for each log, or a channel; None = the log's own."""
+    channels: tuple[str, ...] = ()
+    leave_one_out: bool = False
+    covers: str = "auto"
+    match_distance: float = 1.0
+    shift: float = 0.0
+    up: str = "z"
+
+    command: ClassVar[str] = "eval"
+    kind: ClassVar[Kind] = "log"
+    counted: ClassVar[frozenset[str]] = frozenset({"people", "missing", "false", "id_switches"})
+    suffix: ClassVar[str] = ""
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        """Return the file with the truth."""
+        return () if (found := self._truth_file(name)) is None else (found,)
+
+    def _truth_file(self, name: str) -> Path | None:
+        if self.truth is None or (self.truth.startswith("/") and not Path(self.truth).is_dir()):
+            return None
+        return beside(Path(self.truth), name, TRUTH_SUFFIXES, "truth")
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Score the last channel against the truth, or each camera against the others' result."""
+        named = self._truth_file(base_name(log.name)) or self.truth
+        truth = (
+            None if self.leave_one_out else find_truth(log, None if named is None else str(named))
+        )
+        check_scorable(log, self.truth, has_truth=truth is not None)
+        if truth is None:
+            return self._by_itself(log)
+        truth = truth.moved(self.shift, start=start_of(log), up=self.up)
+        with results_of(log, self.config, self.truth) as (result, default):
+            globs = list(self.channels) or default
+            truth, others = covered_by(result, truth, self.covers, globs, self.match_distance)
+            results = evaluate_log(result, truth, globs, self.match_distance)
+        scores = list(results.values())[-1].scores
+        values = {name: m.of(scores) for name, m in METRICS.items() if m.of is not None}
+        warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
+        return Finding({"people": len(truth.people), **values}, warnings=tuple(warnings))
+
+    def _by_itself(self, log: Path) -> Finding:
+        scores = leave_one_out(log, config=self.config)
+        medians = [camera.median for camera in scores.cameras]
+        values = {
+            "people": len(scores.consistency.people),
+            "limb_cv": scores.consistency.limb_variation,
+            "jitter": scores.consistency.jitter,
+            "left_out_camera": float(np.median(medians)),
+        }
+        return Finding(values)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckJob:
+    """Compares results with golden files of the same names."""
+
+    golden: Path
+    """Folder."""
+    tolerances: Tolerances | None = None
+    channels: tuple[str, ...] = ()
+    bless: bool = False
+
+    command: ClassVar[str] = "check"
+    kind: ClassVar[Kind] = "log"
+    counted: ClassVar[frozenset[str]] = frozenset({"differences", "people"})
+    suffix: ClassVar[str] = ""
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        """Return nothing: checks are repeated."""
+        return ()
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Compare, or with ``bless`` make the result the golden file."""
+        name = base_name(log.name)
+        if self.bless and not any((self.golden / (name + s)).is_file() for s in GOLDEN_SUFFIXES):
+            path = self.golden / f"{name}.mcap"
+        else:
+            path = beside(self.golden, name, GOLDEN_SUFFIXES, "golden file")
+        golden = Golden(path, self.tolerances, self.channels)
+        result = check_output(log, golden, bless=self.bless)
+        if result.status == "error":
+            raise ConfigError(result.error)
+        first = [f"{topic}: frame {d.frame}: {d.what}" for topic, d in result.first]
+        differences = [*map(str, result.differences), *first]
+        values = {"differences": len(result.differences), **result.metrics}
+        return Finding(values, result.status, "; ".join(differences[:3]))
+
+
+@dataclass(frozen=True, slots=True)
+class ExportJob:
+    """Writes results as files of other programs."""
+
+    suffix: str
+    what: str = ""
+    person: int | None = None
+    channel: str = ""
+    rate: float | None = None
+    start: float = float("-inf")
+    end: float = float("inf")
+    marker_set: str = ""
+
+    command: ClassVar[str] = "export"
+    kind: ClassVar[Kind] = "export"
+    counted: ClassVar[frozenset[str]] = frozenset({"people", "files"})
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        """Return the file with marker names."""
+        return (Path(self.marker_set),) if Path(self.marker_set).is_file() else ()
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Write a result in the format."""
+        result = open_result(log, self.channel)
+        result, what = result.select(self.person, self.start, self.end, self.rate), self.what
+        if self.marker_set:
+            result, what = renamed(result, load_marker_set(self.marker_set, result.model)), "joints"
+        files = tuple(export(result, target, what))
+        return Finding({"people": len(result.people), "files": len(files)}, files=files)
+
+
+@dataclass(frozen=True, slots=True)
+class InfoJob:
+    """Looks at what logs hold."""
+
+    topics: tuple[str, ...] = ()
+    extrinsics: Path | None = None
+
+    command: ClassVar[str] = "info"
+    kind: ClassVar[Kind] = "log"
+    counted: ClassVar[frozenset[str]] = frozenset({"seconds", "megabytes"})
+    suffix: ClassVar[str] = ""
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        """Return nothing: looks are repeated."""
+        return ()
+
+    def run(self, log: Path, target: Path) -> Finding:
+        """Look at a log."""
+        overview = look(log, topics=list(self.topics) or None, extrinsics=self.extrinsics)
+        values = {
+            "kind": overview.kind,
+            "seconds": overview.seconds,
+            "megabytes": overview.megabytes,
+            "cameras": len(overview.cameras),
+            "people": max((row.most_people for row in overview.cameras), default=None)
+            if overview.cameras
+            else len({row.id for row in overview.people}),
+        }
+        return Finding(values, warnings=tuple(overview.warnings))
+
+
+def beside(folder: Path, name: str, suffixes: tuple[str, ...], what: str) -> Path:
+    """Return the file of a folder that belongs to a log, by its base name.
+
+    Raises ConfigError if there is none.
+    """
+    for suffix in suffixes:
+        if (path := folder / (name + suffix)).is_file():
+            return path
+    raise ConfigError(f"{folder}: has no {what} {name}{suffixes[0]} (or {', '.join(suffixes[1:])})")

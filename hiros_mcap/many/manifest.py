@@ -1,0 +1,143 @@
+"""What became of each log, kept in the output folder, so that a second run knows what is done.
+
+The manifest is one JSON file. It is replaced as a whole, at most once a second, and once more at
+the end; a run that is killed repeats at most the logs of that second.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from hiros_mcap._version import __version__
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.places import Place
+from hiros_mcap.summary import plain
+
+Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skipped", "failed"]
+"""done; doubtful: done, with warnings; recovered: done, with losses; equal and different: from a
+golden file; skipped: not a log for this command; failed: see the error."""
+SCHEMA, VERSION = "hiros.manifest", 1
+_PERIOD_S = 1.0
+_SHARE = 20
+"""A manifest that takes 1 s to write, such as a remote one, is written every 20 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """By which an input is known."""
+
+    size: int
+    """Bytes; of a folder, those of its files."""
+    modified: str
+    """Time of the last change, or what a server gives instead."""
+    sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LogRecord:
+    """What became of one log."""
+
+    log: str
+    """Absolute path or address."""
+    name: str
+    """By which its files in the output folder are called."""
+    verdict: Verdict
+    error: str = ""
+    warnings: tuple[str, ...] = ()
+    losses: str = ""
+    """What is lost of a damaged log, one line."""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """What was measured: columns of the table of all logs."""
+    files: Mapping[str, int] = field(default_factory=dict)
+    """Files in the output folder, with their size in bytes."""
+    input: Identity = Identity(0, "")
+    configuration: str = ""
+    """SHA-256 of everything that the result depends on besides the log and the version."""
+    version: str = __version__
+    seconds: float = 0.0
+    """Time that it took, s."""
+    worker: str = ""
+    """Which process did it."""
+    bug: bool = False
+    """Whether the error is a fault of hiros."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether another run would give the same."""
+        return self.verdict != "failed"
+
+
+class Manifest:
+    """The records of a folder, by log; a manifest without a place is kept in memory only."""
+
+    def __init__(self, command: str, place: Place | None = None) -> None:
+        self.command = command
+        self.records: dict[str, LogRecord] = {}
+        self._place = place
+        self._file = f"hiros-{command}.json"
+        self._next = 0.0
+        self._changed = False
+        if place is not None and (text := place.read_text(self._file)) is not None:
+            self.records = {record.log: record for record in self._parsed(text)}
+
+    def _parsed(self, text: str) -> Iterable[LogRecord]:
+        where = f"{self._place}/{self._file}"
+        try:
+            data = json.loads(text)
+            if (data["schema"], data["version"]) != (SCHEMA, VERSION):
+                raise ValueError
+            return [_record(row) for row in data["logs"]]
+        except (ValueError, KeyError, TypeError):
+            raise ConfigError(
+                f"{where}: is not a manifest of this version of hiros; choose another folder, or "
+                "remove the file to begin anew"
+            ) from None
+
+    def add(self, record: LogRecord) -> None:
+        """Take note of what became of a log."""
+        self.records[record.log] = record
+        self._changed = True
+        if time.monotonic() >= self._next:
+            self.save()
+
+    def save(self) -> None:
+        """Write the manifest if there is anything new."""
+        if self._place is None or not self._changed:
+            return
+        start = time.monotonic()
+        rows = [plain(self.records[log]) for log in sorted(self.records)]
+        data = {"schema": SCHEMA, "version": VERSION, "command": self.command, "logs": rows}
+        self._place.write_text(self._file, json.dumps(data, indent=1) + "\n")
+        self._changed = False
+        end = time.monotonic()
+        self._next = end + max(_PERIOD_S, _SHARE * (end - start))
+
+    def knows(self, record: LogRecord, sizes: Mapping[str, int]) -> LogRecord | None:
+        """Return the former record of a log if its result is still there and would be the same.
+
+        ``record`` says what is to be done; ``sizes`` has the files of the folder. The content of
+        the input is not compared here.
+        """
+        former = self.records.get(record.log)
+        same = (
+            former is not None
+            and former.is_over
+            and former.configuration == record.configuration
+            and former.version == record.version
+            and former.name == record.name
+            and former.input.size == record.input.size
+            and all(sizes.get(name) == size for name, size in former.files.items())
+        )
+        return former if same else None
+
+
+def _record(row: Mapping[str, Any]) -> LogRecord:
+    known = {item.name for item in fields(LogRecord)}
+    values = {name: value for name, value in row.items() if name in known}
+    values["input"] = Identity(**row["input"])
+    values["warnings"] = tuple(row["warnings"])
+    return LogRecord(**values)

@@ -1,0 +1,244 @@
+"""A command on many logs: plan, run, and keep what came of each in the manifest.
+
+::
+
+    logs = find_logs(["recordings/"])
+    for record, _ in run_logs(ProcessJob(Config()), logs, Folder("results"), in_processes(2)):
+        print(record.log, record.verdict)
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import socket
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from threading import Lock
+from typing import Any, Protocol, TypeVar
+
+from pydantic import BaseModel
+
+from hiros_mcap.errors import HirosError
+from hiros_mcap.io import remote
+from hiros_mcap.io.digest import digest_of
+from hiros_mcap.io.places import Place, place_of
+from hiros_mcap.many.find import base_name, distinct_names
+from hiros_mcap.many.jobs import Finding, Job
+from hiros_mcap.many.manifest import Identity, LogRecord, Manifest
+from hiros_mcap.summary import plain_value
+from hiros_mcap.workers import run_tasks
+
+Answer = TypeVar("Answer")
+
+
+class Runner(Protocol):
+    """Calls a function for each task, somewhere; see :func:`hiros_mcap.workers.run_tasks`."""
+
+    def __call__(
+        self,
+        function: Callable[..., Answer],
+        tasks: Sequence[tuple[Any, ...]],
+        *,
+        lost: Callable[[int, str], Answer],
+    ) -> Iterator[tuple[int, Answer]]:
+        """Yield (number of the task, answer) as they get ready.
+
+        ``lost`` gives the answer of a task that killed its process too often.
+        """
+
+
+def in_processes(jobs: int) -> Runner:
+    """Return the runner of this machine; 0 = a process per core."""
+    return partial(run_tasks, jobs=jobs)
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """Where the results of many logs go."""
+
+    path: str
+    """Path or address; "" keeps nothing."""
+    force: bool = False
+    """Replace files that hiros did not write."""
+
+
+def run_logs(
+    job: Job, logs: Sequence[str], folder: Folder, runner: Runner
+) -> Iterator[tuple[LogRecord, bool]]:
+    """Yield what becomes of each log as it gets ready, and whether it was done now.
+
+    What a former run has done comes first.
+
+    Failures do not stop the others. The manifest of the folder has every record; ``logs`` are
+    absolute paths or addresses, see :func:`hiros_mcap.many.find.find_logs`.
+
+    Raises
+    ------
+    LogError
+        The folder cannot be written, or a file in it must not be replaced.
+    ConfigError
+        The manifest is damaged.
+    """
+    with ExitStack() as stack:
+        place = place_of(folder.path) if folder.path else None
+        if place is not None:
+            place.create()
+            stack.enter_context(place.locked())
+        manifest = Manifest(job.command, place)
+        planned = _planned(job, logs, manifest)
+        sizes = {} if place is None else place.sizes()
+        done = {
+            r.log: old for r in planned if (old := manifest.knows(r, sizes)) and _is_same(r, old)
+        }
+        todo = [record for record in planned if record.log not in done]
+        if place is not None and job.suffix:
+            ours = {name for record in manifest.records.values() for name in record.files}
+            names = {record.name for record in todo}
+            there = [n for n in sizes if n not in ours and _base(n, job.suffix) in names]
+            place.check(there, job.kind, logs, folder.force)
+        for former in done.values():
+            yield former, False
+        tasks = [(job, record, folder.path) for record in todo]
+        stack.callback(manifest.save)
+        for _, record in runner(run_one, tasks, lost=lambda k, why: _lost(todo[k], why)):
+            manifest.add(record)
+            yield record, True
+
+
+def _base(file: str, suffix: str) -> str:
+    """Return the name of the log that an output is of: lab for lab.trc, and for lab.0.trc."""
+    return re.sub(r"\.\d+$", "", file.removesuffix(suffix)) if file.endswith(suffix) else ""
+
+
+def _planned(job: Job, logs: Sequence[str], manifest: Manifest) -> list[LogRecord]:
+    """Return what is known of each log before anything is done; the verdict is not."""
+    names = distinct_names(logs, {r.log: r.name for r in manifest.records.values()})
+    settings = _settings(job)
+    planned = []
+    for log in logs:
+        configuration, identity = "", Identity(0, "")
+        with suppress(HirosError, OSError):  # the job will say why
+            configuration = _with_sides(settings, job.sides(base_name(log)))
+            if log in manifest.records:
+                identity = identity_of(log)
+        planned.append(
+            LogRecord(log, names[log], "failed", input=identity, configuration=configuration)
+        )
+    return planned
+
+
+def identity_of(log: str) -> Identity:
+    """Return the size and the time of change of a log; raises OSError or LogError."""
+    if remote.is_remote(log):
+        return Identity(*remote.look(log))
+    path = Path(log)
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    found = [file.stat() for file in files if not file.is_dir()]
+    newest = max((one.st_mtime_ns for one in found), default=0)
+    return Identity(sum(one.st_size for one in found), str(newest))
+
+
+def _is_same(planned: LogRecord, former: LogRecord) -> bool:
+    """Whether a log of the same size is still what it was: untouched, or the same content."""
+    if planned.input.modified == former.input.modified:
+        return True
+    if remote.is_remote(former.log) or not former.input.sha256:
+        return False
+    with digest_of(Path(former.log)) as digest:
+        return digest.result() == former.input.sha256
+
+
+def _settings(job: Job) -> bytes:
+    """Return the settings of a job as text."""
+    settings = json.dumps(plain_value(job), default=_as_json, sort_keys=True)
+    return f"{job.command}\n{settings}\n".encode()
+
+
+def _as_json(value: object) -> object:
+    return value.model_dump(mode="json") if isinstance(value, BaseModel) else str(value)
+
+
+def _with_sides(settings: bytes, sides: Sequence[Path]) -> str:
+    """Return the SHA-256 of the settings and of the further files that a job reads."""
+    digest = hashlib.sha256(settings)
+    for path in sides:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_one_at_a_time = Lock()
+"""A worker of a cluster may have several threads; they would only wait for each other."""
+
+
+def run_one(job: Job, record: LogRecord, folder: str) -> LogRecord:
+    """Do the work for one log; whatever is wrong with it becomes the record."""
+    with _one_at_a_time:
+        start = time.perf_counter()
+        try:
+            record = _run(job, record, place_of(folder) if folder else None)
+        except (HirosError, OSError) as error:
+            record = replace(record, verdict="failed", error=_in_one_line(error, record.log))
+        except MemoryError:
+            record = replace(record, verdict="failed", error="not enough memory; use fewer --jobs")
+        except Exception as error:  # noqa: BLE001 - a fault of hiros must not stop the others
+            what = f"{type(error).__name__}: {error}"
+            record = replace(record, verdict="failed", error=f"bug: {what}", bug=True)
+        worker = f"{socket.gethostname()}:{os.getpid()}"
+        return replace(record, seconds=time.perf_counter() - start, worker=worker)
+
+
+def _run(job: Job, record: LogRecord, place: Place | None) -> LogRecord:
+    with ExitStack() as stack:
+        # Compared with what is there before: a log may change while it is read.
+        identity = identity_of(record.log)
+        log = stack.enter_context(remote.local_copy(record.log))
+        writes = place is not None and job.suffix
+        with ExitStack() as output:
+            target = Path()
+            if place is not None and writes:
+                target = output.enter_context(place.writing()) / (record.name + job.suffix)
+            try:
+                found = job.run(log, target)
+            except HirosError as error:
+                raise HirosError(str(error).replace(str(log), record.log)) from error
+            files = {file.name: file.stat().st_size for file in found.files}
+        sha256 = found.sha256
+        if place is not None and not sha256:
+            with digest_of(log) as digest:
+                sha256 = digest.result()
+        return replace(
+            record,
+            verdict=_verdict(found),
+            error=found.error,
+            warnings=tuple(text.replace(str(log), record.log) for text in found.warnings),
+            losses=found.losses,
+            values=dict(found.values),
+            files=files,
+            input=replace(identity, sha256=sha256),
+        )
+
+
+def _verdict(found: Finding) -> Any:
+    if found.verdict == "done" and found.losses:
+        return "recovered"
+    return "doubtful" if found.verdict == "done" and found.warnings else found.verdict
+
+
+def _in_one_line(error: Exception, log: str) -> str:
+    """Return what is wrong, without the name of the log in front."""
+    text = str(error)
+    if isinstance(error, OSError):
+        names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        text = ": ".join([*names, error.strerror or text])
+    return text.removeprefix(f"{log}: ")
+
+
+def _lost(record: LogRecord, why: str) -> LogRecord:
+    return replace(record, verdict="failed", error=f"stopped its process more than once: {why}")

@@ -1,0 +1,129 @@
+"""Many logs on a real Dask cluster of several processes, some of which are killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client
+
+from hiros_cli.app import run
+from hiros_mcap.many.cluster_runner import on_cluster
+
+ROOT = Path(__file__).parents[1]
+HIROS = [sys.executable, "-m", "hiros_cli"]
+PATIENCE_S = 120.0
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Start a scheduler and two workers, each below a nanny that replaces it; yield its file."""
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    environment = {
+        **os.environ,
+        "PYTHONPATH": path,
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+    }
+    common = ["--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1"]
+    scheduler = ["-m", "distributed.cli.dask_scheduler", *common, "--port", "0"]
+    workers = ["-m", "distributed.cli.dask_worker", *common, "--nworkers", "2", "--nthreads", "1"]
+    with (folder / "log").open("wb") as log:
+        processes = [
+            subprocess.Popen(
+                [sys.executable, *command],
+                stdout=log,
+                stderr=log,
+                cwd=folder,
+                env=environment,
+                start_new_session=True,
+            )
+            for command in (scheduler, workers)
+        ]
+        yield file
+        for process in reversed(processes):
+            os.killpg(process.pid, signal.SIGTERM)
+            process.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def client(cluster: Path) -> Iterator[Any]:
+    wait_for(cluster.exists)
+    with Client(scheduler_file=str(cluster), timeout=PATIENCE_S) as client:
+        client.wait_for_workers(2, timeout=PATIENCE_S)
+        yield client
+
+
+def wait_for(condition: Any) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_killed_workers_logs_are_done_by_others(
+    cluster: Path, client: Any, walking: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "in").mkdir()
+    for k in range(5):
+        shutil.copy(walking, tmp_path / "in" / f"{k}.mcap")
+    out = tmp_path / "out"
+    command = [*HIROS, "process", str(tmp_path / "in"), "-o", str(out), "--cluster", str(cluster)]
+    victim = next(iter(client.run(os.getpid).values()))
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ) as hiros:
+        assert hiros.stderr is not None
+        lines = iter(hiros.stderr.readline, "")
+        assert next(line for line in lines if line.startswith("[1/5]"))
+        os.kill(victim, signal.SIGSTOP)  # in the middle of a log, or with some handed over
+        assert next(lines)
+        os.kill(victim, signal.SIGKILL)
+        rest = list(lines)
+    assert hiros.returncode == 0, rest
+    records = json.loads((out / "hiros-process.json").read_text())["logs"]
+    assert [record["verdict"] for record in records] == ["done"] * 5
+    by_victim = [r for r in records if r["worker"].endswith(f":{victim}")]
+    assert len(by_victim) <= 3
+    assert len({(out / f"{k}.hiros.mcap").read_bytes() for k in range(5)}) == 1
+
+
+def kill_at(number: int) -> int:
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_task_that_kills_workers_is_given_up_and_the_others_are_not(
+    cluster: Path, client: Any
+) -> None:
+    runner = on_cluster(str(cluster), [])
+    answers = dict(runner(kill_at, [(n,) for n in range(3)], lost=lambda k, why: -k))
+    assert answers == {0: 0, 1: -1, 2: 2}
+
+
+def test_workers_that_do_not_see_the_logs_are_refused(
+    cluster: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hiros_mcap.errors import ConfigError
+
+    with pytest.raises(ConfigError, match="does not see /nowhere/lab.mcap; logs and results"):
+        list(on_cluster(str(cluster), ["/nowhere/lab.mcap"])(kill_at, [(0,)], lost=max))
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["process", str(walking), "-o", str(tmp_path / "out")]
+    assert run([*command, "--cluster", "nonsense"]) == 2
+    assert "no scheduler answers there" in capsys.readouterr().err

@@ -1,0 +1,340 @@
+"""Many logs: which are meant, how results are called, what is done again, what is reported."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hiros_cli.app import run
+from hiros_cli.many_logs import exit_code
+from hiros_mcap.config import Config
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.places import place_of
+from hiros_mcap.many.find import are_many, distinct_names, find_logs
+from hiros_mcap.many.jobs import Finding, ProcessJob
+from hiros_mcap.many.manifest import LogRecord, Manifest, Verdict
+from hiros_mcap.many.run_logs import Folder, in_processes, run_logs, run_one
+
+SAMPLES = Path(__file__).parents[1] / "sample_data"
+BAG = "rosbag2_bagfile_information:\n  version: 8\n"
+
+
+@pytest.fixture
+def recordings(tmp_path: Path, walking: Path, crossing: Path) -> Path:
+    """Return a folder with three logs, two of which have the same name, and one that is cut off."""
+    folder = tmp_path / "in"
+    for name, source in (("a/lab", walking), ("b/lab", crossing), ("walk", walking)):
+        path = folder / f"{name}.mcap"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source, path)
+    (folder / "cut.mcap").write_bytes(walking.read_bytes()[:300_000])
+    return folder
+
+
+def touch(folder: Path, *names: str) -> None:
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(BAG if path.name == "metadata.yaml" else "")
+
+
+def found(folder: Path, *named: str) -> list[str]:
+    logs = find_logs([str(folder / name) for name in named])
+    return [str(Path(log).relative_to(folder)) for log in logs]
+
+
+def test_a_folder_is_searched_with_those_below_it(tmp_path: Path) -> None:
+    touch(tmp_path, "b.mcap", "a/c.bag", "a/d/e.db3", "notes.txt", ".hidden/x.mcap")
+    assert found(tmp_path, ".") == ["a/c.bag", "a/d/e.db3", "b.mcap"]
+
+
+def test_a_bag_folder_is_one_log_and_so_are_its_files(tmp_path: Path) -> None:
+    touch(tmp_path, "lab/metadata.yaml", "lab/lab_0.mcap", "lab/lab_1.mcap", "x.mcap")
+    assert found(tmp_path, "") == ["lab", "x.mcap"]
+    assert found(tmp_path, "*/*.mcap") == ["lab"]
+    assert found(tmp_path, "lab/lab_1.mcap", "x.mcap") == ["lab", "x.mcap"]
+    assert not are_many([str(tmp_path / "lab")])
+
+
+def test_parts_of_a_recording_without_its_metadata_stay_one_log(tmp_path: Path) -> None:
+    touch(tmp_path, "lab/lab_0.mcap", "lab/lab_1.mcap", "day/walk_0.mcap", "day/walk_1.mcap")
+    assert found(tmp_path, "") == ["day/walk_0.mcap", "day/walk_1.mcap", "lab"]
+
+
+def test_other_metadata_do_not_make_a_folder_one_log(tmp_path: Path) -> None:
+    touch(tmp_path, "a.mcap", "b.mcap")
+    (tmp_path / "metadata.yaml").write_text("title: our data\n")
+    assert found(tmp_path, "") == ["a.mcap", "b.mcap"]
+
+
+def test_nothing_found_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="there is no log"):
+        find_logs([str(tmp_path)])
+    with pytest.raises(FileNotFoundError):
+        find_logs([str(tmp_path / "no.mcap"), str(tmp_path)])
+    with pytest.raises(ConfigError, match="- is one log"):
+        find_logs(["-", str(tmp_path)])
+
+
+def test_one_file_a_missing_file_and_a_pipe_are_not_many(tmp_path: Path) -> None:
+    assert not any(are_many([name]) for name in ("-", str(tmp_path / "x.mcap"), "s3://b/x.mcap"))
+    assert all(
+        are_many(names) for names in ([str(tmp_path)], ["*.mcap"], ["s3://b/d/"], ["a", "b"])
+    )
+
+
+def test_names_are_as_short_as_they_can_be_and_never_the_same() -> None:
+    logs = ["/d/mon/lab.mcap", "/d/tue/lab.mcap", "/d/walk.mcap", "/d/WALK.bag", "/d/mon_lab.mcap"]
+    names = distinct_names(logs, {})
+    assert names["/d/tue/lab.mcap"] == "tue_lab"
+    assert names["/d/mon_lab.mcap"] == "mon_lab"
+    assert names["/d/mon/lab.mcap"] == "d_mon_lab"
+    assert len({name.casefold() for name in names.values()}) == len(logs)
+
+
+def test_a_log_keeps_its_name_when_others_come() -> None:
+    first = distinct_names(["/a/lab.mcap"], {})
+    second = distinct_names(["/a/lab.mcap", "/b/lab.mcap"], first)
+    assert second == {"/a/lab.mcap": "lab", "/b/lab.mcap": "b_lab"}
+
+
+def records_of(folder: Path) -> dict[str, dict[str, object]]:
+    data = json.loads((folder / "hiros-process.json").read_text())
+    return {row["name"]: row for row in data["logs"]}
+
+
+def process(*named: object, jobs: int = 1) -> int:
+    *logs, out = map(str, named)
+    return run(["process", *logs, "-o", out, "--jobs", str(jobs), "--quiet"])
+
+
+def test_failures_do_not_stop_the_others(recordings: Path, tmp_path: Path) -> None:
+    assert process(recordings, tmp_path / "out") == 2
+    records = records_of(tmp_path / "out")
+    verdicts = {name: row["verdict"] for name, row in records.items()}
+    assert verdicts == {"a_lab": "done", "b_lab": "done", "cut": "failed", "walk": "done"}
+    assert str(records["cut"]["error"]).startswith("truncated")
+    names = {path.name for path in (tmp_path / "out").glob("*.mcap")}
+    assert names == {"a_lab.hiros.mcap", "b_lab.hiros.mcap", "walk.hiros.mcap"}
+
+
+def test_a_result_is_that_of_the_same_command_on_one_log(walking: Path, tmp_path: Path) -> None:
+    assert process(walking, tmp_path / "out") == 0
+    assert run(["process", str(walking), "-o", str(tmp_path / "one.mcap"), "-q"]) == 0
+    result = tmp_path / "out" / "one_person_walking.hiros.mcap"
+    assert result.read_bytes() == (tmp_path / "one.mcap").read_bytes()
+
+
+def test_a_second_run_does_only_what_is_left(recordings: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process(recordings, out)
+    before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.mcap")}
+    shutil.copy(recordings / "walk.mcap", recordings / "cut.mcap")  # mended
+    os.utime(recordings / "a/lab.mcap")  # touched, but the same
+    shutil.copy(recordings / "walk.mcap", recordings / "b/lab.mcap")  # another log
+    (out / "walk.hiros.mcap").unlink()
+    assert process(recordings, out) == 0
+    after = {path.name: path.stat().st_mtime_ns for path in out.glob("*.mcap")}
+    assert {name for name in after if after[name] == before.get(name)} == {"a_lab.hiros.mcap"}
+
+
+def test_other_parameters_do_everything_again(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process(walking, out)
+    (first,) = records_of(out).values()
+    process("--set", "filter.cutoff=3", walking, out)
+    (second,) = records_of(out).values()
+    assert first["configuration"] != second["configuration"]
+    assert first["files"] != second["files"]
+
+
+def test_a_stopped_run_has_its_manifest(recordings: Path, tmp_path: Path) -> None:
+    job, out = ProcessJob(Config()), str(tmp_path / "out")
+    runs = run_logs(job, find_logs([str(recordings)]), Folder(out), in_processes(1))
+    done = [next(runs)[0], next(runs)[0]]
+    runs.close()  # type: ignore[attr-defined]
+    assert set(Manifest("process", place_of(out)).records) == {record.log for record in done}
+
+
+def test_a_log_that_kills_its_process_is_reported(recordings: Path) -> None:
+    def deadly(function, tasks, *, lost):  # type: ignore[no-untyped-def]
+        yield 0, lost(0, "a process was killed by signal 9")
+        yield 1, function(*tasks[1])
+
+    logs = find_logs([str(recordings / "walk.mcap"), str(recordings / "b")])
+    walk, lab = (record for record, _ in run_logs(Nothing(), logs, Folder(""), deadly))
+    assert (walk.verdict, lab.verdict) == ("failed", "done")
+    assert walk.error == "stopped its process more than once: a process was killed by signal 9"
+
+
+class Nothing:
+    """A job without any work."""
+
+    command, kind, counted, suffix = "info", "log", frozenset[str](), ""
+
+    def sides(self, name: str) -> tuple[Path, ...]:
+        return ()
+
+    def run(self, log: Path, target: Path) -> Finding:
+        return Finding()
+
+
+def test_a_fault_of_hiros_is_named_so(walking: Path) -> None:
+    class Broken(Nothing):
+        def run(self, log: Path, target: Path) -> Finding:
+            raise KeyError("tibia")
+
+    record = run_one(Broken(), LogRecord(str(walking), "walk", "failed"), "")
+    assert (record.verdict, record.bug, record.error) == ("failed", True, "bug: KeyError: 'tibia'")
+
+
+def test_foreign_files_are_kept(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    touch(out, "x")
+    (out / "one_person_walking.hiros.mcap").write_text("mine")
+    assert process(walking, out) == 2
+    assert (out / "one_person_walking.hiros.mcap").read_text() == "mine"
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
+    place = place_of(str(tmp_path))
+    with place.locked(), pytest.raises(LogError, match="another run"), place.locked():
+        pass
+
+
+def test_results_among_the_recordings_are_no_recordings(walking: Path, tmp_path: Path) -> None:
+    shutil.copy(walking, tmp_path / "walk.mcap")
+    assert process(tmp_path, tmp_path / "out") == 0
+    assert process(tmp_path, tmp_path / "out") == 0
+    assert set(records_of(tmp_path / "out")) == {"walk"}
+    assert process(tmp_path / "out", tmp_path / "again") == 0
+    (record,) = records_of(tmp_path / "again").values()
+    assert (record["verdict"], record["files"]) == ("skipped", {})
+
+
+@pytest.mark.parametrize("text", ["{}", "[1]", "no", '{"schema": "hiros.manifest", "version": 9}'])
+def test_a_damaged_manifest_is_one_line(text: str, walking: Path, tmp_path: Path) -> None:
+    (tmp_path / "hiros-process.json").write_text(text)
+    assert process(walking, tmp_path) == 2
+
+
+def test_what_is_for_one_log_is_refused(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two = [str(walking), str(walking)]
+    assert run(["process", *two]) == 2
+    assert run(["process", *two, "-o", str(tmp_path / "o"), "--save-limbs", "l.toml"]) == 2
+    assert run(["process", str(walking), "--csv", str(tmp_path / "t.csv")]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert [line.partition("error: ")[2][:22] for line in said] == [
+        "with many logs, name a",
+        "--save-limbs is for on",
+        "--csv is for many logs",
+    ]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, walking: Path, crossing: Path) -> Path:
+    """Return a folder with two results."""
+    out = tmp_path_factory.mktemp("many") / "results"
+    assert process(walking, crossing, out) == 0
+    return out
+
+
+def printed(capsys: pytest.CaptureFixture[str], *command: object) -> dict[str, Any]:
+    """Run a command on many logs with --json; return what became of each, by its name."""
+    capsys.readouterr()
+    run([*map(str, command), "--jobs", "1", "--json"])
+    data = json.loads(capsys.readouterr().out)
+    return {Path(row["log"]).name.partition(".")[0]: row for row in data["logs"]}
+
+
+def test_eval_of_many_says_what_it_says_of_one(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = printed(capsys, "eval", results, "-o", tmp_path / "scores")
+    run(["eval", str(results / "one_person_walking.hiros.mcap"), "--json"])
+    one = list(json.loads(capsys.readouterr().out)["channels"].values())[-1]
+    assert rows["one_person_walking"]["values"]["mpjpe"] == pytest.approx(one["mean"])
+    before = (tmp_path / "scores/hiros-eval.json").read_text()
+    again = printed(capsys, "eval", results, "-o", tmp_path / "scores")
+    assert again == rows
+    assert (tmp_path / "scores/hiros-eval.json").read_text() == before
+
+
+def test_eval_finds_the_truth_of_each_log_by_its_name(
+    results: Path, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(walking, tmp_path / "one_person_walking.truth.mcap")
+    rows = printed(capsys, "eval", results, "--truth", tmp_path)
+    assert rows["one_person_walking"]["values"]["people"] == 1
+    error = rows["two_people_crossing"]["error"]
+    assert "has no truth two_people_crossing.truth.mcap (or .mcap, .trc, .csv)" in error
+
+
+def test_check_of_many_compares_each_with_its_golden_file(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    golden = tmp_path / "golden"
+    command = ["check", str(results), "--golden", str(golden), "--jobs", "1", "-q"]
+    assert run([*command, "--bless"]) == 0
+    assert run(command) == 0
+    one = min(golden.glob("*.mcap"))
+    process("--set", "filter.cutoff=2", SAMPLES / one.name, tmp_path / "new")
+    rows = printed(capsys, "check", tmp_path / "new", "--golden", golden)
+    (row,) = rows.values()
+    assert (row["verdict"], row["values"]["differences"] > 0) == ("different", True)
+    assert run(["check", str(tmp_path / "new"), *command[2:]]) == 1
+
+
+def test_export_of_many_does_not_replace_foreign_files(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["export", str(results), "-o", str(tmp_path), "--format", "trc", "--jobs", "1", "-q"]
+    (tmp_path / "two_people_crossing.hiros.1.trc").write_text("")
+    (tmp_path / "two_people_crossing.1.trc").write_text("mine")
+    assert run(command) == 2
+    assert "two_people_crossing.1.trc: exists; --force overwrites it" in capsys.readouterr().err
+    (tmp_path / "two_people_crossing.1.trc").unlink()
+    assert run(command) == 0
+    names = {path.name for path in tmp_path.glob("*.trc")} - {"two_people_crossing.hiros.1.trc"}
+    assert names == {
+        "one_person_walking.trc", "two_people_crossing.0.trc", "two_people_crossing.1.trc"
+    }  # fmt: skip
+    assert run([*command, "--what", "joints"]) == 0  # its own files
+
+
+def test_the_table_of_many_logs_as_csv(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "table.csv"
+    assert run(["info", str(recordings), "--jobs", "1", "--csv", str(table)]) == 2
+    said = capsys.readouterr()
+    assert "4 logs: 3 done, 1 failed" in said.out
+    with table.open() as file:
+        rows = {Path(row["log"]).name: row for row in csv.DictReader(file)}
+    assert (rows["walk.mcap"]["verdict"], rows["walk.mcap"]["cameras"]) == ("done", "3")
+    assert rows["cut.mcap"]["error"].startswith("truncated")
+    assert sum("truncated" in line for line in said.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "code"),
+    [
+        (["done", "doubtful", "equal", "skipped"], 0),
+        (["different", "recovered"], 1),
+        (["done", "recovered"], 3),
+        (["failed", "different"], 2),
+    ],
+)
+def test_the_exit_code_says_the_worst(verdicts: list[Verdict], code: int) -> None:
+    records = [LogRecord(name, name, verdict) for name, verdict in zip("abcd", verdicts)]  # noqa: B905
+    assert exit_code(records) == code
+    assert exit_code([*records, LogRecord("e", "e", "failed", bug=True)]) == 70

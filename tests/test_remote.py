@@ -1,0 +1,181 @@
+"""Logs in a store: a real S3-compatible server on the loopback address."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.errors import LogError
+from hiros_mcap.io import remote
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    """Start moto's server; yield its address."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        address = f"http://127.0.0.1:{port}"
+        for _ in range(1200):
+            try:
+                urllib.request.urlopen(f"{address}/moto-api/", timeout=5).read()
+                break
+            except OSError:
+                time.sleep(0.1)
+        yield address
+        process.terminate()
+
+
+@pytest.fixture
+def store(server: str, walking: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Yield a file system with the bucket ``lab``, which has two logs."""
+    for name, value in {
+        "AWS_ENDPOINT_URL": server,
+        "AWS_ACCESS_KEY_ID": "test",
+        "AWS_SECRET_ACCESS_KEY": "test",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }.items():
+        monkeypatch.setenv(name, value)
+    urllib.request.urlopen(urllib.request.Request(f"{server}/moto-api/reset", method="POST")).read()
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+    system = fsspec.filesystem("s3")
+    system.mkdir("lab")
+    system.put_file(str(walking), "lab/in/mon/walk.mcap")
+    system.put_file(str(walking), "lab/in/tue/walk.mcap")
+    yield system
+    system.clear_instance_cache()
+
+
+def test_from_the_store_to_the_store(
+    store: Any, walking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    command = ["process", "s3://lab/in/", "-o", "s3://lab/out/", "--jobs", "1", "-q"]
+    assert run(command) == 0
+    store.invalidate_cache()
+    names = ["hiros-process.json", "mon_walk.hiros.mcap", "tue_walk.hiros.mcap"]
+    assert sorted(store.ls("lab/out")) == [f"lab/out/{name}" for name in names]
+    assert run(["process", str(walking), "-o", str(tmp_path / "here.mcap"), "-q"]) == 0
+    assert store.cat_file("lab/out/mon_walk.hiros.mcap") == (tmp_path / "here.mcap").read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["here.mcap"]  # no copy is left
+
+
+def test_a_second_run_takes_up_where_the_first_stopped(store: Any) -> None:
+    command = ["process", "s3://lab/in/*/*.mcap", "-o", "s3://lab/out", "--jobs", "1", "-q"]
+    assert run(command) == 0
+    before = {row["name"]: row["LastModified"] for row in store.ls("lab/out", detail=True)}
+    store.rm_file("lab/out/tue_walk.hiros.mcap")
+    assert run(command) == 0
+    store.invalidate_cache()
+    after = {row["name"]: row["LastModified"] for row in store.ls("lab/out", detail=True)}
+    kept, again = "lab/out/mon_walk.hiros.mcap", "lab/out/tue_walk.hiros.mcap"
+    assert before[kept] == after[kept]
+    assert again in after
+    manifest = json.loads(store.cat_file("lab/out/hiros-process.json"))
+    assert all(len(row["input"]["sha256"]) == 64 for row in manifest["logs"])
+
+
+def test_one_log_of_the_store(
+    store: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["info", "s3://lab/in/mon/walk.mcap", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["cameras"]) == 3
+    out = tmp_path / "out.mcap"
+    assert run(["process", "s3://lab/in/mon/walk.mcap", "-o", str(out), "-q"]) == 0
+    assert out.stat().st_size > 1_000_000
+
+
+def test_a_failed_log_leaves_nothing_in_the_store(store: Any, walking: Path) -> None:
+    store.pipe_file("lab/cut/walk.mcap", walking.read_bytes()[:300_000])
+    assert run(["process", "s3://lab/cut/", "-o", "s3://lab/out", "--jobs", "1", "-q"]) == 2
+    assert store.ls("lab/out") == ["lab/out/hiros-process.json"]
+
+
+def test_foreign_files_in_the_store_are_kept(store: Any) -> None:
+    store.pipe_file("lab/out/walk.hiros.mcap", b"mine")
+    command = ["process", "s3://lab/in/mon/walk.mcap", "-o", "s3://lab/out", "-q"]
+    assert run(command) == 2
+    assert store.cat_file("lab/out/walk.hiros.mcap") == b"mine"
+
+
+def test_a_bag_folder_of_the_store_is_one_log(store: Any, walking: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "walk"
+    assert run(["process", str(walking), "-o", f"{bag}/", "-q"]) == 0
+    for path in bag.iterdir():
+        store.put_file(str(path), f"lab/bags/walk/{path.name}")
+    assert run(["info", "s3://lab/bags/", "--csv", str(tmp_path / "t.csv"), "-q"]) == 0
+    assert (tmp_path / "t.csv").read_text().splitlines()[1].startswith("s3://lab/bags/walk,")
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("s3://nowhere/walk.mcap", "does not exist: neither the file nor perhaps the bucket"),
+        ("s3://lab/in/no.mcap", "does not exist"),
+        ("nope://lab/walk.mcap", "nobody knows the protocol nope://"),
+        ("http://127.0.0.1:1/walk.mcap", "cannot be reached; check the network"),
+    ],
+)
+def test_a_log_that_is_not_there_is_one_line(
+    address: str, said: str, store: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["info", address]) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.startswith(f"hiros: error: {address}: {said}")
+    assert stderr.count("\n") == 1
+
+
+def test_a_bucket_for_results_that_is_not_there_is_one_line(
+    store: Any, walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["process", str(walking), "-o", "s3://nowhere/out/"]) == 2
+    assert "s3://nowhere/out: does not exist" in capsys.readouterr().err
+
+
+def ask_for_keys(server: str, *, after: bytes) -> None:
+    """Have the server accept a number of requests with any key, and then none."""
+    headers = {"Content-Type": "text/plain"}
+    address = f"{server}/moto-api/reset-auth"
+    request = urllib.request.Request(address, data=after, headers=headers, method="POST")
+    urllib.request.urlopen(request).read()
+
+
+def test_a_wrong_key_is_one_line_with_the_remedy(server: str, store: Any) -> None:
+    ask_for_keys(server, after=b"0")
+    try:
+        with pytest.raises(LogError, match="permission denied; sign in as"):
+            remote.look("s3://lab/in/mon/walk.mcap")
+    finally:
+        ask_for_keys(server, after=b"inf")
+
+
+def test_a_copy_needs_room(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = shutil.disk_usage(os.curdir)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    with (
+        pytest.raises(LogError, match="no room for a copy"),
+        remote.local_copy("s3://lab/in/mon/walk.mcap"),
+    ):
+        pass
+
+
+def test_results_cannot_go_to_a_web_server(
+    walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["process", str(walking), "-o", "https://lab.org/out/"]) == 2
+    assert "can only be read; choose another output" in capsys.readouterr().err
