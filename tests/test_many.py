@@ -82,6 +82,14 @@ def test_nothing_found_is_an_error(tmp_path: Path) -> None:
         find_logs(["-", str(tmp_path)])
 
 
+def test_a_folder_with_nothing_but_one_file_is_that_log(tmp_path: Path) -> None:
+    touch(tmp_path, "lab/walk.mcap")
+    assert not are_many([str(tmp_path / "lab")])
+    assert are_many([str(tmp_path)])
+    touch(tmp_path, "lab/more/walk.bag")
+    assert are_many([str(tmp_path / "lab")])
+
+
 def test_one_file_a_missing_file_and_a_pipe_are_not_many(tmp_path: Path) -> None:
     assert not any(are_many([name]) for name in ("-", str(tmp_path / "x.mcap"), "s3://b/x.mcap"))
     assert all(

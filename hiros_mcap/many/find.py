@@ -6,6 +6,7 @@ import glob
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from hiros_mcap.errors import ConfigError
@@ -18,7 +19,10 @@ _RESULT = re.compile(r"(\.hiros)?\.(mcap|bag|db3)$", re.IGNORECASE)
 
 
 def are_many(named: Sequence[str]) -> bool:
-    """Whether a command was given more than one log: several names, a folder of logs or a glob."""
+    """Whether a command was given more than one log: several names, a folder of logs or a glob.
+
+    A folder with nothing but one MCAP file is that log.
+    """
     if len(named) != 1:
         return True
     (text,) = named
@@ -26,7 +30,7 @@ def are_many(named: Sequence[str]) -> bool:
         return text.endswith("/") or glob.has_magic(text)
     path = Path(text)
     if path.is_dir():
-        return not is_recording(path)
+        return not (is_recording(path) or _is_single(path))
     return glob.has_magic(text) and not path.exists()
 
 
@@ -90,6 +94,12 @@ def _below(folder: Path, leave_out: Path | None) -> Iterator[str]:
             yield str(path)
         elif path.is_dir() and not path.is_symlink():
             yield from _below(path, leave_out)
+
+
+def _is_single(folder: Path) -> bool:
+    """Whether there is one MCAP file in a folder, and no other log in it or below."""
+    found = [Path(log) for log in islice(_below(folder, None), 2)]
+    return len(found) == 1 and found[0].parent == folder and found[0].suffix == ".mcap"
 
 
 def _is_log(path: Path) -> bool:

@@ -289,8 +289,8 @@ COMMANDS = (
 def test_options_of_a_run_are_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["process", "--help"]) == 0
     text = capsys.readouterr().out
-    titles = ["Arguments:", "Output:", "Parameters:", "Input:", "Limb lengths:", "Options:"]
-    assert re.findall(r"^[A-Z].*:$", text, re.MULTILINE) == [*titles, "Examples:"]
+    titles = ["Arguments:", "Output:", "Parameters:", "Input:", "Limb lengths:", "Many logs:"]
+    assert re.findall(r"^[A-Z].*:$", text, re.MULTILINE) == [*titles, "Options:", "Examples:"]
     assert text.count("--set") == 2  # its row, and an example
 
 
