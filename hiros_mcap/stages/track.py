@@ -725,7 +725,8 @@ class _Tracker:
         others = [person.row for person in scene.persons]
         positions, distances = self.bank.past.positions, np.empty((1, len(others)))
         mean_distances(positions[[track.row]], positions[others], distances)
-        return distances[0]
+        row: Floats = distances[0]
+        return row
 
     def _merge_into_person(self, track: _Track, group: _DetectionGroup, scene: _Scene) -> None:
         """Merge a young person who is seen no more into the older one who was the same all along.
@@ -738,7 +739,7 @@ class _Tracker:
             return
         for person, distance in zip(scene.persons, self._distances(track, scene), strict=True):
             is_older = person.support.first < track.support.first
-            is_near = distance < self.params.max_distance
+            is_near = distance < _DOUBTFUL * self.params.max_distance
             if is_older and is_near and self._hides(person, track, group.stamp):
                 self._remove(track, scene)
                 detail = f"was person {track.id}"

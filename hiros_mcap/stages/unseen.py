@@ -9,7 +9,6 @@ import numpy as np
 from hiros_mcap.skeletons import POSITION, Floats, People
 from hiros_mcap.stages.coverage import Coverage
 
-
 _RECENT = 1_000_000_000  # ns: a camera that was silent for longer did not see the person anyway
 
 

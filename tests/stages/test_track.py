@@ -40,7 +40,7 @@ from hiros_mcap.stages.track import TrackParams, track
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
 AT_ONCE = TrackParams(
     confirm_detections=1, confirm_seconds=0.0, reorder=0.0, lookahead=0.0,
-    max_jump=math.inf, gate_growth=0.0, reidentify=0.0,
+    max_jump=math.inf, gate_growth=0.0, merge_tracks=False, reidentify=0.0,
 )  # fmt: skip
 CAMERAS = {name: np.array([x, y, 2.0]) for name, x, y in (("a", 4, 0), ("b", -4, 0), ("c", 0, 4))}
 
@@ -556,7 +556,7 @@ def test_what_is_left_out_is_counted(change: Callable[[Frame], None], reason: st
 def test_frames_are_not_changed_and_memory_of_the_gone_is_freed() -> None:
     frames = [seen([person(3.0 * (k // 60))], at(k + 60 * (k // 60))) for k in range(600)]
     before = [frame.markers.copy() for frame in frames]
-    tracked = list(track(frames, MODEL))
+    tracked = list(track(frames, MODEL, TrackParams(reidentify=0.0)))
     assert all(
         np.array_equal(f.markers, b, equal_nan=True) for f, b in zip(frames, before, strict=True)
     )
