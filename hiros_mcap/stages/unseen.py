@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from hiros_mcap.skeletons import POSITION, Floats, People
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, People
 from hiros_mcap.stages.coverage import Coverage
 
 _RECENT = 1_000_000_000  # ns: a camera that was silent for longer did not see the person anyway
@@ -40,15 +40,17 @@ class Unseen:
         """Person who is not seen to the place of the latest view, (3,) m."""
         self._gone: set[int] = set()
 
-    def see(self, stamp: int, source: str, people: People, rows: Sequence[int]) -> None:
+    def see(self, stamp: int, source: str, people: People, rows: range) -> None:
         """Note that a camera's message of ``stamp``, ns, shows the people in ``rows``."""
         if not self._sources:
             return
-        for person, row in zip(people.ids[rows].tolist(), rows, strict=True):
+        due = self._coverage.is_due(source, stamp)
+        for row, person in enumerate(people.ids[rows.start : rows.stop].tolist(), rows.start):
+            if person == UNTRACKED:
+                continue
             self._views[person] = people, row
             self._reported.setdefault(person, {})[source] = stamp
-        if self._coverage.is_due(source, stamp):
-            for row in rows:
+            if due:
                 self._coverage.learn(source, _centre(people, row), stamp)
 
     def go_on(
@@ -64,8 +66,8 @@ class Unseen:
                 bridged.add(person)
             elif stamp - last < self._carry and self._is_hidden(person, shown):
                 carried.add(person)
-        if self._places or self._gone:
-            self._come_back(shown, last_seen)
+        if self._places or self._gone or len(self._views) > len(last_seen):
+            self._tidy(shown, last_seen)
         return bridged, carried
 
     def _is_hidden(self, person: int, shown: set[int]) -> bool:
@@ -84,12 +86,12 @@ class Unseen:
             return False
         return True
 
-    def _come_back(self, shown: set[int], last_seen: Mapping[int, int]) -> None:
+    def _tidy(self, shown: set[int], last_seen: Mapping[int, int]) -> None:
         """Forget the absences that are over, and people whom nobody remembers."""
         self._gone -= shown
         for person in shown & self._places.keys():
             del self._places[person]
-        for person in self._views.keys() - last_seen.keys():
+        for person in self._views.keys() - last_seen.keys() - shown:
             del self._views[person], self._reported[person]
             self._places.pop(person, None)
             self._gone.discard(person)

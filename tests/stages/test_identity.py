@@ -16,6 +16,7 @@ from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.merge import MergeParams, merge
 from hiros_mcap.stages.reidentify import PersonCues, limb_cue, place_cue, reidentify
 from hiros_mcap.stages.track import TrackParams, track
+from hiros_mcap.stages.unseen import Unseen
 
 CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
 TALL = 1.1
@@ -113,6 +114,15 @@ def test_nobody_is_carried_whom_a_camera_should_see() -> None:
     alone = standing([person()], 0, 2) + standing([], 2, 3)
     assert confidences[5:40] == [[]] * 35
     assert merged_people(alone)[5:] == [[]] * 25
+
+
+def test_people_who_left_are_not_remembered_for_ever() -> None:
+    unseen = Unseen(0.1, 1.0, CAMERAS)
+    for k in range(50):
+        shown = seen([person()], at(30 * k), ids=[k])
+        unseen.see(shown.stamp, "a", shown.people, range(1))
+        unseen.go_on(shown.stamp, {k}, {k: shown.stamp})
+    assert len(unseen._views) == len(unseen._reported) == 1
 
 
 # Two tracks of one person, phantoms
