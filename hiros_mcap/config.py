@@ -140,6 +140,7 @@ _AS_PUBLISHED: dict[str, Any] = {
     "fade": 0.0,
     "gate_growth": 0.0,
     "merge_tracks": False,
+    "confirm_alone": 0.5,
 }
 
 _PAPER: Table = {
@@ -150,6 +151,7 @@ _PAPER: Table = {
         **_AS_PUBLISHED,
         "confirm_detections": 1,
         "confirm_seconds": 0.0,
+        "confirm_alone": 0.0,
         "contradiction": math.inf,
         "lookahead": 0.0,
         "reorder": 0.1,

@@ -189,7 +189,13 @@ class TrackParams(Params):
         0.5,
         ge=0,
         description="Time, s, after which a track of a single camera is confirmed, unless other "
-        "cameras contradict it. Twice as long if it stands still and no other camera looks there.",
+        "cameras contradict it.",
+    )
+    confirm_alone: float = advanced(
+        1.0,
+        ge=0,
+        description="The same of a body that stands still where none of the other cameras looks. "
+        "Beyond the look-ahead, the person has no id at first.",
     )
     contradiction: float = advanced(
         0.5,
@@ -275,7 +281,7 @@ class _Support:
         if by_others >= min(2, params.confirm_detections - 1) > 0:
             return True
         still = self.lone and self.travelled <= params.min_motion
-        needed = params.confirm_seconds * (2 if still else 1)
+        needed = params.confirm_alone if still else params.confirm_seconds
         return (stamp - self.first) * 1e-9 >= needed and not self.refuted(params)
 
     def refuted(self, params: TrackParams) -> bool:

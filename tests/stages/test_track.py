@@ -39,7 +39,7 @@ from hiros_mcap.stages.track import TrackParams, track
 
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
 AT_ONCE = TrackParams(
-    confirm_detections=1, confirm_seconds=0.0, reorder=0.0, lookahead=0.0,
+    confirm_detections=1, confirm_seconds=0.0, confirm_alone=0.0, reorder=0.0, lookahead=0.0,
     max_jump=math.inf, gate_growth=0.0, merge_tracks=False, reidentify=0.0,
 )  # fmt: skip
 CAMERAS = {name: np.array([x, y, 2.0]) for name, x, y in (("a", 4, 0), ("b", -4, 0), ("c", 0, 4))}
