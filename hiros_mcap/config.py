@@ -133,13 +133,25 @@ class Config(Params):
     )
 
 
+# People around occlusions: nothing of it is in a paper.
+_AS_PUBLISHED: dict[str, Any] = {
+    "reidentify": 0.0,
+    "max_jump": math.inf,
+    "fade": 0.0,
+    "gate_growth": 0.0,
+    "merge_tracks": False,
+    "confirm_alone": 0.5,
+}
+
 _PAPER: Table = {
     # A detection that no track takes is a person at once; nothing waits for later frames.
     "track": {
         "orientation_weight": 1.0,
         "flip_aware": False,
+        **_AS_PUBLISHED,
         "confirm_detections": 1,
         "confirm_seconds": 0.0,
+        "confirm_alone": 0.0,
         "contradiction": math.inf,
         "lookahead": 0.0,
         "reorder": 0.1,
@@ -154,6 +166,7 @@ _PAPER: Table = {
         "robust_scale": 0.0,
         "offset_time": 0.0,
         "bridge": 0.0,
+        "carry": 0.0,
     },
     "optimize": {
         "lookahead": 0.0,
@@ -173,7 +186,7 @@ PRESETS: Mapping[str, Table] = {
     "default": {},
     "realtime": {
         "input": {"clocks": "causal"},
-        "track": {"lookahead": 0.0, "reorder": 0.1},
+        "track": {"lookahead": 0.0, "reorder": 0.1, "reidentify": 0.0},
         "optimize": {"lookahead": 0.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0},
     },
@@ -217,13 +230,17 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
             "robust_scale": 0.0,
             "offset_time": 0.0,
             "bridge": 0.0,
+            "carry": 0.0,
             "past_votes": False,
             "compensate_motion": False,
         },
     },
-    "lee-a1": {"cluster": {"method": "average", "rearrange": "off"}},
-    "lee-a2": {"cluster": {"method": "average"}},
-    "lee-a3": {"cluster": {"previous_helps": False}},
+    "lee": {"track": _AS_PUBLISHED},
+    "lee-a1": {"track": _AS_PUBLISHED, "cluster": {"method": "average", "rearrange": "off"}},
+    "lee-a2": {"track": _AS_PUBLISHED, "cluster": {"method": "average"}},
+    "lee-a3": {"track": _AS_PUBLISHED, "cluster": {"previous_helps": False}},
+    "lee-a4": {"track": _AS_PUBLISHED},
+    "lee-a5": {"track": _AS_PUBLISHED},
 }
 """Systems that are another one with other parameters -> what they change."""
 

@@ -14,9 +14,11 @@ TOO_LATE = "too late to be merged"
 
 COUNTED: Mapping[str, tuple[str, str]] = {
     "bridged": ("skeleton", "predicted while no camera saw the person"),
+    "carried": ("skeleton", "predicted while others hid the person from every camera"),
     "calibration rejected": ("calibration", "rejected: limb lengths stay as measured"),
     "filter: cut-off lowered": ("filter", "with a lower cut-off: the frame rate is too low"),
     "filter: time not increasing": ("skeleton", "not filtered: its time did not increase"),
+    "leap": ("detection", "ignored: it leaps away from its person faster than anybody moves"),
     "limbs left free": ("limb", "not made constant: the measured length varied too much"),
     "low confidence": ("detection", "ignored: confidence below track.min_skeleton_confidence"),
     "no markers": ("detection", "ignored: no marker that is confident enough"),

@@ -66,6 +66,8 @@ class MergerSettings(NamedTuple):
     confidence_power: float
     robust_scale: float
     offset_time: float
+    bridge: float
+    carry: float
     pelvis_link: int
     """Slot; -1 = there is none."""
     facing_by_sides: bool
@@ -161,7 +163,7 @@ class _Slots(NamedTuple):
     """(M, 19) and (M,), to be written."""
 
 
-_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 7, types.int64, *[types.boolean] * 5)
+_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 9, types.int64, *[types.boolean] * 5)
 _PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
 _SIDES = named_tuple(Sides, J1, J2)
 _WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5)
@@ -239,14 +241,32 @@ def _remember(stamp: int, people: People, p: int, past: MergerPast, row: int) ->
 
 
 @kernel
-def _bridge(stamp: int, past: MergerPast, row: int, out: People, p: int) -> None:
-    """Write the past pose, carried on at constant velocity."""
+def _fade(confidences: Floats, p: int, share: float) -> None:
+    """Lower the confidences (P, N) of a person; unknown ones stay unknown."""
+    for m in range(confidences.shape[1]):
+        confidences[p, m] *= share
+
+
+@kernel
+def _bridge(
+    stamp: int, past: MergerPast, row: int, settings: MergerSettings, out: People, p: int
+) -> None:
+    """Write the past pose, carried on at constant velocity up to the horizon.
+
+    Beyond ``bridge`` s without a view, confidences fall, to nothing at ``carry`` s.
+    """
     out.confidences[p] = past.confidences[row]
     copy_row(out.markers, p, past.markers, row)
     copy_row(out.marker_confidences, p, past.marker_confidences, row)
     copy_row(out.links, p, past.links, row)
     copy_row(out.link_confidences, p, past.link_confidences, row)
-    dt = min((stamp - past.seen[row]) * 1e-9, _HORIZON)
+    unseen = (stamp - past.seen[row]) * 1e-9
+    if unseen > settings.bridge:
+        share = max(1.0 - unseen / settings.carry, 0.0)
+        out.confidences[p] *= share
+        _fade(out.marker_confidences, p, share)
+        _fade(out.link_confidences, p, share)
+    dt = min(unseen, _HORIZON)
     for m in range(out.markers.shape[1]):
         for c in range(3):
             v = out.markers[p, m, VELOCITY + c]
@@ -807,7 +827,7 @@ def merge_buffers(
             views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, scratch)
             row = buffers.past_rows[p]
             if len(views.stamps) == 0:
-                _bridge(buffers.stamps[q], past, row, out, p)
+                _bridge(buffers.stamps[q], past, row, settings, out, p)
                 continue
             _merge_person(
                 buffers.stamps[q], views, past, row, settings, sides, out, p, counts, work

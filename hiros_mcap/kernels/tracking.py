@@ -19,11 +19,13 @@ from hiros_mcap.kernels.assignment import ASSIGNMENT_WORK, AssignmentWork, solve
 from hiros_mcap.kernels.compile import (
     B1,
     B2,
+    F1,
     F2,
     F3,
     I1,
     I2,
     J1,
+    J2,
     PEOPLE,
     inlined,
     kernel,
@@ -59,6 +61,11 @@ from hiros_mcap.skeletons import (
 USABLE, NO_MARKERS, LOW_CONFIDENCE = 0, 1, 2
 
 _NOT_MIRRORED = 0.1  # m: a detection with swapped sides is farther than this from its track
+_WIDEST_GATE = 2.0  # times the gate: how far it grows while a track is unseen
+_FASTEST = 1.5  # m/s that a whole body may move besides its prediction
+_USUAL_INTERVAL = 0.033  # s between two detections; longer ones leave more time to move
+_TRUSTED = 0.5  # markers of less confidence are guessed: they say nothing about limb lengths
+_MOST_LENGTHS = 600.0  # detections that a mean length remembers
 _RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
 _LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence
 # Variances of a new state: (m/s)2, (m/s2)2, (rad/s)2, (rad/s2)2.
@@ -96,6 +103,10 @@ class Tracks(NamedTuple):
     """(T, L, 6)."""
     links_seen: Stamps
     """(T, L) time of each link's state, ns."""
+    lengths: Floats
+    """(T, L) mean distance of each link's markers, m; learned if SlotOrders names the markers."""
+    length_counts: Floats
+    """(T, L) detections that the mean length is of."""
 
     @classmethod
     def allocate(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
@@ -104,7 +115,8 @@ class Tracks(NamedTuple):
         markers = [np.zeros((t, m, k)) for k in (3, 3, 3, 6)]
         links = [np.zeros((t, n, k)) for k in (4, 3, 3, 6)]
         stamps = np.zeros((t, m), np.int64), np.zeros((t, n), np.int64)
-        return cls._make([*markers, stamps[0], *links, stamps[1]])
+        lengths = np.zeros((t, n)), np.zeros((t, n))
+        return cls._make([*markers, stamps[0], *links, stamps[1], *lengths])
 
 
 class TrackSettings(NamedTuple):
@@ -119,6 +131,9 @@ class TrackSettings(NamedTuple):
     velocity_decay: float
     exponent: float
     horizon: float
+    fade: float
+    gate_growth: float
+    max_jump: float
     position_noise: float
     jerk: float
     orientation_noise: float
@@ -139,6 +154,10 @@ class PredictedTracks(NamedTuple):
     """(T, M, 3) m."""
     orientations: Floats
     """(T, L, 4) x y z w."""
+    unseen: Floats
+    """(T,) time since the last detection, s."""
+    gates: Floats
+    """(T,) largest distance of a detection, m."""
 
 
 class TrackWeights(NamedTuple):
@@ -167,6 +186,8 @@ class TrackPairs(NamedTuple):
     """(T, P) eq 6; infinite where a pair is not allowed."""
     match: Stamps
     """(P,) index of the track of each detection, -1 = none."""
+    broken: Flags
+    """(P,) whether a detection breaks with the track that ``match`` gives it."""
 
 
 class TrackWork(NamedTuple):
@@ -187,7 +208,7 @@ class TrackWork(NamedTuple):
         t, p, m, n = n_tracks, n_people, n_markers, n_links
         return cls(
             np.empty((p, 6)),
-            PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4))),
+            PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4)), np.empty(t), np.empty(t)),
             TrackWeights._make(np.empty(shape) for shape in ((t, m), (t, n), (p, m), (p, n))),
             TrackPairs(
                 np.empty(p, np.bool_),
@@ -195,6 +216,7 @@ class TrackWork(NamedTuple):
                 np.empty((t, p), np.bool_),
                 np.empty((t, p)),
                 np.empty(p, np.int64),
+                np.empty(p, np.bool_),
             ),
             AssignmentWork.allocate(max(t, p)),
             np.empty(p, np.int64),
@@ -208,6 +230,9 @@ class SlotOrders(NamedTuple):
     """(M,) 0, 1, 2, ..."""
     mirror: Ints
     """(M,) where the detector swapped left and right."""
+    ends: Ints
+    """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
+    nobody asks for lengths."""
 
 
 class ConfirmedTracks(NamedTuple):
@@ -231,13 +256,13 @@ class Followed(NamedTuple):
 
 
 _F, _I = types.float64, types.int64
-_TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2)
-_SETTINGS = named_tuple(TrackSettings, *17 * [_F], *3 * [types.boolean])
-_PREDICTED = named_tuple(PredictedTracks, F3, F3)
+_TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2, F2, F2)
+_SETTINGS = named_tuple(TrackSettings, *20 * [_F], *3 * [types.boolean])
+_PREDICTED = named_tuple(PredictedTracks, F3, F3, F1, F1)
 _WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
-_PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1)
+_PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1, B1)
 _WORK = named_tuple(TrackWork, F2, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
-_SLOTS = named_tuple(SlotOrders, J1, J1)
+_SLOTS = named_tuple(SlotOrders, J1, J1, J2)
 _CONFIRMED = named_tuple(ConfirmedTracks, I1, J1, I1)
 _FOLLOWED = named_tuple(Followed, I1, F2)
 
@@ -272,15 +297,53 @@ def screen(people: People, min_marker: float, min_skeleton: float, faults: Stamp
 
 
 @inlined
+def _steady(dt: float, horizon: float) -> float:
+    """Time, s, of ``dt`` without a detection for which a velocity is constant."""
+    return min(max(dt, 0.0), horizon)
+
+
+@inlined
+def _faded(dt: float, settings: TrackSettings) -> float:
+    """Time, s, for which the velocity at the horizon would carry on: it fades exponentially."""
+    beyond = dt - settings.horizon
+    if beyond <= 0.0 or settings.fade <= 0.0:
+        return 0.0
+    return settings.fade * (1.0 - math.exp(-beyond / settings.fade))
+
+
+@inlined
+def _mean_velocity(velocities: Floats) -> Vector:
+    """Mean of the velocities (M, 3), m/s."""
+    x = y = z = 0.0
+    for m in range(len(velocities)):
+        x, y, z = x + velocities[m, 0], y + velocities[m, 1], z + velocities[m, 2]
+    n = max(len(velocities), 1)
+    return x / n, y / n, z / n
+
+
+@inlined
 def _predict_positions(
-    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, out: Floats
+    stamp: int, rows: Stamps, tracks: Tracks, settings: TrackSettings, out: PredictedTracks
 ) -> None:
     for i in range(len(rows)):
-        row = rows[i]
-        for m in range(out.shape[1]):
-            dt = min(max((stamp - tracks.seen[row, m]) * 1e-9, 0.0), horizon)
+        row, unseen = rows[i], np.inf
+        for m in range(out.positions.shape[1]):
+            dt = (stamp - tracks.seen[row, m]) * 1e-9
+            unseen = min(unseen, dt)
+            steady = _steady(dt, settings.horizon)
             for c in range(3):
-                out[i, m, c] = tracks.positions[row, m, c] + dt * tracks.velocities[row, m, c]
+                moved = steady * tracks.velocities[row, m, c]
+                out.positions[i, m, c] = tracks.positions[row, m, c] + moved
+        faded = _faded(unseen, settings)
+        if faded > 0.0:  # the limbs of somebody unseen stop, the body goes on for a while
+            velocity = _mean_velocity(tracks.velocities[row])
+            for m in range(out.positions.shape[1]):
+                out.positions[i, m, 0] += faded * velocity[0]
+                out.positions[i, m, 1] += faded * velocity[1]
+                out.positions[i, m, 2] += faded * velocity[2]
+        growth = settings.gate_growth * max(unseen - settings.horizon, 0.0)
+        out.unseen[i] = unseen
+        out.gates[i] = min(settings.max_distance + growth, _WIDEST_GATE * settings.max_distance)
 
 
 @inlined
@@ -295,23 +358,28 @@ def _predict_orientations(
     for i in range(len(rows)):
         row = rows[i]
         for k in range(out.shape[1]):
-            dt = min(max((stamp - tracks.links_seen[row, k]) * 1e-9, 0.0), horizon)
+            dt = _steady((stamp - tracks.links_seen[row, k]) * 1e-9, horizon)
             omega = tracks.angular_velocities[row, k]
             step = exponential(dt * omega[0], dt * omega[1], dt * omega[2])
             q = multiply(step, _quaternion(tracks.orientations[row, k]))
             out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
 
 
-@kernel(types.void(_I, I1, _TRACKS, _F, _PREDICTED))
+@kernel(types.void(_I, I1, _TRACKS, _SETTINGS, _PREDICTED))
 def predict(
-    stamp: int, rows: Stamps, tracks: Tracks, horizon: float, predicted: PredictedTracks
+    stamp: int,
+    rows: Stamps,
+    tracks: Tracks,
+    settings: TrackSettings,
+    predicted: PredictedTracks,
 ) -> None:
     """Predict the pose of each track in ``rows`` at ``stamp`` by constant velocity (eq 7).
 
-    Velocities carry on for ``horizon`` seconds at most; from then on the track stands still.
+    Velocities carry on for ``horizon`` seconds and then fade. From then on the gate grows, up to
+    twice its size: nobody knows where an unseen person goes.
     """
-    _predict_positions(stamp, rows, tracks, horizon, predicted.positions)
-    _predict_orientations(stamp, rows, tracks, horizon, predicted.orientations)
+    _predict_positions(stamp, rows, tracks, settings, predicted)
+    _predict_orientations(stamp, rows, tracks, settings.horizon, predicted.orientations)
 
 
 # Cost, eq 6 and 8 to 11
@@ -366,14 +434,14 @@ def _compare(
     """
     weights, pairs, bounds = work.weights, work.pairs, work.bounds
     _weigh_by_confidence(people.marker_confidences, settings, weights.marker_confidences)
-    reach = max(settings.max_distance, settings.min_distance)
-    margin = 1.001 * reach  # rounding must not leave out a pair on the edge
     for j in range(len(people.ids)):
         low_high = _bound(people.markers[j])
         for c in range(6):
             bounds[j, c] = low_high[c]
     for i in range(len(rows)):
         pose, weight = work.predicted.positions[i], weights.marker_velocities[i]
+        reach = max(work.predicted.gates[i], settings.min_distance)
+        margin = 1.001 * reach  # rounding must not leave out a pair on the edge
         x0, y0, z0, x1, y1, z1 = _bound(pose)
         x0, y0, z0, x1, y1, z1 = (
             x0 - margin, y0 - margin, z0 - margin, x1 + margin, y1 + margin, z1 + margin,
@@ -403,6 +471,24 @@ def _compare(
                 )
             pairs.mirrored[i, j] = swapped < 0.5 * distance
             pairs.distances[i, j] = swapped if pairs.mirrored[i, j] else distance
+    _leave_to_nearest(len(rows), len(people.ids), settings, work)
+
+
+@inlined
+def _leave_to_nearest(
+    n_tracks: int, n_people: int, settings: TrackSettings, work: TrackWork
+) -> None:
+    """Keep a gate that has grown from taking a second view of somebody else."""
+    distances, gates = work.pairs.distances, work.predicted.gates
+    for i in range(n_tracks):
+        if gates[i] <= settings.max_distance:
+            continue
+        for j in range(n_people):
+            if not settings.max_distance < distances[i, j] <= gates[i]:
+                continue
+            for k in range(n_tracks):
+                if k != i and distances[k, j] < settings.min_distance:
+                    distances[i, j] = np.inf
 
 
 @inlined
@@ -462,7 +548,7 @@ def _fill_cost(
         angular_velocities = tracks.angular_velocities[rows[i]]
         weighed = False
         for j in range(len(people.ids)):
-            if not pairs.wanted[j] or pairs.distances[i, j] > settings.max_distance:
+            if not pairs.wanted[j] or pairs.distances[i, j] > work.predicted.gates[i]:
                 pairs.cost[i, j] = np.inf
             elif pairs.mirrored[i, j]:
                 pairs.cost[i, j] = pairs.distances[i, j]
@@ -537,15 +623,17 @@ def _start_marker(tracks: Tracks, row: int, m: int, seen_at: Floats, noise: floa
 
 
 @inlined
-def _move_marker(tracks: Tracks, row: int, m: int, dt: float, horizon: float) -> None:
-    """Predict a marker's state with constant acceleration, for ``horizon`` s at most."""
-    reach = min(dt, horizon)
+def _move_marker(tracks: Tracks, row: int, m: int, dt: float, settings: TrackSettings) -> None:
+    """Predict a marker's state with constant acceleration up to the horizon; then it fades."""
+    reach, left = min(dt, settings.horizon), 1.0
+    if dt > settings.horizon and settings.fade > 0.0:
+        left = math.exp((settings.horizon - dt) / settings.fade)
     for c in range(3):
-        if dt > horizon:
+        if dt > settings.horizon:
             tracks.accelerations[row, m, c] = 0.0
         a, v = tracks.accelerations[row, m, c], tracks.velocities[row, m, c]
         tracks.positions[row, m, c] += reach * (v + 0.5 * reach * a)
-        tracks.velocities[row, m, c] += reach * a
+        tracks.velocities[row, m, c] = left * (v + reach * a)
 
 
 @inlined
@@ -599,7 +687,7 @@ def _correct_markers(
         else:
             p = _load(tracks.covariances, row, m)
             if dt > 0.0:
-                _move_marker(tracks, row, m, dt, settings.horizon)
+                _move_marker(tracks, row, m, dt, settings)
                 if dt != interval:  # markers are mostly seen together
                     interval, process = dt, kalman_filter.white_jerk(dt, density)
                 p = kalman_filter.predict(p, dt, process)
@@ -685,6 +773,22 @@ def _correct_links(
         _write(tracks.angular_accelerations[row, k], links[k], _TO_ANGULAR_ACCELERATION)
 
 
+@inlined
+def _learn_lengths(
+    row: int, tracks: Tracks, markers: Floats, confidences: Floats, slots: Ints, ends: Ints
+) -> None:
+    """Average the limb lengths of a detection (M, 19), whose slots are ``slots``."""
+    for k in range(len(ends)):
+        a, b = ends[k, 0], ends[k, 1]
+        if a < 0 or b < 0 or confidences[slots[a]] < _TRUSTED or confidences[slots[b]] < _TRUSTED:
+            continue
+        length = point_distance(markers[slots[a]], markers[slots[b]])
+        if not math.isnan(length):
+            n = min(tracks.length_counts[row, k] + 1.0, _MOST_LENGTHS)
+            tracks.length_counts[row, k] = n
+            tracks.lengths[row, k] += (length - tracks.lengths[row, k]) / n
+
+
 @kernel(types.void(_I, I1, _PAIRS, PEOPLE, _TRACKS, _SLOTS, _SETTINGS))
 def correct(
     stamp: int,
@@ -710,8 +814,27 @@ def correct(
         markers, confidences = people.markers[j], people.marker_confidences[j]
         which = slots.mirror if swapped else slots.same
         _correct_markers(stamp, row, tracks, markers, confidences, which, settings)
+        _learn_lengths(row, tracks, markers, confidences, which, slots.ends)
         if not swapped:
             _correct_links(stamp, row, tracks, people.links[j], settings)
+
+
+@inlined
+def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
+    """Whether a detection is farther from a track that was just seen than a person can move."""
+    unseen, distance = work.predicted.unseen[i], work.pairs.distances[i, j]
+    if unseen > settings.horizon:
+        return False
+    return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
+
+
+@kernel(types.void(_I, _WORK, _SETTINGS))
+def find_breaks(n_people: int, work: TrackWork, settings: TrackSettings) -> None:
+    """Fill ``broken``: a detector distorts a person who is about to be hidden."""
+    pairs = work.pairs
+    for j in range(n_people):
+        i = pairs.match[j]
+        pairs.broken[j] = i >= 0 and _breaks(i, j, work, settings)
 
 
 @kernel("void(float64[:,:,::1], int64, float64[::1])")
@@ -731,9 +854,7 @@ def centre(positions: Floats, row: int, out: Floats) -> None:
 
 
 @inlined
-def _match_without_choice(
-    n_tracks: int, n_people: int, max_distance: float, pairs: TrackPairs
-) -> bool:
+def _match_without_choice(n_tracks: int, n_people: int, gates: Floats, pairs: TrackPairs) -> bool:
     """Fill ``match`` if nobody has a choice; return whether that is so.
 
     Then no track is near two detections, nor a detection near two tracks, and what a pair costs
@@ -744,7 +865,7 @@ def _match_without_choice(
     for i in range(n_tracks):
         found = False
         for j in range(n_people):
-            if not pairs.wanted[j] or pairs.distances[i, j] > max_distance:
+            if not pairs.wanted[j] or pairs.distances[i, j] > gates[i]:
                 continue
             if found or pairs.match[j] >= 0:
                 return False
@@ -765,9 +886,9 @@ def _associate(
 ) -> None:
     """Fill ``match`` as the steps of stages/track.py do, with less work where it is obvious."""
     predicted, pairs, n_people = work.predicted, work.pairs, len(people.ids)
-    _predict_positions(stamp, rows, tracks, settings.horizon, predicted.positions)
+    _predict_positions(stamp, rows, tracks, settings, predicted)
     _compare(rows, people, tracks, slots, settings, work)
-    if not _match_without_choice(len(rows), n_people, settings.max_distance, pairs):
+    if not _match_without_choice(len(rows), n_people, predicted.gates, pairs):
         _predict_orientations(stamp, rows, tracks, settings.horizon, predicted.orientations)
         _fill_cost(rows, people, tracks, settings, work)
         solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)
@@ -805,7 +926,7 @@ def follow(
             pairs.wanted[j] = work.faults[j] == USABLE
         _associate(stamps[k], confirmed.rows, group, tracks, slots, settings, work)
         for j in range(end - begin):
-            if pairs.match[j] < 0:
+            if pairs.match[j] < 0 or _breaks(pairs.match[j], j, work, settings):
                 return k
         correct(stamps[k], confirmed.rows, pairs, group, tracks, slots, settings)
         for j in range(end - begin):

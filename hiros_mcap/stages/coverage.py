@@ -73,20 +73,26 @@ class Coverage:
         view.nearest = min(view.nearest, distance)
         view.farthest = max(view.farthest, distance)
 
+    def covers(self, source: str, place: Floats) -> bool:
+        """Whether ``source`` looks at ``place`` (3,), m, whoever stands in between."""
+        view = self._views.get(source)
+        if view is None or view.people < _ENOUGH:
+            return False
+        ray = place - self._origins[source]
+        distance = float(np.linalg.norm(ray))
+        return view.contains(ray / max(distance, 1e-9), distance, _MARGIN)
+
     def sees(self, source: str, place: Floats, others: Floats | Sequence[Floats]) -> bool:
         """Whether ``source`` covers ``place`` and none of ``others`` (N, 3) stands in between.
 
         Whoever is at the place himself may be among them.
         """
-        view = self._views.get(source)
-        if view is None or view.people < _ENOUGH:
+        if not self.covers(source, place):
             return False
         origin = self._origins[source]
         ray = place - origin
         distance = float(np.linalg.norm(ray))
         direction = ray / max(distance, 1e-9)
-        if not view.contains(direction, distance, _MARGIN):
-            return False
         people = np.reshape(others, (-1, 3)) - origin
         along = people @ direction
         in_front = (along > 0.0) & (along < distance - _PERSON_RADIUS)

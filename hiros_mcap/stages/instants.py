@@ -13,6 +13,7 @@ from hiros_mcap.frames import Block, Part, join, most_often
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.skeletons import UNTRACKED, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.unseen import Unseen
 
 T = TypeVar("T")
 
@@ -101,7 +102,7 @@ class InstantMerger:
     kernel : merges the views of each person.
     bank : what the kernel remembers of people; one row for each.
     counted : names of what the kernel counts by camera.
-    bridge : s for which a person whom no message shows is handed to the kernel all the same.
+    unseen : says whom that no message shows is handed to the kernel all the same.
     """
 
     # ns of instants that are merged at once. A row that the bank frees meanwhile may be another
@@ -116,11 +117,11 @@ class InstantMerger:
         events: Events,
         fixed_frame: str,
         counted: tuple[str, str],
-        bridge: float = 0.0,
+        unseen: Unseen | None = None,
     ) -> None:
         self._model, self._kernel, self._bank = model, kernel, bank
         self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
-        self._bridge = bridge * 1e9 or -1.0
+        self._unseen = unseen or Unseen()
         self._cameras: dict[str, int] = {}
 
     def run(self, blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
@@ -182,15 +183,17 @@ class InstantMerger:
                 i, self._cameras.setdefault(plan.block.sources[i], len(self._cameras))
             )
             seen.update(people)
+            self._unseen.see(stamp, plan.block.sources[i], plan.block.people, plan.people_rows(i))
             views += most_often([person for person in people if person != UNTRACKED])
         seen.discard(UNTRACKED)
         self._bank.expire(stamp)
         last = self._bank.last_seen
-        bridged = {p for p in last if p not in seen and 0 <= stamp - last[p] <= self._bridge}
-        people = sorted(seen | bridged)
+        bridged, carried = self._unseen.go_on(stamp, seen, last)
+        people = sorted(seen | bridged | carried)
         rows = [self._bank.row(p, stamp) if p in seen else self._bank.rows[p] for p in people]
         plan.end_instant(stamp, people, rows, views)
         self._events.count("bridged", n=len(bridged))
+        self._events.count("carried", n=len(carried))
 
 
 def _one_block(instant: Instant[Part]) -> tuple[Block, list[int]]:
@@ -224,6 +227,10 @@ class _MergePlan:
         self._messages.append((begin, end, self._times[i], camera))
         people: list[int] = self._ids[begin:end]
         return people
+
+    def people_rows(self, i: int) -> range:
+        """Rows of the people of message ``i`` of the block."""
+        return range(*self._rows[i])
 
     def end_instant(self, stamp: int, people: list[int], past_rows: list[int], views: int) -> None:
         """Say whom the messages since the last instant make, and when."""

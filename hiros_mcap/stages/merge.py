@@ -16,7 +16,7 @@ the mean is robust; a person between two sightings is bridged.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -29,9 +29,10 @@ from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.kernels import merging
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Frame, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
+from hiros_mcap.stages.unseen import Unseen
 
 
 class MergeParams(Params):
@@ -128,6 +129,14 @@ class MergeParams(Params):
         "constant velocity. Without it, people whom only one camera sees would flicker. 0 = off "
         "(paper).",
     )
+    carry: float = Field(
+        1.0,
+        ge=0,
+        le=5,
+        description="Longest time, s, for which a person continues whom others hide from every "
+        "camera that looks there. The confidences fall to 0 over this time. Nobody is carried whom "
+        "a camera should see. 0 = off (paper).",
+    )
 
 
 def merge(
@@ -136,6 +145,7 @@ def merge(
     params: MergeParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
+    cameras: Mapping[str, Floats] | None = None,
 ) -> Iterator[Frame]:
     """Merge the tracked skeletons of all cameras (section 3.2).
 
@@ -146,15 +156,18 @@ def merge(
     model : names and hierarchy of the skeleton.
     params : see :class:`MergeParams`.
     events : counts "outlier" (markers and links that lost the vote) and "flip" (views), by camera,
-        and "bridged" (people).
+        "bridged" and "carried" (people).
     fixed_frame : name written as the source of merged skeletons; empty = that of the frames.
+    cameras : source -> (3,) position of the camera in the fixed frame, m. Without it nobody is
+        carried beyond ``bridge``.
 
     Yields
     ------
     One frame per buffer, at the mean time of its messages, people sorted by id. Times never
     decrease: a frame older than the last merged one is counted and left out.
     """
-    return frames_of(merge_blocks(map(Block.of, frames), model, params, events, fixed_frame))
+    blocks = map(Block.of, frames)
+    return frames_of(merge_blocks(blocks, model, params, events, fixed_frame, cameras))
 
 
 def merge_blocks(
@@ -163,13 +176,14 @@ def merge_blocks(
     params: MergeParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
+    cameras: Mapping[str, Floats] | None = None,
 ) -> Iterator[Block]:
     """Do what :func:`merge` does, a block at a time."""
     params = params or MergeParams()
     kernel = _MergeKernel(model, params)
     merger = InstantMerger(
         model, kernel, kernel.bank, events or Events(), fixed_frame, ("outlier", "flip"),
-        params.bridge,
+        Unseen(params.bridge, params.carry, cameras or {}),
     )  # fmt: skip
     for block in merger.run(blocks, params.cameras, params.max_delta_time):
         yield _without_nobody(block) if params.ties == "drop" else block
@@ -190,6 +204,8 @@ class _MergeKernel:
             confidence_power=params.confidence_power,
             robust_scale=params.robust_scale,
             offset_time=params.offset_time,
+            bridge=params.bridge,
+            carry=params.carry,
             pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link),
             facing_by_sides=params.facing != "pelvis",
             relabel=params.flips == "relabel" and symmetry.known,

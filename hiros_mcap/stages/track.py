@@ -10,6 +10,10 @@ Beyond the paper:
   that shows somebody tentative is held for a moment, so that a confirmed person has the id from
   the first detection on (:class:`Delay`).
 - A detection with left and right swapped is compared, and corrects its track, swapped back.
+- A detection that leaps away from its track is left out: a detector distorts people who are about
+  to be hidden. The gate of an unseen track grows.
+- Two tracks of one person are merged. Who comes back gets the old id if it is probable
+  (:mod:`~hiros_mcap.stages.reidentify`).
 - Where every detection is of a confirmed track, one compiled call takes many messages.
 """
 
@@ -45,8 +49,17 @@ from hiros_mcap.skeletons import (
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
 from hiros_mcap.stages.delay import Delay
+from hiros_mcap.stages.reidentify import PersonCues, Verdict, reidentify
 from hiros_mcap.stages.time_order import TimeOrder
 
+_INSISTENCE = 500_000_000  # ns for which a camera's leaps are left out
+_DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person
+_YOUNG = 2_400_000_000  # ns for which a track may be merged into an older one
+_DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
+_NOW = 200_000_000  # ns since the last detection of a person who is there
+_PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
+
+_LEAP = "leap"
 _REASONS = {
     kernels.USABLE: "",
     kernels.NO_MARKERS: "no markers",
@@ -57,6 +70,7 @@ _REASONS = {
 _screen, _predict = direct(kernels.screen), direct(kernels.predict)
 _association_cost, _solve = direct(kernels.association_cost), direct(solve)
 _correct, _centre = direct(kernels.correct), direct(kernels.centre)
+_find_breaks = direct(kernels.find_breaks)
 
 
 class TrackParams(Params):
@@ -90,6 +104,21 @@ class TrackParams(Params):
         ge=0,
         description="Time, s, that a message with a tentative track is held. The person then has "
         "the id from the first detection on. 0 = a live system without delay.",
+    )
+    reidentify: float = Field(
+        30.0,
+        ge=0,
+        description="Longest absence, s, after which a person may get the old id back. Limb "
+        "lengths, place, time and the number of people must make it probable (90 %). With look-"
+        "ahead, the decision waits for 0.8 of it. 0 = whoever comes back has a new id.",
+    )
+    max_jump: float = advanced(
+        0.3,
+        gt=0,
+        description="A detection is left out if its markers are on average farther, m, from their "
+        "track than this, although the track was just seen (plus 3 m/s for longer intervals). "
+        "Detectors distort people who are about to be hidden. A camera that insists for half a "
+        "second is believed. inf = off (paper).",
     )
     min_distance: float = advanced(
         0.25,
@@ -131,6 +160,12 @@ class TrackParams(Params):
         True,
         description="Also compare detections with left and right swapped; needs marker names.",
     )
+    merge_tracks: bool = advanced(
+        True,
+        description="Two tracks that no camera ever showed together, near each other, are one "
+        "person of whom cameras disagree for a moment: the second is not confirmed for 0.8 s, or "
+        "merged into the first.",
+    )
     min_skeleton_confidence: float = advanced(
         0.0, ge=0, le=1, description="Detections with lower confidence are not tracked."
     )
@@ -156,6 +191,12 @@ class TrackParams(Params):
         description="Time, s, after which a track of a single camera is confirmed, unless other "
         "cameras contradict it.",
     )
+    confirm_alone: float = advanced(
+        1.0,
+        ge=0,
+        description="The same of a body that stands still where none of the other cameras looks. "
+        "Beyond the look-ahead, the person has no id at first.",
+    )
     contradiction: float = advanced(
         0.5,
         ge=0,
@@ -171,8 +212,20 @@ class TrackParams(Params):
     horizon: float = advanced(
         0.2,
         gt=0,
-        description="Time, s, for which eq 7 predicts constant velocity. After that it predicts "
-        "standstill.",
+        description="Time, s, for which eq 7 predicts constant velocity. After that velocities "
+        "fade.",
+    )
+    fade: float = advanced(
+        0.3,
+        ge=0,
+        description="Time constant, s, with which velocities fade beyond the horizon. 0 = a track "
+        "stands still there.",
+    )
+    gate_growth: float = advanced(
+        0.75,
+        ge=0,
+        description="Growth of the gate, m/s, while a track is unseen for longer than the horizon, "
+        "up to twice the gate. 0 = off (paper).",
     )
     position_noise: float = advanced(
         0.04, gt=0, description="SD, m, of a marker that one camera reports (raw error 57 mm)."
@@ -216,6 +269,8 @@ class _Support:
     misses: int = 0
     travelled: float = 0.0
     """Greatest distance from the origin so far, m."""
+    lone: bool = False
+    """Whether there are other cameras, none of which has looked at the place."""
 
     def confirms(self, stamp: int, params: TrackParams) -> bool:
         """Whether a track that was last seen at ``stamp``, ns, has enough support."""
@@ -225,8 +280,9 @@ class _Support:
         by_others = total - max(self.reports.values())  # than the camera that reports most
         if by_others >= min(2, params.confirm_detections - 1) > 0:
             return True
-        lasted = (stamp - self.first) * 1e-9 >= params.confirm_seconds
-        return lasted and not self.refuted(params)
+        still = self.lone and self.travelled <= params.min_motion
+        needed = params.confirm_alone if still else params.confirm_seconds
+        return (stamp - self.first) * 1e-9 >= needed and not self.refuted(params)
 
     def refuted(self, params: TrackParams) -> bool:
         """Whether a single camera reports the track, others miss it, and it does not move."""
@@ -250,6 +306,10 @@ class _Track:
     """UNTRACKED while the track is tentative."""
     former_id: int = UNTRACKED
     """The id before it was withdrawn, which the track gets back if it is confirmed again."""
+    beside: set[int] = field(default_factory=set)
+    """Numbers of the persons whom a message showed beside it, before it was certain."""
+    leaps: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Camera to the times, ns, of the first and last of its latest leaps."""
 
     @property
     def confirmed(self) -> bool:
@@ -307,6 +367,8 @@ class _Scene:
 
     shown: set[_Track | None]
     """Tracks that the message shows."""
+    numbers: frozenset[int]
+    """Their numbers."""
     persons: list[_Track]
     """The confirmed tracks."""
     centres: Floats | None = None
@@ -398,7 +460,14 @@ class _Tracker:
         self.numbers, self.ids = itertools.count(), itertools.count()
         symmetry = symmetry_of(model)
         same = np.arange(model.n_markers, dtype=np.int32)
-        self.slots = kernels.SlotOrders(same, symmetry.mirror)
+        ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
+        self.slots = kernels.SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
+        self.heard: dict[str, int] = {}
+        """Camera to the time of its latest message, ns, where it matters."""
+        self.absent: list[PersonCues] = []
+        self.patience = round(_PATIENCE * params.lookahead * 1e9)
+        self.most = 0
+        """Largest number of people who were there at once."""
         self.settings = kernels.TrackSettings._make(
             getattr(params, name) for name in kernels.TrackSettings._fields
         )._replace(flip_aware=params.flip_aware and symmetry.known)
@@ -409,19 +478,26 @@ class _Tracker:
 
     def update(self, group: _DetectionGroup) -> Iterator[_DetectionGroup]:
         """Track the detections of one message (section 3.1.2); yield messages that are decided."""
+        self.heard[group.source] = group.stamp
         self._delete_unseen(group.stamp)  # after t_m
         self._screen(group)  # by confidence
-        for tracks in self._confirmed(), self._tentative():  # persons come first
-            if tracks and group.unmatched:
-                rows = self._predict(tracks, group)  # eq 7
-                self._compare(rows, group)  # eq 6 and 8 to 11
-                self._assign(tracks, group)  # Munkres
-                self._correct(rows, group)  # Kalman filter
-                self._drop_duplicates(tracks, group)
+        self._match(self._confirmed(), group)  # persons come first
+        self._match(self._tentative(), group)
         self._start(group)  # tentative tracks
         self._confirm(group)  # or withdraw the id
         self.delay.push(group.stamp, group)
         return self.delay.release(group.stamp, lambda held: held.decided)
+
+    def _match(self, tracks: list[_Track], group: _DetectionGroup) -> None:
+        """Match the detections that are left with persons, or with tentative tracks."""
+        if not tracks or not group.unmatched:
+            return
+        rows = self._predict(tracks, group)  # eq 7
+        self._compare(rows, group)  # eq 6 and 8 to 11
+        self._assign(tracks, group)  # Munkres
+        self._correct(rows, group)  # Kalman filter
+        if tracks[0].confirmed:
+            self._drop_duplicates(tracks, group)
 
     def take(self, ready: Sequence[tuple[Part, int]]) -> Iterator[_Message]:
         """Track messages, with their log times; yield those that are decided."""
@@ -463,6 +539,7 @@ class _Tracker:
     def _delete_unseen(self, stamp: int) -> None:
         """Delete tracks that nobody saw for t_m; tentative ones sooner."""
         gone: set[_Track] = set()
+        self._forget_absent(stamp)
         for track in self.tracks:
             gap = self.params.max_gap if track.confirmed else self.params.tentative_gap
             if (stamp - track.seen) * 1e-9 > gap:
@@ -470,6 +547,7 @@ class _Tracker:
                 self.bank.forget(track.number)
                 if track.confirmed:
                     self.events.note(track.seen, "track lost", person=track.id)
+                    self.absent.append(self._cues_of(track))
         if gone:
             self.tracks = [track for track in self.tracks if track not in gone]
 
@@ -483,7 +561,7 @@ class _Tracker:
     def _predict(self, tracks: list[_Track], group: _DetectionGroup) -> Stamps:
         """Predict the tracks' poses at the time of the message; return their rows (eq 7)."""
         rows = np.array([track.row for track in tracks], np.int64)
-        _predict(group.stamp, rows, self.bank.past, self.settings.horizon, self.work.predicted)
+        _predict(group.stamp, rows, self.bank.past, self.settings, self.work.predicted)
         return rows
 
     def _compare(self, rows: Stamps, group: _DetectionGroup) -> None:
@@ -494,11 +572,17 @@ class _Tracker:
         _association_cost(rows, group.people, self.bank.past, self.slots, self.settings, self.work)
 
     def _assign(self, tracks: list[_Track], group: _DetectionGroup) -> None:
-        """Give detections to tracks at the least total cost."""
+        """Give detections to tracks at the least total cost; leave out those that leap."""
         pairs, n_people = self.work.pairs, len(group.tracks)
         _solve(pairs.cost, len(tracks), n_people, self.work.assignment, pairs.match)
+        _find_breaks(n_people, self.work, self.settings)
         for j, i in enumerate(pairs.match[:n_people].tolist()):
-            if i >= 0:
+            if i < 0:
+                continue
+            if pairs.broken[j] and tracks[i].confirmed and _is_sudden(tracks[i], group):
+                pairs.match[j] = -1
+                group.reasons[j] = _LEAP
+            else:
                 group.give(j, tracks[i])
 
     def _correct(self, rows: Stamps, group: _DetectionGroup) -> None:
@@ -552,21 +636,29 @@ class _Tracker:
     def _confirm(self, group: _DetectionGroup) -> None:
         """Weigh what the message says about every track that is not certain yet."""
         due = self.coverage.is_due(group.source, group.stamp)
-        scene = _Scene(set(group.tracks), self._confirmed())
-        for track in self.tracks:
+        shown = set(group.tracks)
+        numbers = frozenset(track.number for track in shown if track is not None)
+        scene = _Scene(shown, numbers, self._confirmed())
+        for track in list(self.tracks):
+            if track.number not in self.bank.rows:  # merged into another one by now
+                continue
             if not track.certain:
-                self._weigh(track, group.source, scene)
+                self._weigh(track, group, scene)
                 self._decide(track, group, scene)
+                self._merge_into_person(track, group, scene)
             elif due and track in scene.shown:
                 self.coverage.learn(group.source, self._centre(track), group.stamp)
 
-    def _weigh(self, track: _Track, source: str, scene: _Scene) -> None:
+    def _weigh(self, track: _Track, group: _DetectionGroup, scene: _Scene) -> None:
         """Add the support, or the contradiction, of a camera's message."""
-        support = track.support
+        support, source = track.support, group.source
         if track in scene.shown:
             support.reports[source] = support.reports.get(source, 0) + 1
             moved = float(np.linalg.norm(self._centre(track) - support.origin))
             support.travelled = max(support.travelled, moved)
+            support.lone = support.misses == 0 and self._hears_others(group)
+            if group.stamp - support.first < _YOUNG:
+                track.beside |= scene.numbers
         elif source not in support.reports and self._ought_to_see(source, track, scene):
             support.misses += 1
 
@@ -580,21 +672,155 @@ class _Tracker:
         elif (
             not track.confirmed
             and support.confirms(track.seen, self.params)
-            and not self._is_duplicate(track, scene)
+            and not self._is_duplicate(track, group.stamp, scene)
         ):
-            track.id = next(self.ids) if track.former_id == UNTRACKED else track.former_id
-            scene.admit(track)
-            self.events.note(
-                group.stamp, "track born", person=track.id, source=group.source,
-                detail=f"seen by {', '.join(sorted(support.reports))}",
-            )  # fmt: skip
+            self._name(track, group, scene)
 
-    def _is_duplicate(self, track: _Track, scene: _Scene) -> bool:
-        """Whether a tentative track lies on a person: a second view, nobody new."""
+    def _name(self, track: _Track, group: _DetectionGroup, scene: _Scene) -> None:
+        """Confirm a track: give it an old or a new id, once enough is known of the person."""
+        kind, remark = "track born", ""
+        if track.former_id == UNTRACKED and self._somebody_absent(track):
+            if group.stamp - track.support.first < self.patience:
+                return
+            verdict = self._reidentify(track, scene)
+            if verdict.accepted:
+                kind, remark = "person re-identified", f"; by {verdict}"
+                self._restore(track, verdict.person, scene)
+            else:
+                remark = f"; not re-identified ({verdict})"
+        track.id = next(self.ids) if track.former_id == UNTRACKED else track.former_id
+        scene.admit(track)
+        self.most = max(self.most, self._count(scene, group.stamp))
+        self.events.note(
+            group.stamp, kind, person=track.id, source=group.source,
+            detail=f"seen by {', '.join(sorted(track.support.reports))}{remark}",
+        )  # fmt: skip
+
+    def _count(self, scene: _Scene, stamp: int) -> int:
+        """Count the persons who are there."""
+        return sum(self._is_there(person, stamp) for person in scene.persons)
+
+    def _is_duplicate(self, track: _Track, stamp: int, scene: _Scene) -> bool:
+        """Whether a tentative track is a second view of a person, nobody new.
+
+        It lies on the person; or it is near one whom no camera has shown beside it: the cameras
+        may disagree for a moment.
+        """
+        distances = self._distances(track, scene)
+        if (distances < self.params.min_distance).any():
+            return True
+        if not self.params.merge_tracks or stamp - track.support.first >= _DOUBT:
+            return False
+        near = np.flatnonzero(distances < _DOUBTFUL * self.params.max_distance)
+        return any(self._hides(scene.persons[i], track, stamp) for i in near.tolist())
+
+    def _hears_others(self, group: _DetectionGroup) -> bool:
+        """Whether other cameras send messages at this time."""
+        return any(
+            group.stamp - stamp < _INSISTENCE
+            for source, stamp in self.heard.items()
+            if source != group.source
+        )
+
+    def _hides(self, person: _Track, track: _Track, stamp: int) -> bool:
+        """Whether a person is there whom no camera has shown beside a track."""
+        return self._is_there(person, stamp) and person.number not in track.beside
+
+    def _distances(self, track: _Track, scene: _Scene) -> Floats:
+        """Mean distance, m, of a track from each person."""
         others = [person.row for person in scene.persons]
         positions, distances = self.bank.past.positions, np.empty((1, len(others)))
         mean_distances(positions[[track.row]], positions[others], distances)
-        return bool((distances < self.params.min_distance).any())
+        row: Floats = distances[0]
+        return row
+
+    def _merge_into_person(self, track: _Track, group: _DetectionGroup, scene: _Scene) -> None:
+        """Merge a young person who is seen no more into the older one who was the same all along.
+
+        Cameras that disagreed now agree, and no camera ever showed both.
+        """
+        if not (self.params.merge_tracks and track.confirmed):
+            return
+        if group.stamp - track.support.first >= _YOUNG or self._is_there(track, group.stamp):
+            return
+        for person, distance in zip(scene.persons, self._distances(track, scene), strict=True):
+            is_older = person.support.first < track.support.first
+            is_near = distance < _DOUBTFUL * self.params.max_distance
+            if is_older and is_near and self._hides(person, track, group.stamp):
+                self._remove(track, scene)
+                detail = f"was person {track.id}"
+                self.events.note(group.stamp, "tracks merged", person=person.id, detail=detail)
+                track.id = person.id  # also in messages that are held
+                return
+
+    def _is_there(self, track: _Track, stamp: int) -> bool:
+        return stamp - track.seen < _NOW
+
+    def _remove(self, track: _Track, scene: _Scene) -> None:
+        """Delete a person's track, another one having taken its place."""
+        scene.dismiss(track)
+        self.tracks.remove(track)
+        self.bank.forget(track.number)
+
+    # Re-identification
+
+    def _cues_of(self, track: _Track) -> PersonCues:
+        past, row = self.bank.past, track.row
+        lengths, counts = past.lengths[row].copy(), past.length_counts[row].copy()
+        return PersonCues(track.id, track.seen, self._centre(track), lengths, counts)
+
+    def _forget_absent(self, stamp: int) -> None:
+        """Forget people who left too long ago."""
+        longest = self.params.reidentify * 1e9
+        if self.absent and stamp - self.absent[0].stamp > longest:
+            self.absent = [old for old in self.absent if stamp - old.stamp <= longest]
+
+    def _is_unseen_since(self, person: _Track, track: _Track) -> bool:
+        """Whether a person was last seen before a track began, and not for a while."""
+        return person.seen < track.support.first and not self._is_there(person, track.seen)
+
+    def _somebody_absent(self, track: _Track) -> bool:
+        """Whether a newcomer may be anybody known."""
+        if not self.params.reidentify:
+            return False
+        return any(old.stamp < track.support.first for old in self.absent) or any(
+            each.confirmed and self._is_unseen_since(each, track) for each in self.tracks
+        )
+
+    def _absent_before(self, track: _Track, scene: _Scene) -> list[PersonCues]:
+        """Whoever left, or is unseen, since before a track began, oldest first."""
+        left = [old for old in self.absent if old.stamp < track.support.first]
+        unseen = [each for each in scene.persons if self._is_unseen_since(each, track)]
+        return sorted([*left, *map(self._cues_of, unseen)], key=lambda old: old.stamp)
+
+    def _reidentify(self, track: _Track, scene: _Scene) -> Verdict:
+        """Weigh whether a newcomer is one of the absent people, with all other newcomers."""
+        others = [each for each in self._tentative() if each is not track]
+        rivals = [each for each in others if each.support.confirms(each.seen, self.params)]
+        newcomers = [
+            replace(
+                self._cues_of(each),
+                person=each.number,
+                stamp=each.support.first,
+                place=each.support.origin,
+            )
+            for each in [track, *rivals]
+        ]
+        missing = self.most - self._count(scene, track.seen)
+        return reidentify(newcomers, self._absent_before(track, scene), missing)[track.number]
+
+    def _restore(self, track: _Track, person: int, scene: _Scene) -> None:
+        """Give a newcomer the id of an absent person; what is known of the limbs is joined."""
+        past, row = self.bank.past, track.row
+        (old,) = [each for each in self._absent_before(track, scene) if each.person == person]
+        counts = old.counts + past.length_counts[row]
+        total = old.counts * old.lengths + past.length_counts[row] * past.lengths[row]
+        past.lengths[row] = total / np.maximum(counts, 1.0)
+        past.length_counts[row] = counts
+        track.former_id = person
+        self.absent = [each for each in self.absent if each.person != person]
+        for each in [each for each in scene.persons if each.id == person]:
+            self._remove(each, scene)
 
     def _ought_to_see(self, source: str, track: _Track, scene: _Scene) -> bool:
         if scene.centres is None:
@@ -650,6 +876,15 @@ class _Tracker:
             return len(block)
         late = block.stamps[place:] - seen >= int(self.params.max_gap * 1e9)
         return place + int(late.argmax()) if late.any() else len(block)
+
+
+def _is_sudden(track: _Track, group: _DetectionGroup) -> bool:
+    """Note a camera's leap away from a track; return whether it has not insisted for long."""
+    first, last = track.leaps.get(group.source, (group.stamp, group.stamp))
+    if group.stamp - last > _INSISTENCE:
+        first = group.stamp
+    track.leaps[group.source] = first, group.stamp
+    return group.stamp - first < _INSISTENCE
 
 
 def _own_block(ready: Sequence[tuple[Part, int]]) -> Block:

@@ -16,7 +16,9 @@ def hiros(run: Run) -> Stages:
     config = run.config
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
-        "merged": run.stage(merge_blocks, config.merge, fixed_frame=run.fixed_frame),  # 3.2
+        "merged": run.stage(
+            merge_blocks, config.merge, fixed_frame=run.fixed_frame, cameras=run.cameras
+        ),  # 3.2
         "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
         "filtered": run.stage(filter_blocks, config.filter),  # 3.4
     }

@@ -38,7 +38,10 @@ from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.track import TrackParams, track
 
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
-AT_ONCE = TrackParams(confirm_detections=1, confirm_seconds=0.0, reorder=0.0, lookahead=0.0)
+AT_ONCE = TrackParams(
+    confirm_detections=1, confirm_seconds=0.0, confirm_alone=0.0, reorder=0.0, lookahead=0.0,
+    max_jump=math.inf, gate_growth=0.0, merge_tracks=False, reidentify=0.0,
+)  # fmt: skip
 CAMERAS = {name: np.array([x, y, 2.0]) for name, x, y in (("a", 4, 0), ("b", -4, 0), ("c", 0, 4))}
 
 
@@ -73,10 +76,18 @@ def compared(
     rows, work = np.arange(len(tracks.seen)), tracking.TrackWork.allocate(len(tracks.seen), p, m, n)
     work.pairs.wanted.fill(True)
     same = np.arange(m, dtype=np.int32)
-    tracking.predict(SECOND, rows, tracks, used.horizon, work.predicted)
-    slots = tracking.SlotOrders(same, same)
+    tracking.predict(SECOND, rows, tracks, used, work.predicted)
+    slots = tracking.SlotOrders(same, same, np.empty((0, 2), np.int32))
     tracking.association_cost(rows, people, tracks, slots, used, work)
     return work.pairs
+
+
+def predicted_at(stamp: int, tracks: tracking.Tracks, **changes: float) -> tracking.PredictedTracks:
+    """Eq 7 of the first track."""
+    m, n = tracks.seen.shape[1], tracks.links_seen.shape[1]
+    predicted = tracking.TrackWork.allocate(1, 1, m, n).predicted
+    tracking.predict(stamp, np.zeros(1, np.int64), tracks, settings(**changes), predicted)
+    return predicted
 
 
 def tracks_at(positions: Floats, orientations: Floats) -> tracking.Tracks:
@@ -220,8 +231,7 @@ def test_constant_velocity_is_predicted_exactly(seed: int) -> None:
     tracks = tracks_at(rng.normal(size=(1, 1, 3)), start.as_quat()[None, None])
     tracks.velocities[:], tracks.angular_velocities[:] = rng.normal(size=3), twist
     step = int(rng.integers(0, SECOND // 2))
-    predicted = tracking.PredictedTracks(np.empty((1, 1, 3)), np.empty((1, 1, 4)))
-    tracking.predict(SECOND + step, np.zeros(1, np.int64), tracks, 1.0, predicted)
+    predicted = predicted_at(SECOND + step, tracks, horizon=1.0)
     dt = step * 1e-9
     expected = Rotation.from_rotvec(dt * twist) * start
     assert predicted.positions == pytest.approx(tracks.positions + dt * tracks.velocities, abs=1e-9)
@@ -546,7 +556,7 @@ def test_what_is_left_out_is_counted(change: Callable[[Frame], None], reason: st
 def test_frames_are_not_changed_and_memory_of_the_gone_is_freed() -> None:
     frames = [seen([person(3.0 * (k // 60))], at(k + 60 * (k // 60))) for k in range(600)]
     before = [frame.markers.copy() for frame in frames]
-    tracked = list(track(frames, MODEL))
+    tracked = list(track(frames, MODEL, TrackParams(reidentify=0.0)))
     assert all(
         np.array_equal(f.markers, b, equal_nan=True) for f, b in zip(frames, before, strict=True)
     )
@@ -678,9 +688,27 @@ def test_assignment_with_forbidden_pairs_is_largest_and_then_cheapest() -> None:
 def test_prediction_stands_still_beyond_the_horizon() -> None:
     tracks = tracks_at(np.zeros((1, 1, 3)), about_z(0.0)[None])
     tracks.velocities[0, 0, 0] = 2.0
-    predicted = tracking.PredictedTracks(np.empty((1, 1, 3)), np.empty((1, 1, 4)))
-    tracking.predict(3 * SECOND, np.zeros(1, np.int64), tracks, 0.2, predicted)
+    predicted = predicted_at(3 * SECOND, tracks, horizon=0.2, fade=0.0)
     assert predicted.positions[0, 0] == pytest.approx([0.4, 0, 0])
+
+
+def test_the_limbs_stop_at_the_horizon_and_the_body_fades_to_a_stop() -> None:
+    tracks = tracks_at(np.zeros((1, 2, 3)), about_z(0.0)[None])
+    tracks.velocities[0, :, 0] = 1.0, 3.0  # the body: 2 m/s
+    soon = predicted_at(SECOND + 300_000_000, tracks, horizon=0.2, fade=0.3)
+    late = predicted_at(60 * SECOND, tracks, horizon=0.2, fade=0.3)
+    fading = 2.0 * 0.3 * (1 - math.exp(-1 / 3))
+    assert soon.positions[0, :, 0] == pytest.approx([0.2 + fading, 0.6 + fading])
+    assert late.positions[0, :, 0] == pytest.approx([0.2 + 0.6, 0.6 + 0.6])
+
+
+def test_the_gate_of_an_unseen_track_grows_up_to_twice_its_size() -> None:
+    tracks = tracks_at(np.zeros((1, 1, 3)), about_z(0.0)[None])
+    gates = [
+        predicted_at(SECOND + ms * 1_000_000, tracks, max_distance=0.6, horizon=0.2).gates[0]
+        for ms in (0, 200, 600, 1000, 3000)
+    ]
+    assert gates == pytest.approx([0.6, 0.6, 0.9, 1.2, 1.2])
 
 
 def test_a_track_out_of_reach_is_not_moved() -> None:

@@ -1,0 +1,248 @@
+"""People keep their ids around occlusions and absences, and nobody is there twice."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from stick_figures import MODEL, SECOND, START, at, person, seen
+
+from hiros_mcap.config import load_config
+from hiros_mcap.events import Event, Events
+from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.stages.merge import MergeParams, merge
+from hiros_mcap.stages.reidentify import PersonCues, limb_cue, place_cue, reidentify
+from hiros_mcap.stages.track import TrackParams, track
+from hiros_mcap.stages.unseen import Unseen
+
+CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
+TALL = 1.1
+
+
+def ids(frames: Sequence[Frame], params: TrackParams | None = None) -> list[list[int]]:
+    return [f.ids.tolist() for f in track(frames, MODEL, params, cameras=CAMERAS)]
+
+
+def events_of(frames: Sequence[Frame], params: TrackParams | None = None) -> list[Event]:
+    events = Events()
+    list(track(frames, MODEL, params, events, CAMERAS))
+    return events.log
+
+
+def kinds(log: Sequence[Event]) -> list[str]:
+    return [event.kind for event in log]
+
+
+def standing(
+    people: Sequence[Floats], start: float, end: float, cameras: str = "ab"
+) -> list[Frame]:
+    """What cameras report of people who stand still, s."""
+    steps = range(round(start * 30), round(end * 30))
+    return [seen(people, at(k, c), name) for k in steps for c, name in enumerate(cameras)]
+
+
+# Occlusions
+
+
+def distorted(shift: float) -> Floats:
+    """Somebody whose body the detector moves, m, and lets sink to the floor."""
+    return person(shift) * [1.0, 1.0, 0.7]
+
+
+def test_a_detection_that_leaps_is_left_out_and_does_not_spoil_the_track() -> None:
+    """Distorted for two frames, then hidden: the person comes back near the old place."""
+    before, after = standing([person()], 0, 1, "a"), standing([person(0.1)], 1.5, 2, "a")
+    leaps = [seen([distorted(0.3)], at(30), "a"), seen([distorted(-0.4)], at(31), "a")]
+    assert ids([*before, *leaps, *after]) == [[0]] * 30 + [[-1]] * 2 + [[0]] * 15
+    events = Events()
+    list(track([*before, *leaps, *after], MODEL, events=events))
+    assert events.counts["leap", "a"] == 2
+
+
+def test_a_camera_that_insists_on_a_leap_is_believed() -> None:
+    frames = [*standing([person()], 0, 1), *standing([person(0.45)], 1, 3)]
+    found = ids(frames)
+    assert found[60] == [-1]
+    assert found[-1] == [0]
+
+
+@pytest.mark.parametrize(("growth", "expected"), [(0.0, 1), (0.75, 0)])
+def test_somebody_who_walks_while_hidden_keeps_the_id(growth: float, expected: int) -> None:
+    """1.2 m/s, hidden for 0.9 s. Without a growing gate there is a new track."""
+    steps = [k for k in range(90) if not 30 <= k < 57]
+    frames = [seen([person(0.04 * k)], at(k), "a") for k in steps]
+    params = TrackParams(gate_growth=growth, fade=growth, reidentify=0.0)
+    assert ids(frames, params)[-1] == [expected]
+
+
+def test_a_gate_that_has_grown_takes_no_second_view_of_somebody_else() -> None:
+    two = standing([person(), person(0.9)], 0, 1, "a")
+    one = [seen([person(), person(0.0, 0.2)], at(k), "a") for k in range(45, 60)]
+    assert ids([*two, *one])[30:] == [[0, -1]] * 15
+
+
+def behind(depth: float, start: float, end: float) -> list[Frame]:
+    """Somebody at the origin, hidden from both cameras by people in front of them."""
+    front = [person(-depth, 0.0), person(0.0, -depth)]
+    frames = standing([person(), *front], 0, 2)
+    frames += standing(front, 2, 2 + start)
+    return frames + standing([person(), *front], 2 + start, end)
+
+
+def merged_people(frames: Sequence[Frame], params: MergeParams | None = None) -> list[list[float]]:
+    """Confidences of person 0 in the merged frames between 2 s and the end."""
+    tracked = track(frames, MODEL, cameras=CAMERAS)
+    merged = merge(tracked, MODEL, params, cameras=CAMERAS)
+    return [f.marker_confidences[f.ids == 0, 0].tolist() for f in merged if f.stamp >= at(60)]
+
+
+def test_whom_others_hide_goes_on_for_a_second_with_falling_confidence() -> None:
+    confidences = merged_people(behind(0.8, 1.4, 3.5))
+    hidden = [each[0] for each in confidences[:29]]
+    assert all(later <= sooner for sooner, later in itertools.pairwise(hidden))
+    assert hidden[2] == 1.0
+    assert 0.0 < hidden[27] < 0.1
+    assert confidences[31:41] == [[]] * 10
+    assert confidences[-1] == [1.0]
+
+
+def test_nobody_is_carried_whom_a_camera_should_see() -> None:
+    confidences = merged_people(behind(0.8, 1.4, 3.5), MergeParams(carry=0.0))
+    alone = standing([person()], 0, 2) + standing([], 2, 3)
+    assert confidences[5:40] == [[]] * 35
+    assert merged_people(alone)[5:] == [[]] * 25
+
+
+def test_people_who_left_are_not_remembered_for_ever() -> None:
+    unseen = Unseen(0.1, 1.0, CAMERAS)
+    for k in range(50):
+        shown = seen([person()], at(30 * k), ids=[k])
+        unseen.see(shown.stamp, "a", shown.people, range(1))
+        unseen.go_on(shown.stamp, {k}, {k: shown.stamp})
+    assert len(unseen._views) == len(unseen._reported) == 1
+
+
+# Two tracks of one person, phantoms
+
+
+def test_nobody_is_there_twice_while_cameras_disagree() -> None:
+    """Camera b sees the person 0.75 m off for 0.4 s, then camera a stops."""
+    frames = [
+        seen([person(0.75 if c and 40 <= k < 52 else 0.0)], at(k, c), "ab"[c])
+        for k in range(90)
+        for c in range(2)
+    ]
+    assert {i for each in ids(frames) for i in each} <= {-1, 0}
+    assert ids(frames)[-1] == [0]
+
+
+def test_two_tracks_that_no_camera_showed_together_become_one() -> None:
+    """Camera b sees somebody who walks 0.85 m off for a second. Then it agrees."""
+    frames = [
+        seen([person(0.02 * k, 0.85 if c and 40 <= k < 70 else 0.0)], at(k, c), "ab"[c])
+        for k in range(120)
+        for c in range(2)
+    ]
+    (merged,) = [event for event in events_of(frames) if event.kind == "tracks merged"]
+    assert (merged.person, merged.detail) == (0, "was person 1")
+    assert ids(frames)[-1] == [0]
+
+
+@pytest.mark.parametrize(("seconds", "people"), [(0.8, 1), (1.3, 2)])
+def test_a_still_body_where_only_one_camera_looks_needs_a_second(
+    seconds: float, people: int
+) -> None:
+    frames = standing([person()], 0, 2)
+    for k in range(60, 150):
+        body = [person(4.0, 4.0)] if k < 60 + 30 * seconds else []
+        frames += [seen([person(), *body], at(k, 0), "a"), seen([person()], at(k, 1), "b")]
+    assert len({i for each in ids(frames) for i in each} - {-1}) == people
+
+
+# Re-identification
+
+
+def away(seconds: float, before: Sequence[Floats], after: Sequence[Floats]) -> list[Frame]:
+    """Two seconds of people, an absence, and two seconds of people."""
+    return standing(before, 0, 2) + standing(after, 2 + seconds, 4 + seconds)
+
+
+def test_who_comes_back_has_the_old_id_from_the_first_detection_on() -> None:
+    frames = away(5.0, [person()], [person(1.0)])
+    assert ids(frames) == [[0]] * 240
+    found = [event for event in events_of(frames) if event.kind == "person re-identified"]
+    assert [event.person for event in found] == [0]
+    assert found[0].detail.startswith("seen by a, b; by ")
+    assert found[0].detail.endswith("% person 0")
+
+
+def test_somebody_of_another_size_has_a_new_id() -> None:
+    frames = away(5.0, [person()], [person() * TALL])
+    assert ids(frames)[-1] == [1]
+    assert "not re-identified" in events_of(frames)[-1].detail
+
+
+def test_two_people_who_leave_and_change_places_are_told_apart_by_their_limbs() -> None:
+    shift = np.array([2.0, 0.0, 0.0])
+    short, tall = person(-1.0), person() * TALL + shift / 2
+    frames = away(4.0, [short, tall], [tall - shift, short + shift])
+    assert ids(frames)[-1] == [1, 0]
+
+
+def test_two_people_who_are_alike_get_new_ids_rather_than_each_others() -> None:
+    frames = away(8.0, [person(-0.5), person(0.5)], [person(0.0, -0.5), person(0.0, 0.5)])
+    assert ids(frames)[-1] == [2, 3]
+
+
+@pytest.mark.parametrize("absence", [29.0, 31.0])
+def test_nobody_is_remembered_for_longer_than_the_parameter_says(absence: float) -> None:
+    expected = 0 if absence < TrackParams().reidentify else 1
+    assert ids(away(absence, [person()], [person()]))[-1] == [expected]
+
+
+@pytest.mark.parametrize("system", ["hiros-realtime", "lee"])
+def test_realtime_and_the_papers_give_new_ids_unless_asked(system: str) -> None:
+    frames = away(5.0, [person()], [person()])
+    plain = load_config(system=system).track
+    asked = load_config(system=system, overrides=["track.reidentify=30"]).track
+    assert ids(frames, plain)[-1] == [1]
+    assert ids(frames, asked)[-1] == [0]
+
+
+def cues(
+    person_id: int, seconds: float, x: float, size: float = 1.0, n: float = 30.0
+) -> PersonCues:
+    lengths = size * np.array([0.5, 0.3, 0.3, 0.4, 0.4])
+    stamp = START + round(seconds * SECOND)
+    return PersonCues(person_id, stamp, np.array([x, 0.0, 1.0]), lengths, np.full(5, n))
+
+
+def test_each_cue_speaks_for_whom_it_fits() -> None:
+    old = cues(0, 0.0, 0.0)
+    assert limb_cue(cues(9, 5.0, 0.0), old) > 0 > limb_cue(cues(9, 5.0, 0.0, TALL), old)
+    assert limb_cue(cues(9, 5.0, 0.0, n=0.0), old) == 0.0
+    assert place_cue(cues(9, 2.0, 0.0), old) > 0 > place_cue(cues(9, 2.0, 6.0), old)
+    assert place_cue(cues(9, 0.1, 2.0), old) == -math.inf
+
+
+def test_nobody_runs_faster_than_people_do() -> None:
+    verdict = reidentify([cues(9, 0.1, 2.0)], [cues(0, 0.0, 0.0)], missing=1)[9]
+    assert verdict.probability == 0.0
+    assert not verdict.accepted
+
+
+def test_an_old_id_is_given_once_at_most() -> None:
+    """Both newcomers fit the one who is absent: together they can't be him."""
+    verdicts = reidentify([cues(8, 5.0, 0.0), cues(9, 5.0, 0.1)], [cues(0, 0.0, 0.0)], 1)
+    assert sum(verdict.probability for verdict in verdicts.values()) <= 1.0
+    assert not any(verdict.accepted for verdict in verdicts.values())
+
+
+def test_the_number_of_people_tips_the_balance() -> None:
+    newcomer, old = [cues(9, 10.0, 2.0, n=0.0)], [cues(0, 0.0, 0.0, n=0.0)]
+    missing, complete = (reidentify(newcomer, old, n)[9].probability for n in (1, 0))
+    assert missing > 0.8 > 0.6 > complete
+    assert reidentify(newcomer, old, 1)[9].cue == "number of people"
