@@ -13,7 +13,15 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle, multiply
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.calibrate.joint_refinement import (
+    Points,
+    free_unknowns,
+    normal_equations,
+    residuals_of,
+    standard_errors,
+)
 from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
+from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import Simulation
@@ -24,7 +32,7 @@ CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 
 @pytest.fixture(scope="module")
 def scene() -> Simulation:
-    return simulated(cameras=3, seed=3)
+    return simulated(cameras=3, seed=3, action="eight")
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +141,35 @@ def test_another_person_in_each_camera_is_not_believed(scene: Simulation, tmp_pa
     frames += [frame for frame in other.detections if frame.source == "camera_1"]
     found = calibrated(write(tmp_path / "lab.mcap", frames, scene.model))
     assert {camera.verdict for camera in found.cameras} <= {"doubtful", "impossible"}
+
+
+def test_who_walks_round_and_round_on_another_clock_may_be_a_stranger(tmp_path: Path) -> None:
+    round_and_round = simulated(cameras=2, seed=3, action="walk")
+    for seconds, verdict in ((0.0, "good"), (0.8, "doubtful")):
+        frames = [
+            late(frame, seconds * (frame.source == "camera_1"))
+            for frame in round_and_round.detections
+        ]
+        found = calibrated(write(tmp_path / "lab.mcap", frames, round_and_round.model))
+        assert found.verdict == verdict, found.reason
+
+
+def test_standard_errors_hold_where_errors_last() -> None:
+    rng = np.random.default_rng(0)
+    ratios = []
+    for _ in range(20):
+        seconds, joints = np.repeat(np.arange(60) / 2.0, 20), np.tile(np.arange(20), 60)
+        truth = rng.uniform(-1.0, 1.0, (1200, 3)) + [0.0, 0.0, 3.0]
+        lasting = rng.normal(0, 0.01, (2, 20, 3))[:, joints]
+        seen = truth + lasting + rng.normal(0, 0.005, (2, 1200, 3))
+        points = Points(seconds, joints * 0, joints, seen, np.zeros_like(seen), np.ones((2, 1200)))
+        free = free_unknowns(2, clocks=False)
+        rig = Rig.alone(2)
+        residuals = residuals_of(points, rig)
+        hessian, slopes = normal_equations(residuals, seconds, free)
+        step = np.linalg.solve(hessian, slopes[0])
+        ratios.append(step / standard_errors(residuals, points, free)[free])
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.3
 
 
 def test_somebody_who_stands_still_tells_no_clock(scene: Simulation, tmp_path: Path) -> None:
