@@ -24,10 +24,10 @@ def cameras_toml(found: PeopleCalibration | BallCalibration) -> str:
     for camera in found.cameras:
         if camera.pose is not None:
             lines += ["", *_camera(camera, camera.pose, frame)]
-    known = [camera for camera in found.cameras if not math.isnan(camera.clock_s)]
+    known = {c.name: c.clock_s for c in found.cameras if not math.isnan(c.clock_s)}
     if known:
         lines += ["", "[clock]  # s to add to the stamps of each camera"]
-    lines += [f"{_text(camera.name)} = {camera.clock_s:.4f}" for camera in known]
+    lines += [f"{_text(name)} = {seconds:.4f}" for name, seconds in known.items()]
     return "\n".join([*lines, ""])
 
 
@@ -37,13 +37,17 @@ def _camera(camera: CalibratedCamera | BallCamera, pose: Rigid, parent: str) -> 
         comment += "; the pose is the log's"
     elif not math.isnan(camera.error_deg):
         comment += f"; standard error {camera.error_deg:.2f} degrees, {camera.error_mm:.0f} mm"
-    return [
+    since = getattr(camera, "since", 0)
+    lines = [
         f"[[camera]]  # {comment}",
         f"frame = {_text(camera.frame)}",
         f"parent = {_text(parent)}",
         f"translation = [{', '.join(f'{x:.5f}' for x in pose.translation)}]  # m",
         f"quaternion_xyzw = [{', '.join(f'{x:.7f}' for x in pose.xyzw)}]",
     ]
+    if since:
+        lines.append(f"since = {since}  # ns since 1970, log time: the camera was moved then")
+    return lines
 
 
 def _said(verdict: str, reason: str) -> str:

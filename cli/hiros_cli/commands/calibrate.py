@@ -31,6 +31,10 @@ def people(
             "--output", "-o", metavar="FILE", help="Write poses and clocks, for --extrinsics."
         ),
     ] = None,
+    write_log: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a copy of the log with poses and right stamps."),
+    ] = None,
     topic: Annotated[
         list[str] | None,
         typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
@@ -47,15 +51,18 @@ def people(
     from hiros_cli.output import check_outputs, print_json, warn
 
     log.stat()
-    check_outputs((output, "camera file"), inputs=(log,), force=force)
+    check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json, roots=("hiros_mcap.calibrate.people",))
     from hiros_cli.calibration_report import show_calibration
     from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.calibrate.corrected_log import write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.io.log import open_log
 
     with open_log(log, topics=topic) as opened:
         found = calibrate_people(opened)
+        if write_log is not None and found.verdict != "impossible":
+            write_corrected_log(opened, found, write_log)
     doubt = found.verdict == "doubtful"
     warnings = [f"{log}: the poses are doubtful: {found.reason}"] if doubt else []
     if found.verdict == "impossible":
