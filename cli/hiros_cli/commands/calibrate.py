@@ -140,7 +140,8 @@ def noise(
 ) -> None:
     """Measure the detectors' noise; print it as TOML for --config.
 
-    Only --system malaguti uses this parameter.
+    Only --system malaguti uses this parameter. The comments give the white noise by camera, joint,
+    range and confidence.
     """
     from hiros_cli.compiling import prepare
     from hiros_cli.output import print_json, warn
@@ -149,6 +150,7 @@ def noise(
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
     from hiros_mcap.calibrate.noise import measure_noise
+    from hiros_mcap.calibrate.noise_model import measure_noise_model
     from hiros_mcap.io.log import open_log
     from hiros_mcap.stages.associate import associate
     from hiros_mcap.summary import number
@@ -156,12 +158,19 @@ def noise(
     with open_log(log) as opened:
         start = opened.span[0]
         detections = opened.detections()
-        frames = (
+        frames = [
             frame
             for frame in associate(detections, opened.model)
             if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
-        )
+        ]
         found = measure_noise(frames, opened.model)
+        places = {
+            name: pose.translation
+            for camera in opened.cameras
+            if (pose := opened.pose_of(camera)) is not None
+            for name in camera.sources.values()
+        }
+        white = measure_noise_model(frames, opened.model, places)
     if not found.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     warnings = []
@@ -175,12 +184,15 @@ def noise(
     if json:
         from hiros_mcap.summary import plain
 
-        print_json("calibrate.noise", plain(found), warnings)
+        print_json("calibrate.noise", {**plain(found), "white": plain(white)}, warnings)
         return
     print(f"# {found.detections} detections; SD per axis of a joint about its mean, mm")
     for kind, table in (("camera", found.cameras), ("joint", found.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
+    if white.joints:
+        print("# White noise, which is new in every frame:")
+        print("\n".join(f"# {line}".rstrip() for line in white.toml().splitlines()))
     if found.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion with --window")
     print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")
