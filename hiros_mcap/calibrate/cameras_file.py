@@ -7,17 +7,19 @@ import math
 from pathlib import Path
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.ball_poses import BallCalibration, BallCamera
-from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
+from hiros_mcap.calibrate.ball_poses import BallCalibration
+from hiros_mcap.calibrate.board import BoardReport
+from hiros_mcap.calibrate.camera_result import CameraResult
+from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
 
 
-def save_cameras(path: Path, found: PeopleCalibration | BallCalibration) -> None:
+def save_cameras(path: Path, found: PeopleCalibration | BallCalibration | BoardReport) -> None:
     """Write the file, or nothing at all; raises LogError if it cannot be written."""
     write_text(path, CAMERAS_MARK + cameras_toml(found))
 
 
-def cameras_toml(found: PeopleCalibration | BallCalibration) -> str:
+def cameras_toml(found: PeopleCalibration | BallCalibration | BoardReport) -> str:
     """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
     frame = found.fixed_frame
     lines = [f"# verdict: {_said(found.verdict, found.reason)}"]
@@ -31,7 +33,7 @@ def cameras_toml(found: PeopleCalibration | BallCalibration) -> str:
     return "\n".join([*lines, ""])
 
 
-def _camera(camera: CalibratedCamera | BallCamera, pose: Rigid, parent: str) -> list[str]:
+def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
     comment = _said(camera.verdict, camera.reason)
     if camera.verdict == "impossible":
         comment += "; the pose is the log's"

@@ -56,7 +56,7 @@ class NoiseModel:
         return "\n".join(lines)
 
 
-class _Samples(NamedTuple):
+class _Differences(NamedTuple):
     """N second differences of a joint's positions."""
 
     cameras: Stamps
@@ -79,7 +79,7 @@ def measure_noise_model(
     frames : with ids, in the fixed frame. places : camera -> (3,) its position there, m.
     """
     names = sorted(places)
-    samples = _samples(frames, model, places, names)
+    samples = _differences(frames, model, places, names)
     rows = _cells(samples)
     if rows is None:
         nan = float("nan")
@@ -108,9 +108,9 @@ def measure_noise_model(
     )
 
 
-def _samples(
+def _differences(
     frames: Iterable[Frame], model: SkeletonModel, places: Mapping[str, Floats], names: list[str]
-) -> _Samples:
+) -> _Differences:
     last: dict[tuple[str, int], list[tuple[int, Floats, Floats]]] = {}
     parts: list[list[Floats]] = []
     for frame in frames:
@@ -134,10 +134,10 @@ def _samples(
             parts.append([camera, known.astype(np.float64), guessed, ranges, squares[known]])
     columns = [np.concatenate(each) for each in zip(*parts, strict=True)] or [np.zeros(0)] * 5
     cameras, joints, guesses = (each.astype(np.int64) for each in columns[:3])
-    return _Samples(cameras, joints, guesses, columns[3], columns[4])
+    return _Differences(cameras, joints, guesses, columns[3], columns[4])
 
 
-def _cells(samples: _Samples) -> tuple[Stamps, Floats, Floats, Floats] | None:
+def _cells(samples: _Differences) -> tuple[Stamps, Floats, Floats, Floats] | None:
     """Return what is alike in each of K cells, and its SD, m, samples, and log (range / 2 m).
 
     Camera, joint, guessed and range bin (K, 4) are alike.

@@ -24,6 +24,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_change, part_of
 from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
+from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.camera_views import CameraView, camera_views
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import Found, refine_together
@@ -46,29 +47,20 @@ NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
-class CalibratedCamera:
-    """What was found out about one camera."""
+class CalibratedCamera(CameraResult):
+    """What the people told about one camera.
 
-    name: str
-    frame: str
-    """Coordinate frame of its detections."""
+    The pose of an impossible camera is the log's, if it has one. The clock is NaN if no motion
+    tells it. Errors are those against the first camera. The residual is the median distance of its
+    joints to the mean of the other cameras'.
+    """
+
     verdict: Verdict = "impossible"
-    reason: str = ""
-    """Why it is doubtful or impossible, "" otherwise."""
-    pose: Rigid | None = None
-    """In the fixed frame. Of an impossible camera the log's, if it has one."""
-    clock_s: float = NAN
-    """s to add to its stamps; NaN if no motion tells its clock: keep the log's stamps."""
     drift_ppm: float = 0.0
-    """How fast that grows, from the middle of the log; 0 in logs of less than two minutes."""
-    error_deg: float = NAN
-    """Standard error of the orientation against the first camera, degrees; NaN for that one."""
-    error_mm: float = NAN
-    """The same of the position."""
+    """How fast the clock's offset grows, from the middle of the log; 0 in logs of less than two
+    minutes."""
     error_ms: float = NAN
-    """The same of the clock."""
-    residual_mm: float = NAN
-    """Median distance of its joints to the mean of the other cameras'."""
+    """Standard error of the clock."""
     seconds: float = 0.0
     """s in which another camera sees the same people."""
     moved_deg: float = NAN
@@ -98,16 +90,7 @@ class PeopleCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None."""
-        cameras = []
-        for camera in self.cameras:
-            data = plain(replace(camera, pose=None))
-            del data["pose"]
-            if camera.pose is not None:
-                data |= {
-                    "translation": camera.pose.translation.tolist(),
-                    "quaternion_xyzw": camera.pose.xyzw.tolist(),
-                }
-            cameras.append(data | {"parent": self.fixed_frame})
+        cameras = [camera.to_dict(self.fixed_frame) for camera in self.cameras]
         return {**plain(replace(self, cameras=())), "cameras": cameras}
 
 

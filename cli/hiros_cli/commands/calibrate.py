@@ -128,6 +128,52 @@ def ball(
 
 
 @app.command(cls=HelpfulCommand)
+def board(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a board, with images.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
+    ] = None,
+    extrinsics: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The cameras' poses to each other, as by a ball."),
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option(metavar="NAME", help="The markers' ArUco dictionary.")
+    ] = "DICT_4X4_50",
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Put the cameras into the frame of a board of four ArUco markers.
+
+    Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
+    """
+    from hiros_cli.ball_report import show_board
+    from hiros_cli.output import check_outputs, print_json, warn
+
+    log.stat()
+    check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
+    from hiros_mcap.calibrate.board import calibrate_board
+    from hiros_mcap.calibrate.cameras_file import save_cameras
+
+    report = calibrate_board(
+        log, dictionary=dictionary, extrinsics=extrinsics, topics=tuple(topic or ())
+    )
+    if output is not None:
+        save_cameras(output, report)
+    if json:
+        print_json("calibrate.board", report.to_dict(), report.warnings)
+    else:
+        show_board(log, report)
+    for text in report.warnings:
+        warn(f"{log}: {text}")
+
+
+@app.command(cls=HelpfulCommand)
 def noise(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")
