@@ -215,7 +215,8 @@ def _joined(
         return {}
     root = tree.root(next(iter(centres)))
     poses = {frame: tree.at_rest(frame, root) for frame in frames}
-    return {frame: pose for frame, pose in poses.items() if pose is not None}
+    known = {frame: pose for frame, pose in poses.items() if pose is not None}
+    return known if len(known) == len(frames) else {}
 
 
 def _by_transforms(middles: Mapping[str, Floats], given: Mapping[str, Rigid]) -> dict[str, Rigid]:
