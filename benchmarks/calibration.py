@@ -3,6 +3,7 @@
 python benchmarks/calibration.py                accuracy, standard errors and time
 python benchmarks/calibration.py hostile        scenes that must not give a wrong pose silently
 python benchmarks/calibration.py LOG ...        real logs without their transforms: halves
+python benchmarks/calibration.py consistency LOG ...   one camera left out: recorded and found poses
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.calibrate.cameras_file import save_cameras
 from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import ProcessOptions
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
@@ -305,8 +309,37 @@ def halves(path: Path) -> None:
     print(f"{path.name:46} {first.verdict}/{second.verdict}: {'; '.join(lines)}", flush=True)
 
 
+def consistency(path: Path) -> None:
+    """Leave one camera out: with the recorded poses, and with those found without them."""
+    with open_log(path) as log:
+        frames, model = list(log.frames()), log.model
+    found, _ = calibrated(Scene(model, frames, {}, {}))
+    with tempfile.TemporaryDirectory() as folder:
+        cameras = Path(folder) / "cameras.toml"
+        save_cameras(cameras, found)
+        options = [ProcessOptions(), ProcessOptions(extrinsics=cameras)]
+        cells = []
+        for one in options:
+            try:
+                scores = leave_one_out(path, options=one)
+            except (LogError, ConfigError) as error:
+                cells.append(f"{error}")
+                continue
+            errors = [f"{camera.median:.0f}" for camera in scores.cameras]
+            apart = [f"{mm:.0f}" for mm in scores.disagreement.values()]
+            cells.append(f"left out {' '.join(errors)} mm, cameras apart {' '.join(apart)} mm")
+    print(
+        f"{path.name:46} {found.verdict}\n  recorded: {cells[0]}\n  found:    {cells[1]}",
+        flush=True,
+    )
+
+
 def main() -> None:
     arguments = sys.argv[1:]
+    if arguments[:1] == ["consistency"]:
+        for path in arguments[1:]:
+            consistency(Path(path))
+        return
     if arguments == ["hostile"]:
         hostile(range(8))
         return

@@ -33,6 +33,9 @@ def show_calibration(log: Path, found: PeopleCalibration, *, joints: bool) -> No
         say(out, "Distance of each joint to the other cameras' mean, median", "bold", "\n")
         out.print(table("Joint", ">mm", rows=rows))
     for camera in found.cameras:
+        if not math.isnan(camera.since_s):
+            other = " (or the other camera)" if len(found.cameras) == 3 else ""
+            note(out, f"{camera.name}{other} was moved {camera.since_s:.1f} s after the start")
         if camera.reason:
             note(out, f"{camera.name}: {camera.reason}")
         elif math.isnan(camera.clock_s):
@@ -47,10 +50,16 @@ def _cameras(cameras: Sequence[CalibratedCamera]) -> object:
     columns = ("Camera", *moved, ">Clock ms", ">SE deg", ">mm", ">ms", ">Residual mm", "Verdict")
     rows = []
     for camera in cameras:
-        row = [printable(camera.name)]
+        row = [printable(camera.name) + _period(camera)]
         if given:
             row += [number(camera.moved_mm, 0), number(camera.moved_deg, 2)]
         row += [number(1000 * camera.clock_s, 1)]
         row += [number(camera.error_deg, 2), number(camera.error_mm, 0), number(camera.error_ms, 1)]
         rows.append((*row, number(camera.residual_mm, 0), camera.verdict))
     return table(*columns, rows=rows)
+
+
+def _period(camera: CalibratedCamera) -> str:
+    if not math.isnan(camera.until_s):
+        return f" to {camera.until_s:.1f} s"
+    return "" if math.isnan(camera.since_s) else f" from {camera.since_s:.1f} s"

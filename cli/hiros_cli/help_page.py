@@ -45,6 +45,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "config": ("hiros config --system lee > lee.toml",),
     "people": ("hiros calibrate people lab.mcap -o cameras.toml",),
     "ball": ("hiros calibrate ball lab.mcap -o cameras.toml",),
+    "board": ("hiros calibrate board board.mcap --extrinsics cameras.toml -o room.toml",),
     "noise": ("hiros calibrate noise still.mcap --window 2:10",),
     "completion": ('eval "$(hiros completion bash)"',),
 }

@@ -356,6 +356,7 @@ class _Camera(BaseModel):
     parent: Annotated[str, Field(min_length=1)] = "world"
     translation: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
+    since: Annotated[int, Field(ge=0)] = 0
 
 
 class _Extrinsics(BaseModel):
@@ -378,7 +379,8 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
 
-    A table ``[clock]`` may follow; see :func:`read_clocks`.
+    A camera that was moved has a second entry with ``since``, a log time in ns. A table ``[clock]``
+    may follow; see :func:`read_clocks`.
 
     Raises ConfigError naming the file and the key.
     """
@@ -424,10 +426,10 @@ def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:
     qx, qy, qz, qw = camera.quaternion_xyzw
     if abs(math.hypot(qx, qy, qz, qw) - 1) > _DENORMALISED:
         raise ConfigError(f"{where}.quaternion_xyzw: its length is not 1")
-    if camera.frame in tree._edges:
+    if camera.frame in tree._edges and not camera.since:
         raise ConfigError(f"{where}.frame: {camera.frame!r} occurs twice")
     transform = Transform(0, camera.parent, camera.frame, (x, y, z), (qx, qy, qz, qw))
-    tree.add(transform, static=True)
+    tree.add(transform, static=True, log_time=camera.since)
 
 
 def transform_to_fixed(

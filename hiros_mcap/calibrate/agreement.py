@@ -39,6 +39,8 @@ class SharedView(NamedTuple):
     """(C,) s in which another camera sees the same people."""
     spread: Floats
     """(C,) how far these people move about, m."""
+    people: Floats
+    """(C,) how many of them there are at a time."""
 
 
 def shared_view(
@@ -58,12 +60,14 @@ def shared_view(
     cell = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
     weights = samples.lines.weights > 0.0
     middles = (places * weights[:, :, None]).sum(axis=1) / weights.sum(axis=1)[:, None]
-    seconds, spread = np.zeros(n), np.zeros(n)
+    seconds, spread, company = np.zeros(n), np.zeros(n), np.zeros(n)
     for c in range(n):
         both = people[c] & (people.sum(axis=0) > 1)
-        seconds[c] = cell * len(np.unique(samples.instants[both]))
+        together = len(np.unique(samples.instants[both]))
+        seconds[c] = cell * together
+        company[c] = np.count_nonzero(both) / max(together, 1)
         spread[c] = np.sqrt(middles[both].var(axis=0).sum()) if both.any() else 0.0
-    return SharedView(common, fitting, seconds, spread)
+    return SharedView(common, fitting, seconds, spread, company)
 
 
 def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:

@@ -87,7 +87,7 @@ def find_ball(
     Two such spheres are no ball: nobody can tell which one is meant.
     """
     labels = color_regions(colour, color)
-    points, numbers = _in_depth_image(labels, depth, camera)
+    points, numbers = points_of_labels(labels, depth, camera)
     # Depth has holes. Where each depth pixel has its colour pixel, they can be counted.
     size = int((labels > 0).sum()) if camera.colour is None else 0
     focal = camera.focal * math.sqrt(len(points) / size if size else 1.0)
@@ -139,7 +139,7 @@ def _in_range(hsv: Any, color: ColorRange) -> Bytes:
     return np.asarray(upper | lower)
 
 
-def _in_depth_image(labels: Labels, depth: Floats, camera: DepthCamera) -> tuple[Floats, Labels]:
+def points_of_labels(labels: Labels, depth: Floats, camera: DepthCamera) -> tuple[Floats, Labels]:
     """(N, 3) points in the depth camera's frame that have the colour, and (N,) their regions."""
     known = np.isfinite(depth)
     if camera.colour is None:

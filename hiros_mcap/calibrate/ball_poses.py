@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate, to_matrix
+from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.registration import common_frames, rigid_fit
 from hiros_mcap.calibrate.sampling import Rig
@@ -73,16 +74,13 @@ class Placement(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class BallCamera:
-    """What the ball told about one camera."""
+class BallCamera(CameraResult):
+    """What the ball told about one camera.
 
-    name: str
-    frame: str
-    pose: Rigid
-    """In the fixed frame."""
-    verdict: Verdict = "good"
-    reason: str = ""
-    """Why it is doubtful."""
+    The clock is not measured. Errors are those against the first camera. The residual is the root
+    mean square distance of the centres that fit.
+    """
+
     seen: int = 0
     """Frames with the ball."""
     against: str = ""
@@ -91,14 +89,6 @@ class BallCamera:
     """Centres at common times with that camera."""
     used: int = 0
     """Those that fit."""
-    residual_mm: float = NAN
-    """Root mean square distance of these."""
-    error_deg: float = NAN
-    """Standard error of the orientation against the first camera, degrees; NaN for that one."""
-    error_mm: float = NAN
-    """The same of the position."""
-    clock_s: float = NAN
-    """Not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +105,7 @@ class BallCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None."""
-        cameras = []
-        for camera in self.cameras:
-            data = plain(replace(camera, pose=Rigid.identity()))
-            del data["pose"], data["clock_s"]
-            pose = {
-                "translation": camera.pose.translation.tolist(),
-                "quaternion_xyzw": camera.pose.xyzw.tolist(),
-            }
-            cameras.append(data | pose | {"parent": self.fixed_frame})
+        cameras = [camera.to_dict(self.fixed_frame) for camera in self.cameras]
         return {**plain(replace(self, cameras=())), "cameras": cameras}
 
 
@@ -155,7 +137,7 @@ def calibrate_centres(
     for c, track in enumerate(tracks):
         turn = _quaternion(rig.rotations[c])
         seen = int(np.isfinite(track.centres).all(axis=1).sum())
-        camera = BallCamera(track.camera, track.frame, Rigid(turn, rig.shifts[c]), seen=seen)
+        camera = BallCamera(track.camera, track.frame, pose=Rigid(turn, rig.shifts[c]), seen=seen)
         if c:
             camera = _described(camera, tracks[placements[c][0]].camera, placements[c][1])
         cameras.append(camera)

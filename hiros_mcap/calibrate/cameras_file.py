@@ -7,43 +7,49 @@ import math
 from pathlib import Path
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.ball_poses import BallCalibration, BallCamera
-from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
+from hiros_mcap.calibrate.ball_poses import BallCalibration
+from hiros_mcap.calibrate.board import BoardReport
+from hiros_mcap.calibrate.camera_result import CameraResult
+from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
 
 
-def save_cameras(path: Path, found: PeopleCalibration | BallCalibration) -> None:
+def save_cameras(path: Path, found: PeopleCalibration | BallCalibration | BoardReport) -> None:
     """Write the file, or nothing at all; raises LogError if it cannot be written."""
     write_text(path, CAMERAS_MARK + cameras_toml(found))
 
 
-def cameras_toml(found: PeopleCalibration | BallCalibration) -> str:
+def cameras_toml(found: PeopleCalibration | BallCalibration | BoardReport) -> str:
     """Return poses and clocks as TOML: every camera with a pose, every clock that is known."""
     frame = found.fixed_frame
     lines = [f"# verdict: {_said(found.verdict, found.reason)}"]
     for camera in found.cameras:
         if camera.pose is not None:
             lines += ["", *_camera(camera, camera.pose, frame)]
-    known = [camera for camera in found.cameras if not math.isnan(camera.clock_s)]
+    known = {c.name: c.clock_s for c in found.cameras if not math.isnan(c.clock_s)}
     if known:
         lines += ["", "[clock]  # s to add to the stamps of each camera"]
-    lines += [f"{_text(camera.name)} = {camera.clock_s:.4f}" for camera in known]
+    lines += [f"{_text(name)} = {seconds:.4f}" for name, seconds in known.items()]
     return "\n".join([*lines, ""])
 
 
-def _camera(camera: CalibratedCamera | BallCamera, pose: Rigid, parent: str) -> list[str]:
+def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
     comment = _said(camera.verdict, camera.reason)
     if camera.verdict == "impossible":
         comment += "; the pose is the log's"
     elif not math.isnan(camera.error_deg):
         comment += f"; standard error {camera.error_deg:.2f} degrees, {camera.error_mm:.0f} mm"
-    return [
+    since = getattr(camera, "since", 0)
+    lines = [
         f"[[camera]]  # {comment}",
         f"frame = {_text(camera.frame)}",
         f"parent = {_text(parent)}",
         f"translation = [{', '.join(f'{x:.5f}' for x in pose.translation)}]  # m",
         f"quaternion_xyzw = [{', '.join(f'{x:.7f}' for x in pose.xyzw)}]",
     ]
+    if since:
+        lines.append(f"since = {since}  # ns since 1970, log time: the camera was moved then")
+    return lines
 
 
 def _said(verdict: str, reason: str) -> str:

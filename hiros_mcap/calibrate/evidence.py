@@ -27,6 +27,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     standard_errors,
 )
 from hiros_mcap.calibrate.pair_pose import LEAST_MOTION
+from hiros_mcap.calibrate.repetition import closest_repetition, path_distances
 from hiros_mcap.calibrate.sampling import Rig, instants_of
 from hiros_mcap.calibrate.verdict import Evidence
 from hiros_mcap.skeletons import Flags, Floats, Ints
@@ -78,11 +79,17 @@ def refine_together(
     halves = _halves(views, rig, instants, mirror, free)
     shared = shared_view(views, rig, instants, mirror)
     bodies = compare_bodies(residuals, points)
+    paths = path_distances(residuals, points)
+    late = [
+        float(np.abs(np.delete(rig.clocks, c) - rig.clocks[c]).min()) for c in range(len(views))
+    ]
     evidence = []
     for c, rival in enumerate(rivals):
         error = float(np.degrees(np.linalg.norm(errors[c, :3])))
         one = _evidence(c, shared, residuals, bodies)
         one = replace(one, rival=rival, error_deg=error, halves_deg=float(halves[c]))
+        one = replace(one, path=float(paths[c]), repetition=closest_repetition(views[c]))
+        one = replace(one, late=late[c] if timed[c] else 0.0)
         evidence.append(one if timed[c] else replace(one, limbs=1.0))
     return Found(rig, points, residuals, errors, timed, evidence)
 
@@ -129,6 +136,7 @@ def _evidence(c: int, shared: SharedView, residuals: RigResiduals, bodies: Bodie
         residual=float(np.median(known)) if len(known) else np.inf,
         seconds=float(shared.seconds[c]),
         spread=float(shared.spread[c]),
+        people=float(shared.people[c]),
         size=float(bodies.sizes[c]),
         wander=float(bodies.wander[c]),
         limbs=float(bodies.limbs[c]),

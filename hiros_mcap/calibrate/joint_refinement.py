@@ -33,8 +33,8 @@ STEPS = 2
 """Gauss-Newton steps in each round."""
 CAUCHY = 1.5
 """Scale of the robust weights, in median residuals."""
-BLOCK_S = 2.0
-"""Errors that are further apart in time are taken for independent."""
+BLOCK_S, BLOCKS = 2.0, 10
+"""Errors that are further apart in time are taken for independent; more in a long log."""
 
 
 class Points(NamedTuple):
@@ -188,16 +188,14 @@ def _about_mean(places: Floats, weights: Floats) -> tuple[Floats, Floats]:
 
 
 def normal_equations(
-    residuals: RigResiduals, seconds: Floats, free: Flags, clusters: Stamps | None = None
+    residuals: RigResiduals, seconds: Floats, free: Flags
 ) -> tuple[Floats, Floats]:
-    """Return the Hessian (F, F) of the free unknowns, and the gradient (K, F) by cluster.
+    """Return the Hessian (F, F) of the free unknowns, and the gradient (1, F).
 
-    The joints' means are eliminated. Without clusters of the points, K is 1. The first camera has
-    no free unknowns.
+    The joints' means are eliminated. The first camera has no free unknowns.
     """
-    if clusters is None:
-        clusters = np.zeros(len(seconds), np.int64)
-    equations = RigEquations.zeros(len(free), int(clusters.max(initial=0)) + 1)
+    clusters = np.zeros(len(seconds), np.int64)
+    equations = RigEquations.zeros(len(free), 1)
     # A camera's own velocity errs together with its position, above all where somebody re-appears.
     # The mean of all cameras treats them alike; otherwise the first one's clock would be biased.
     velocities = np.broadcast_to(residuals.mean_velocities, residuals.velocities.shape)
@@ -248,21 +246,39 @@ def _rotation(vector: Floats) -> Floats:
 def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Floats:
     """(C, 8) standard errors of the unknowns; 0 for those that are fixed.
 
-    A sandwich ``H^-1 S H^-1`` (Huber 1967). The errors of a detector are not independent: those of
-    a joint last for seconds, and a part of them, which depends on the view, stays. S therefore
-    sums the slopes over blocks of 2 s and over joints before it squares them, and adds both
-    (Cameron, Gelbach and Miller 2011, without the part that both count).
+    A cluster jackknife (Bell and McCaffrey 2002, CR3): one Newton step gives the solution without
+    each cluster in turn. The errors of a detector are not independent: those of a joint last for
+    seconds, and a part of them, which depends on the view, stays. So the clusters are blocks of
+    time, then joints, and both variances are added (Cameron, Gelbach and Miller 2011, without the
+    part that both count). The longer the log, the longer the blocks: whoever stands where he is
+    keeps the errors of that view.
     """
-    blocks = np.floor((points.seconds - points.seconds.min()) / BLOCK_S).astype(np.int64)
-    meat = np.zeros((int(free.sum()), int(free.sum())))
-    for labels in (blocks, points.joints):
-        hessian, slopes = normal_equations(residuals, points.seconds, free, labels)
-        used = len(np.unique(labels))
-        meat += slopes.T @ slopes * used / max(used - 1, 1)
-    inverse = _inverse(hessian)
+    seconds = points.seconds - points.seconds.min()
+    length = max(BLOCK_S, float(seconds.max()) / BLOCKS)
+    blocks = np.floor(seconds / length).astype(np.int64)
+    variances = sum(_jackknife(residuals, points, free, each) for each in (blocks, points.joints))
     errors = np.zeros(free.shape)
-    errors[free] = np.sqrt(np.maximum(0.0, np.diag(inverse @ meat @ inverse)))
+    errors[free] = np.sqrt(variances)
     return errors
+
+
+def _jackknife(residuals: RigResiduals, points: Points, free: Flags, clusters: Stamps) -> Floats:
+    """(F,) variances of the free unknowns, from the solutions without each cluster of points."""
+    equations = [
+        normal_equations(_part(residuals, rows), points.seconds[rows], free)
+        for rows in (np.flatnonzero(clusters == one) for one in np.unique(clusters))
+    ]
+    hessian = np.sum([part for part, _ in equations], axis=0)
+    steps = np.stack([_inverse(hessian - part) @ slopes[0] for part, slopes in equations])
+    return np.asarray((len(steps) - 1) / len(steps) * np.sum(steps**2, axis=0))
+
+
+def _part(residuals: RigResiduals, rows: Stamps) -> RigResiduals:
+    """Return the residuals of some points."""
+    return RigResiduals(
+        residuals.means[rows],
+        *(np.ascontiguousarray(table[:, rows]) for table in residuals[1:]),
+    )
 
 
 def common_motion(residuals: RigResiduals) -> Floats:

@@ -12,7 +12,7 @@ step is a module: ``camera_views`` and ``tracklets``, ``coarse_clock``, ``pair_p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -22,7 +22,9 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.agreement import camera_distances
+from hiros_mcap.calibrate.camera_change import find_change, part_of
 from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
+from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.camera_views import CameraView, camera_views
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import Found, refine_together
@@ -45,34 +47,31 @@ NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
-class CalibratedCamera:
-    """What was found out about one camera."""
+class CalibratedCamera(CameraResult):
+    """What the people told about one camera.
 
-    name: str
-    frame: str
-    """Coordinate frame of its detections."""
+    The pose of an impossible camera is the log's, if it has one. The clock is NaN if no motion
+    tells it. Errors are those against the first camera. The residual is the median distance of its
+    joints to the mean of the other cameras'.
+    """
+
     verdict: Verdict = "impossible"
-    reason: str = ""
-    """Why it is doubtful or impossible, "" otherwise."""
-    pose: Rigid | None = None
-    """In the fixed frame. Of an impossible camera the log's, if it has one."""
-    clock_s: float = NAN
-    """s to add to its stamps; NaN if no motion tells its clock: keep the log's stamps."""
     drift_ppm: float = 0.0
-    """How fast that grows, from the middle of the log; 0 in logs of less than two minutes."""
-    error_deg: float = NAN
-    """Standard error of the orientation against the first camera, degrees; NaN for that one."""
-    error_mm: float = NAN
-    """The same of the position."""
+    """How fast the clock's offset grows, from the middle of the log; 0 in logs of less than two
+    minutes."""
     error_ms: float = NAN
-    """The same of the clock."""
-    residual_mm: float = NAN
-    """Median distance of its joints to the mean of the other cameras'."""
+    """Standard error of the clock."""
     seconds: float = 0.0
     """s in which another camera sees the same people."""
     moved_deg: float = NAN
     """Difference from the log's transforms; NaN without."""
     moved_mm: float = NAN
+    since_s: float = NAN
+    """When it was moved to this pose, s from the log's start; NaN if it always stood there."""
+    until_s: float = NAN
+    """When it was moved away from this pose; such a camera is listed twice."""
+    since: int = 0
+    """The first of both as a log time, ns; 0 if it always stood there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,16 +90,7 @@ class PeopleCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None."""
-        cameras = []
-        for camera in self.cameras:
-            data = plain(replace(camera, pose=None))
-            del data["pose"]
-            if camera.pose is not None:
-                data |= {
-                    "translation": camera.pose.translation.tolist(),
-                    "quaternion_xyzw": camera.pose.xyzw.tolist(),
-                }
-            cameras.append(data | {"parent": self.fixed_frame})
+        cameras = [camera.to_dict(self.fixed_frame) for camera in self.cameras]
         return {**plain(replace(self, cameras=())), "cameras": cameras}
 
 
@@ -125,6 +115,16 @@ def calibrate_people(log: Log) -> PeopleCalibration:
     root, given = _given_poses(log, views)
     fits = _register_pairs(views, log.model, mirror, given)  # association, lags, pair poses
     solution, faults = _solve(views, fits, mirror)  # joint refinement, evidence
+    moves = {}
+    if faults:
+        moves = _moves(views, fits, faults, log.model)  # cameras that were moved
+    if moves:
+        parts = _parts(views, moves)
+        root, placed_parts = _given_poses(log, parts)
+        refits = _register_pairs(parts, log.model, mirror, placed_parts)
+        again, others = _solve(parts, refits, mirror)
+        if again is not None and len(others) < len(faults):
+            views, given, solution, faults = parts, placed_parts, again, others
     cameras = [
         CalibratedCamera(view.name, view.frame, reason=faults.get(c, ""), pose=given.get(c))
         for c, view in enumerate(views)
@@ -135,6 +135,7 @@ def calibrate_people(log: Log) -> PeopleCalibration:
     for k, c in enumerate(solution.cameras):
         cameras[c] = _camera(views[c], k, rig, solution.found, given.get(c))  # verdict
     cameras = _with_clocks(cameras, views, solution)
+    cameras = _with_times(cameras, moves, log.span)
     joints = _by_joint(solution.found, log.model)
     return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge)
 
@@ -158,6 +159,8 @@ def _register_pairs(
     signatures = [signatures_of(view, landmarks) for view in views]
     fits = {}
     for a, b in combinations(range(len(views)), 2):
+        if views[a].name == views[b].name:  # before and after it was moved
+            continue
         candidates = lag_candidates(signatures[a], signatures[b])
         instants = instants_of(views[a : a + 1], PAIR_INSTANTS)
         start = _between(given[a], given[b]) if a in given and b in given else None
@@ -201,6 +204,54 @@ def _solve(
         if len(cameras) == 2:
             faults |= dict.fromkeys(cameras, bad[worst][1])
     return None, {c: faults.get(c, UNLINKED) for c in range(len(views))}
+
+
+def _moves(
+    views: Sequence[CameraView], fits: Fits, faults: Mapping[int, str], model: SkeletonModel
+) -> dict[str, float]:
+    """Return when cameras without a pose were moved, s of their own time from the log's middle.
+
+    Two cameras show that one of them was moved, but not which: it is then the second.
+    """
+    landmarks, mirror = landmarks_of(model), symmetry_of(model).mirror
+    found = {}
+    sound = [c for c in range(len(views)) if c not in faults] or [0]
+    for c in faults:
+        partners = [a for a in sound if a != c and fits.get((min(a, c), max(a, c)))]
+        if not partners or not views[c].tracks:
+            continue
+        best = max(partners, key=lambda a: fits[min(a, c), max(a, c)][0].quality)
+        seconds = find_change([views[best], views[c]], landmarks, mirror)
+        if seconds is not None:
+            found[views[c].name] = seconds
+    return found
+
+
+def _parts(views: Sequence[CameraView], moves: Mapping[str, float]) -> list[CameraView]:
+    """Return the views, those of cameras that were moved as two."""
+    parts = []
+    for view in views:
+        at = moves.get(view.name)
+        spans = [(-np.inf, np.inf)] if at is None else [(-np.inf, at), (at, np.inf)]
+        parts += [part_of(view, *span) for span in spans]
+    return parts
+
+
+def _with_times(
+    cameras: list[CalibratedCamera], moves: Mapping[str, float], span: tuple[int, int]
+) -> list[CalibratedCamera]:
+    """Return the cameras with the times at which they were moved."""
+    names = [camera.name for camera in cameras]
+    for c, camera in enumerate(cameras):
+        if names.count(camera.name) < 2:
+            continue
+        at = sum(span) // 2 + round(1e9 * moves[camera.name])
+        seconds = (at - span[0]) / 1e9
+        if names.index(camera.name) == c:
+            cameras[c] = replace(camera, until_s=seconds)
+        else:
+            cameras[c] = replace(camera, since_s=seconds, since=at)
+    return cameras
 
 
 def _only_ambiguous(c: int, tree: Sequence[Pair], fits: Fits) -> bool:

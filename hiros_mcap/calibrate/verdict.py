@@ -22,6 +22,14 @@ WANDER_M = 0.033
 """The middle of a body averages over the joints' errors: 1 cm simulated, 1 to 3 cm in reality."""
 OTHER_LIMBS = 0.3
 """0.45 to 0.95 for the same person."""
+REGULAR_M = 2.0 * WANDER_M
+"""Motion that repeats itself so closely would let a stranger pass the test of the middles."""
+OTHER_PATH = 0.15
+"""Paths then may differ by so much of the distance at which the motion repeats itself."""
+COMPANY = 1.5
+"""A stranger for each of two people at the same lag would be a coincidence."""
+LATE_S = 0.3
+"""Strangers who walk alike are rarely in step; stamps that are right to this show that."""
 SHORT_S = 8.0
 NARROW_M = 0.25
 MOVED = 2.0
@@ -49,6 +57,14 @@ class Evidence:
     """Distance of the bodies' middles in this camera and in the others, m."""
     limbs: float = 1.0
     """Correlation of the limbs' motion with that in the other cameras; 1 if nobody moves."""
+    path: float = 0.0
+    """Distance of the people's paths from those in the others, beyond the joints' errors, m."""
+    repetition: float = float("inf")
+    """How closely the people's motion fits itself at another time, m."""
+    people: float = 1.0
+    """How many people it shares with other cameras at a time."""
+    late: float = 0.0
+    """How much its clock differs from the other cameras', s."""
     rival: bool = False
     """Whether a quite different pose explains the data nearly as well."""
     error_deg: float = 0.0
@@ -96,6 +112,13 @@ def _doubt(e: Evidence) -> str:
         return f"its people are {abs(e.size - 1.0):.1%} of another size than in other cameras"
     if e.wander > WANDER_M:
         return f"its people's bodies are {100 * e.wander:.0f} cm from those in other cameras"
+    if e.repetition < REGULAR_M and e.path > OTHER_PATH * e.repetition:
+        return "its people walk as regularly as strangers might, and not quite as in other cameras"
+    if e.repetition < REGULAR_M and e.people < COMPANY and e.late > LATE_S:
+        return (
+            f"its clock would be off by {e.late:.1f} s, and its people walk so regularly that "
+            "strangers might fit; let them change pace and direction"
+        )
     if e.limbs < OTHER_LIMBS:
         return "its people's limbs move differently than in other cameras"
     if e.spread < NARROW_M:

@@ -13,10 +13,19 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle, multiply
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.calibrate.joint_refinement import (
+    Points,
+    free_unknowns,
+    normal_equations,
+    residuals_of,
+    standard_errors,
+)
 from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
+from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import Simulation
+from hiros_mcap.skeletons import Frame
 
 CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 """s by which the stamps are late."""
@@ -24,7 +33,7 @@ CLOCKS = {"camera_0": 0.0, "camera_1": 0.8, "camera_2": -1.3}
 
 @pytest.fixture(scope="module")
 def scene() -> Simulation:
-    return simulated(cameras=3, seed=3)
+    return simulated(cameras=3, seed=3, action="eight")
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +144,35 @@ def test_another_person_in_each_camera_is_not_believed(scene: Simulation, tmp_pa
     assert {camera.verdict for camera in found.cameras} <= {"doubtful", "impossible"}
 
 
+def test_who_walks_round_and_round_on_another_clock_may_be_a_stranger(tmp_path: Path) -> None:
+    round_and_round = simulated(cameras=2, seed=3, action="walk")
+    for seconds, verdict in ((0.0, "good"), (0.8, "doubtful")):
+        frames = [
+            late(frame, seconds * (frame.source == "camera_1"))
+            for frame in round_and_round.detections
+        ]
+        found = calibrated(write(tmp_path / "lab.mcap", frames, round_and_round.model))
+        assert found.verdict == verdict, found.reason
+
+
+def test_standard_errors_hold_where_errors_last() -> None:
+    rng = np.random.default_rng(0)
+    ratios = []
+    for _ in range(20):
+        seconds, joints = np.repeat(np.arange(60) / 2.0, 20), np.tile(np.arange(20), 60)
+        truth = rng.uniform([-1.0, -1.0, 2.0], [1.0, 1.0, 4.0], (1200, 3))
+        lasting = rng.normal(0, 0.01, (2, 20, 3))[:, joints]
+        seen = truth + lasting + rng.normal(0, 0.005, (2, 1200, 3))
+        points = Points(seconds, joints * 0, joints, seen, np.zeros_like(seen), np.ones((2, 1200)))
+        free = free_unknowns(2, clocks=False)
+        rig = Rig.alone(2)
+        residuals = residuals_of(points, rig)
+        hessian, slopes = normal_equations(residuals, seconds, free)
+        step = np.linalg.solve(hessian, slopes[0])
+        ratios.append(step / standard_errors(residuals, points, free)[free])
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.3
+
+
 def test_somebody_who_stands_still_tells_no_clock(scene: Simulation, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     pose = next(scene.truth).markers
@@ -194,3 +232,61 @@ def test_a_file_of_somebody_else_is_not_overwritten(nothing: Path, tmp_path: Pat
     target.write_text("mine = 1\n")
     assert run(["calibrate", "people", str(nothing), "-o", str(target)]) == 2
     assert target.read_text() == "mine = 1\n"
+
+
+def jolted(frame: Frame, shift: float) -> Frame:
+    """The frame of a camera that was moved by some m."""
+    markers = np.array(frame.markers)
+    markers[:, :, :3] += [0.0, shift, 0.0]
+    return frame.replace(markers=markers)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """A log whose third camera is moved by 0.3 m, and when."""
+    scene = simulated(cameras=3, seed=3, action="eight", seconds=24.0)
+    frames = list(scene.detections)
+    start, end = (int(f([frame.stamp for frame in frames])) for f in (min, max))
+    at = start + 0.6 * (end - start)
+    frames = [
+        jolted(frame, 0.3) if frame.source == "camera_2" and frame.stamp > at else frame
+        for frame in frames
+    ]
+    path = write(tmp_path_factory.mktemp("moved") / "lab.mcap", frames, scene.model)
+    return path, (at - start) / 1e9
+
+
+def test_a_camera_that_was_moved_gets_two_poses(moved: tuple[Path, float]) -> None:
+    path, at = moved
+    found = calibrated(path)
+    before, after = (camera for camera in found.cameras if camera.name == "camera_2")
+    assert (before.verdict, after.verdict, found.verdict) == ("good", "good", "good")
+    assert before.until_s == after.since_s == pytest.approx(at, abs=0.5)
+    step = before.pose.inverse() @ after.pose
+    assert step.translation == pytest.approx([0.0, -0.3, 0.0], abs=0.02)
+    assert sum(camera.name == "camera_1" for camera in found.cameras) == 1
+
+
+def test_the_file_and_the_copy_hold_both_poses(moved: tuple[Path, float], tmp_path: Path) -> None:
+    toml, copy = tmp_path / "cameras.toml", tmp_path / "copy.mcap"
+    arguments = ["calibrate", "people", str(moved[0]), "-o", str(toml)]
+    assert run([*arguments, "--write-log", str(copy)]) == 0
+    with open_log(copy) as log:
+        trees = [log.transforms, read_extrinsics(toml)]
+        times = [log.span[0], log.span[1]]
+    for tree in trees:
+        early, late = (tree.lookup("camera_2", "world", time, time) for time in times)
+        step = early.inverse() @ late
+        assert step.translation == pytest.approx([0.0, -0.3, 0.0], abs=0.02)
+
+
+def test_the_copy_has_right_stamps_and_everything_else(nothing: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.mcap"
+    assert run(["calibrate", "people", str(nothing), "--write-log", str(copy), "--json"]) == 0
+    with open_log(nothing) as old, open_log(copy) as new:
+        for before, after in zip(old.frames(), new.frames(), strict=True):
+            assert (before.source, before.log_time) == (after.source, after.log_time)
+            late = (before.stamp - after.stamp) / 1e9
+            assert late == pytest.approx(CLOCKS[after.source], abs=0.005)
+            np.testing.assert_array_equal(before.markers, after.markers)
+        assert new.transforms.at_rest("camera_1", "world") is not None

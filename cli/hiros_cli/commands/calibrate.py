@@ -31,6 +31,10 @@ def people(
             "--output", "-o", metavar="FILE", help="Write poses and clocks, for --extrinsics."
         ),
     ] = None,
+    write_log: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a copy of the log with poses and right stamps."),
+    ] = None,
     topic: Annotated[
         list[str] | None,
         typer.Option(metavar="GLOB", help="Cameras to read; may be repeated. Default: all."),
@@ -47,15 +51,18 @@ def people(
     from hiros_cli.output import check_outputs, print_json, warn
 
     log.stat()
-    check_outputs((output, "camera file"), inputs=(log,), force=force)
+    check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
     prepare(quiet=json, roots=("hiros_mcap.calibrate.people",))
     from hiros_cli.calibration_report import show_calibration
     from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.calibrate.corrected_log import write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.io.log import open_log
 
     with open_log(log, topics=topic) as opened:
         found = calibrate_people(opened)
+        if write_log is not None and found.verdict != "impossible":
+            write_corrected_log(opened, found, write_log)
     doubt = found.verdict == "doubtful"
     warnings = [f"{log}: the poses are doubtful: {found.reason}"] if doubt else []
     if found.verdict == "impossible":
@@ -121,6 +128,52 @@ def ball(
 
 
 @app.command(cls=HelpfulCommand)
+def board(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording of a board, with images.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write poses, for --extrinsics."),
+    ] = None,
+    extrinsics: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The cameras' poses to each other, as by a ball."),
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option(metavar="NAME", help="The markers' ArUco dictionary.")
+    ] = "DICT_4X4_50",
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GLOB", help="Channels to read; may be repeated. Default: all."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Put the cameras into the frame of a board of four ArUco markers.
+
+    Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
+    """
+    from hiros_cli.ball_report import show_board
+    from hiros_cli.output import check_outputs, print_json, warn
+
+    log.stat()
+    check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
+    from hiros_mcap.calibrate.board import calibrate_board
+    from hiros_mcap.calibrate.cameras_file import save_cameras
+
+    report = calibrate_board(
+        log, dictionary=dictionary, extrinsics=extrinsics, topics=tuple(topic or ())
+    )
+    if output is not None:
+        save_cameras(output, report)
+    if json:
+        print_json("calibrate.board", report.to_dict(), report.warnings)
+    else:
+        show_board(log, report)
+    for text in report.warnings:
+        warn(f"{log}: {text}")
+
+
+@app.command(cls=HelpfulCommand)
 def noise(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="Recording of people who stand still.")
@@ -133,7 +186,8 @@ def noise(
 ) -> None:
     """Measure the detectors' noise; print it as TOML for --config.
 
-    Only --system malaguti uses this parameter.
+    Only --system malaguti uses this parameter. The comments give the white noise by camera, joint,
+    range and confidence.
     """
     from hiros_cli.compiling import prepare
     from hiros_cli.output import print_json, warn
@@ -142,6 +196,7 @@ def noise(
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
     from hiros_mcap.calibrate.noise import measure_noise
+    from hiros_mcap.calibrate.noise_model import measure_noise_model
     from hiros_mcap.io.log import open_log
     from hiros_mcap.stages.associate import associate
     from hiros_mcap.summary import number
@@ -149,12 +204,19 @@ def noise(
     with open_log(log) as opened:
         start = opened.span[0]
         detections = opened.detections()
-        frames = (
+        frames = [
             frame
             for frame in associate(detections, opened.model)
             if span is None or span[0] <= (frame.stamp - start) / 1e9 <= span[1]
-        )
+        ]
         found = measure_noise(frames, opened.model)
+        places = {
+            name: pose.translation
+            for camera in opened.cameras
+            if (pose := opened.pose_of(camera)) is not None
+            for name in camera.sources.values()
+        }
+        white = measure_noise_model(frames, opened.model, places)
     if not found.cameras:
         raise ConfigError(f"{log}: no camera sees anybody twice; there is no noise to measure")
     warnings = []
@@ -168,12 +230,15 @@ def noise(
     if json:
         from hiros_mcap.summary import plain
 
-        print_json("calibrate.noise", plain(found), warnings)
+        print_json("calibrate.noise", {**plain(found), "white": plain(white)}, warnings)
         return
     print(f"# {found.detections} detections; SD per axis of a joint about its mean, mm")
     for kind, table in (("camera", found.cameras), ("joint", found.joints)):
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
+    if white.joints:
+        print("# White noise, which is new in every frame:")
+        print("\n".join(f"# {line}".rstrip() for line in white.toml().splitlines()))
     if found.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion with --window")
     print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")

@@ -1,0 +1,274 @@
+"""The fixed frame and the cameras' poses by a board of four ArUco markers (Lee et al. 2022, 2.1.2).
+
+::
+
+    found = calibrate_board(Path("board.mcap"))
+
+The board lies still where the cameras see it. Marker 1 is the origin, x points from it to marker 2,
+y towards marker 0, and z is up. A camera is a colour image, a depth image and the CameraInfo of
+both, as for the ball.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid, rotate
+from hiros_mcap.body.transforms import TransformTree, read_extrinsics
+from hiros_mcap.calibrate.ball_image import DepthCamera, points_of_labels
+from hiros_mcap.calibrate.camera_result import CameraResult
+from hiros_mcap.calibrate.image_channels import pair_channels
+from hiros_mcap.calibrate.image_search import (
+    ImageSearch,
+    is_chosen,
+    search_images,
+    static_transforms,
+)
+from hiros_mcap.calibrate.registration import board_frame, rigid_fit
+from hiros_mcap.calibrate.verdict import Verdict
+from hiros_mcap.errors import ConfigError, LogError, RegistrationError
+from hiros_mcap.io.images import Bytes, require_opencv
+from hiros_mcap.io.ros_messages import open_messages
+from hiros_mcap.skeletons import Floats
+
+DICTIONARY = "DICT_4X4_50"
+MARKERS = 4
+LEAST_FRAMES = 5
+LEAST_PIXELS = 12
+"""Depth pixels of a marker."""
+NEAR_M = 0.03
+"""Depth pixels that are further from a marker's median are not on it."""
+WRONG_M, DOUBTFUL_M = 0.04, 0.012
+"""Root mean square distance of the markers in two cameras."""
+MOVED_M = 0.02
+"""A board that lies still scatters by less, from frame to frame."""
+WORLD = "world"
+
+
+@dataclass(frozen=True, slots=True)
+class BoardCamera(CameraResult):
+    """What the board told about one camera."""
+
+    seen: int = 0
+    """Frames with all four markers."""
+
+
+class BoardReport(NamedTuple):
+    """Poses of the cameras in the board's frame, and what became of the images."""
+
+    fixed_frame: str
+    verdict: Verdict
+    reason: str
+    cameras: tuple[BoardCamera, ...]
+    gauge: str
+    """How the cameras were joined: "transforms", or "board" where each one sees it."""
+    skipped: dict[str, dict[str, int]]
+    """Depth images without a result, by camera and reason."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the poses doubtful."""
+        return (f"the poses are doubtful: {self.reason}",) if self.reason else ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; numbers that are not known are None."""
+        return {
+            "fixed_frame": self.fixed_frame,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "gauge": self.gauge,
+            "cameras": [camera.to_dict(self.fixed_frame) for camera in self.cameras],
+            "skipped": self.skipped,
+        }
+
+
+def calibrate_board(
+    path: Path,
+    *,
+    dictionary: str = DICTIONARY,
+    extrinsics: Path | None = None,
+    topics: Sequence[str] = (),
+) -> BoardReport:
+    """Find the poses of a log's cameras in the frame of the board.
+
+    Where transforms join the cameras (of the log, or ``extrinsics``, for example those of the
+    ball), they stay as they are to each other, and one camera that sees the board is enough.
+    Otherwise each camera has to see it.
+
+    Raises
+    ------
+    LogError
+        The log has no suitable channels, or cannot be read.
+    ConfigError
+        OpenCV is needed and not installed; there is no such dictionary.
+    RegistrationError
+        The board does not tell the pose of a camera. The line says what to record.
+    """
+    require_opencv()
+    finder = BoardFinder(dictionary)
+    try:
+        with open_messages(path) as log:
+            tree = static_transforms(log)
+            chosen = {t: k for t, k in log.types.items() if is_chosen(t, topics)}
+            searches = search_images(log, pair_channels(log, chosen), tree, finder)
+    except LogError as error:
+        if error.path is None:
+            raise LogError(error.fault, path=path, topic=error.topic) from None
+        raise
+    try:
+        return _report(searches, tree if extrinsics is None else read_extrinsics(extrinsics))
+    except RegistrationError as error:
+        raise RegistrationError(f"{path}: {error}") from None
+
+
+class BoardFinder:
+    """Finds the centres of markers 0 to 3 in a colour and a depth image.
+
+    Raises ConfigError if OpenCV has no such dictionary.
+    """
+
+    def __init__(self, dictionary: str = DICTIONARY) -> None:
+        import cv2
+
+        known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+        if dictionary not in known:
+            raise ConfigError(f"--dictionary: there is no {dictionary!r}, only {', '.join(known)}")
+        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+        self._detector = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters())
+
+    def __call__(self, colour: Bytes, depth: Floats, camera: DepthCamera) -> Floats | None:
+        """(4, 3) centroids of the markers' depth pixels in the colour frame, m (Lee, 2.1.2).
+
+        None unless each of the four is seen once.
+        """
+        import cv2
+
+        corners, ids, _ = self._detector.detectMarkers(colour)
+        found = [] if ids is None else [int(i) for i in ids.ravel()]
+        if sorted(i for i in found if i < MARKERS) != list(range(MARKERS)):
+            return None
+        labels = np.zeros(colour.shape[:2], np.int32)
+        for marker, quad in zip(found, corners, strict=True):
+            if marker < MARKERS:
+                cv2.fillConvexPoly(labels, np.rint(quad[0]).astype(np.int32), marker + 1)
+        points, numbers = points_of_labels(labels, depth, camera)
+        centres = np.stack([_centroid(points[numbers == k + 1]) for k in range(MARKERS)])
+        if np.isnan(centres).any():
+            return None
+        turn, shift = camera.to_colour
+        return np.asarray(rotate(turn, centres) + shift)
+
+
+def _centroid(points: Floats) -> Floats:
+    """(3,) mean of the points near their median; NaN for too few."""
+    if len(points) < LEAST_PIXELS:
+        return np.full(3, np.nan)
+    depths = points[:, 2]
+    reach = NEAR_M + 0.5 * float(np.ptp(points[:, :2], axis=0).max())  # it may be tilted
+    kept = points[np.abs(depths - np.median(depths)) < reach]
+    return np.asarray(kept.mean(axis=0))
+
+
+def _report(searches: Sequence[ImageSearch], tree: TransformTree) -> BoardReport:
+    """Put the cameras into the board's frame."""
+    centres = {
+        search.channels.colour_frame: np.stack([centre for _, centre in search.found])
+        for search in searches
+        if len(search.found) >= LEAST_FRAMES
+    }
+    if not centres:
+        raise RegistrationError(
+            f"no camera sees markers 0 to 3 in {LEAST_FRAMES} images; lay the board where they "
+            "see all of it, or pass its --dictionary"
+        )
+    given = _joined(searches, centres, tree)
+    middles = {frame: np.median(each, axis=0) for frame, each in centres.items()}
+    poses = _by_transforms(middles, given) if given else _by_board(searches, middles)
+    world = np.mean([_moved(poses[frame], each) for frame, each in middles.items()], axis=0)
+    cameras = []
+    for search in searches:
+        frame = search.channels.colour_frame
+        camera = BoardCamera(search.channels.name, frame, pose=poses[frame], seen=len(search.found))
+        if frame in centres:
+            camera = _judged(camera, poses[frame], centres[frame], world)
+        cameras.append(camera)
+    doubts = [f"{camera.name}: {camera.reason}" for camera in cameras if camera.reason]
+    skipped = {s.channels.name: dict(Counter(s.skipped)) for s in searches}
+    verdict: Verdict = "doubtful" if doubts else "good"
+    gauge = "transforms" if given else "board"
+    return BoardReport(WORLD, verdict, "; ".join(doubts), tuple(cameras), gauge, skipped)
+
+
+def _joined(
+    searches: Sequence[ImageSearch], centres: Mapping[str, Floats], tree: TransformTree
+) -> dict[str, Rigid]:
+    """Return the poses of all cameras in the root of the transforms; empty unless all have one."""
+    frames = [search.channels.colour_frame for search in searches]
+    if len(frames) < 2 or any(frame not in tree.frames for frame in frames):
+        return {}
+    root = tree.root(next(iter(centres)))
+    poses = {frame: tree.at_rest(frame, root) for frame in frames}
+    known = {frame: pose for frame, pose in poses.items() if pose is not None}
+    return known if len(known) == len(frames) else {}
+
+
+def _by_transforms(middles: Mapping[str, Floats], given: Mapping[str, Rigid]) -> dict[str, Rigid]:
+    """Return the given poses, in the frame of the board as all cameras see it."""
+    board = board_frame(np.mean([_moved(given[f], each) for f, each in middles.items()], axis=0))
+    return {frame: board.inverse() @ pose for frame, pose in given.items()}
+
+
+def _by_board(searches: Sequence[ImageSearch], middles: Mapping[str, Floats]) -> dict[str, Rigid]:
+    """Return the pose of each camera from its own view of the board."""
+    unseen = [s.channels.name for s in searches if s.channels.colour_frame not in middles]
+    if unseen:
+        raise RegistrationError(
+            f"{', '.join(unseen)} never saw the board, and no transforms join the cameras; turn "
+            "the board towards all of them, or pass the ball's poses with --extrinsics FILE"
+        )
+    first = next(iter(middles))
+    axes = board_frame(middles[first]).inverse()
+    world = _moved(axes, middles[first])
+    others = {frame: rigid_fit(each, world) for frame, each in middles.items()}
+    return {**others, first: axes}
+
+
+def _moved(pose: Rigid, points: Floats) -> Floats:
+    return np.asarray(rotate(pose.xyzw, points) + pose.translation)
+
+
+def _judged(camera: BoardCamera, pose: Rigid, centres: Floats, world: Floats) -> BoardCamera:
+    """Compare a camera's markers (K, 4, 3) with the mean of all cameras.
+
+    Raises RegistrationError if they are far apart.
+    """
+    places = _moved(pose, np.median(centres, axis=0))
+    residual = float(np.sqrt(np.mean(np.sum((places - world) ** 2, axis=1))))
+    scatter = float(np.median(np.linalg.norm(centres - np.median(centres, axis=0), axis=2)))
+    if residual > WRONG_M:
+        raise RegistrationError(
+            f"{camera.name} has the board's markers {100 * residual:.0f} cm from the other "
+            "cameras; lay the board still, flat and with one marker of each number in view"
+        )
+    reason = ""
+    if scatter > MOVED_M:
+        reason = f"the board moves by {100 * scatter:.0f} cm; let it lie still"
+    elif residual > DOUBTFUL_M:
+        reason = f"the markers are {1000 * residual:.0f} mm from those in other cameras"
+    error_m = scatter / math.sqrt(len(centres) * MARKERS)
+    arm = float(np.linalg.norm(world - world.mean(axis=0), axis=1).mean())
+    return replace(
+        camera,
+        verdict="doubtful" if reason else "good",
+        reason=reason,
+        residual_mm=1000.0 * residual,
+        error_deg=math.degrees(error_m / arm),
+        error_mm=1000.0 * error_m,
+    )

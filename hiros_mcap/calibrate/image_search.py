@@ -1,0 +1,146 @@
+"""Depth and colour images of each camera, joined by time, and what is found in them."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.transforms import TransformTree, parse_tf
+from hiros_mcap.calibrate.ball_image import DepthCamera
+from hiros_mcap.calibrate.image_channels import ImageChannels
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.images import Bytes, Intrinsics, colour_image, depth_image
+from hiros_mcap.io.ros_messages import TRANSFORMS, RosMessage, RosMessages
+from hiros_mcap.skeletons import Floats
+
+MAX_DELTA_S = 0.017
+"""Between the colour and the depth image; half a period of a 30 Hz camera."""
+WAITING = 8
+"""Images that wait for their partner."""
+
+Finder = Callable[[Bytes, Floats, DepthCamera], Any]
+"""Finds something in a colour image (H, W, 3) and a depth image (h, w); None if it is not seen."""
+
+
+def is_chosen(topic: str, globs: Sequence[str]) -> bool:
+    """Whether a topic is among the globs; without any, all are."""
+    return not globs or any(fnmatchcase(topic, glob) for glob in globs)
+
+
+def static_transforms(log: RosMessages) -> TransformTree:
+    """Gather the static transforms; cameras that move cannot be calibrated by a ball."""
+    tree = TransformTree()
+    wanted = [topic for topic, kind in log.types.items() if kind == TRANSFORMS]
+    for message in log.read([topic for topic in wanted if topic == "/tf_static"]):
+        for transform in parse_tf(message.data):
+            tree.add(transform, static=True, log_time=message.log_time)
+    return tree
+
+
+def stamp_of(content: Any, message: RosMessage) -> int:
+    """Return header.stamp, ns; the log time if there is none."""
+    stamp = content.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec or message.log_time
+
+
+def search_images(
+    log: RosMessages, cameras: Sequence[ImageChannels], tree: TransformTree, find: Finder
+) -> list[ImageSearch]:
+    """Look for something in all images, in one pass through the log."""
+    searches = [ImageSearch(channels, tree, find) for channels in cameras]
+    by_topic = {t: s for s in searches for t in (s.channels.depth, s.channels.colour)}
+    for message in log.read(by_topic.keys()):
+        search = by_topic[message.topic]
+        try:
+            content = log.decode(message)
+        except LogError:
+            search.skipped["damaged"] += message.topic == search.channels.depth
+        else:
+            search.take(message.topic, stamp_of(content, message), content)
+    for search in searches:
+        search.finish()
+    return searches
+
+
+class ImageSearch:
+    """Joins the depth and colour images of one camera, and looks for something in them.
+
+    Stamps of a channel increase. A depth image waits for a colour image that is not older.
+
+    Attributes
+    ----------
+    found : stamp, ns, and what was found, of each depth image.
+    skipped : depth images without a result, by reason.
+    """
+
+    def __init__(self, channels: ImageChannels, tree: TransformTree, find: Finder) -> None:
+        self.channels = channels
+        self.found: list[tuple[int, Any]] = []
+        self.skipped: Counter[str] = Counter()
+        self._tree, self._find = tree, find
+        self._camera: DepthCamera | None = None
+        self._depths: deque[tuple[int, Any]] = deque()
+        self._colours: deque[tuple[int, Any]] = deque(maxlen=2 * WAITING)
+
+    def take(self, topic: str, stamp: int, content: Any) -> None:
+        """Take an image of the camera."""
+        queue = self._depths if topic == self.channels.depth else self._colours
+        queue.append((stamp, content))
+        depths, colours = self._depths, self._colours
+        while depths and ((colours and colours[-1][0] >= depths[0][0]) or len(depths) > WAITING):
+            self._join(*depths.popleft())
+
+    def finish(self) -> None:
+        """Use the depth images that still wait."""
+        while self._depths:
+            self._join(*self._depths.popleft())
+
+    def _join(self, stamp: int, depth: Any) -> None:
+        nearest = min(self._colours, key=lambda colour: abs(colour[0] - stamp), default=None)
+        if nearest is None or abs(nearest[0] - stamp) > MAX_DELTA_S * 1e9:
+            self.skipped["no colour image at that time"] += 1
+            return
+        try:
+            images = depth_image(depth), colour_image(nearest[1])
+        except LogError:
+            self.skipped["damaged"] += 1
+            return
+        self._search(stamp, *images)
+
+    def _search(self, stamp: int, depth: Floats, colour: Bytes) -> None:
+        if self._camera is None:
+            self._camera = _camera(self.channels, self._tree, depth.shape, colour.shape[:2])
+        if self._camera.rays.shape[:2] != depth.shape:
+            self.skipped["of another size"] += 1
+            return
+        found = self._find(colour, depth, self._camera)
+        if found is None:
+            self.skipped["not seen"] += 1
+        else:
+            self.found.append((stamp, found))
+
+
+def _camera(
+    channels: ImageChannels, tree: TransformTree, depth: Sequence[int], colour: Sequence[int]
+) -> DepthCamera:
+    """Return how depth and colour images belong together.
+
+    Raises LogError if nothing in the log tells it.
+    """
+    lens = Intrinsics.of(channels.depth_info, channels.depth)
+    to_colour: Rigid | None = Rigid.identity()
+    if channels.depth_frame != channels.colour_frame:
+        to_colour = tree.at_rest(channels.depth_frame, channels.colour_frame)
+    if to_colour is None:
+        raise LogError(
+            f"is in the frame {channels.depth_frame!r}, the colour images are in "
+            f"{channels.colour_frame!r}, and /tf_static does not join them; record depth that is "
+            "registered to the colour image",
+            topic=channels.depth,
+        )
+    aligned = channels.depth_frame == channels.colour_frame and tuple(depth) == tuple(colour)
+    colour_lens = None if aligned else Intrinsics.of(channels.colour_info, channels.colour)
+    return DepthCamera(lens.rays(*depth), float(lens.matrix[0, 0]), colour_lens, to_colour)
