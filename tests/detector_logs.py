@@ -15,6 +15,7 @@ from rosbags.typesys.store import Typestore
 
 import hiros_schemas
 from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.detectors.body_models import body_model
 from hiros_mcap.io.detectors.joint_names import joints_of
@@ -323,13 +324,14 @@ def write_ros1_mcap(path: Path, scene: Scene) -> Path:
 
 def write_ros1_bag(path: Path, scene: Scene) -> Path:
     """MarkerArrays of the Azure Kinect's original driver in a ROS 1 bag."""
-    store = store_of({MARKERS: MARKERS_ROS1, TF: hiros_schemas.text(TF)}, Stores.ROS1_NOETIC)
+    texts = {MARKERS: MARKERS_ROS1, **{name: hiros_schemas.text(name) for name in (TF, GROUP)}}
+    store = store_of(texts, Stores.ROS1_NOETIC)
     rows = [
         (topic.replace("skeletons", "body_tracking_data"), MARKERS, frame.log_time,
          bytes(store.serialize_ros1(azure_message(frame, store), MARKERS)))
         for topic, frame in scene.detections
     ]  # fmt: skip
-    rows += [row for row in ros1_messages(scene) if row[1] == TF]
+    rows += [row for row in ros1_messages(scene) if not row[0].startswith("/camera")]
     with Bag1Writer(path) as writer:
         connections: dict[str, Any] = {}
         for topic, name, log_time, data in sorted(rows, key=lambda row: row[2]):
@@ -356,3 +358,31 @@ KINDS: dict[str, Callable[[Path, Scene], Path]] = {
     "ros4hri": lambda path, scene: write_ros2(path, scene, humans),
 }
 """Writers of the scene's log, by kind."""
+
+
+def kinect_v2(scene: Scene) -> Made:
+    """SkeletonGroups with the joints of a Kinect v2."""
+    model = body_model("kinect-v2")
+    encoder = Encoder(model)
+    for topic, frame in scene.detections:
+        made = Frame.empty(
+            frame.n_people, model, stamp=stamp_of(frame), source=frame.source,
+            frame_id=frame.frame_id,
+        )  # fmt: skip
+        made.markers[:, :, :3] = points_in(frame, scene.names, "kinect-v2")
+        made.link_confidences[:] = 1.0
+        yield topic, GROUP, frame.log_time, encoder.encode(made)
+
+
+def only(camera: str, make: Callable[[Scene], Made]) -> Callable[[Scene], Made]:
+    """One camera of a scene."""
+
+    def made(scene: Scene) -> Made:
+        yield from (row for row in make(scene) if row[0].startswith(f"/{camera}/"))
+
+    return made
+
+
+def together(*makers: Callable[[Scene], Made]) -> Callable[[Scene], Made]:
+    """Several detectors in one log."""
+    return lambda scene: (row for make in makers for row in make(scene))

@@ -13,12 +13,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.io.detectors.detector import (
+from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
     DetectorReader,
-    Sighting,
+    SeenPeople,
     nanoseconds,
-    sighting,
+    seen_people,
 )
 from hiros_mcap.skeletons import ORIENTATION, Stamps
 
@@ -37,7 +37,7 @@ class AzureKinectMarkers(DetectorReader):
         self._model = body_model("azure-kinect")
         self._frames: dict[str, str] = {}
 
-    def read(self, message: DetectorMessage) -> Iterable[Sighting] | None:
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Group the markers by body; an empty message names no frame, so the last one counts."""
         markers = message.fields.markers
         if not markers:
@@ -54,7 +54,7 @@ class AzureKinectMarkers(DetectorReader):
         for row, joint, marker in zip(rows, ids % _FACTOR, markers, strict=True):
             at, turn = marker.pose.position, marker.pose.orientation
             poses[row, joint] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
-        found = sighting(
+        found = seen_people(
             self._model,
             message,
             header.frame_id,
@@ -71,6 +71,6 @@ class AzureKinectMarkers(DetectorReader):
         whole = len(ids) % n == 0 and len(np.unique(ids)) == len(ids)
         return bool(whole and (ids >= 0).all() and (ids % _FACTOR < n).all())
 
-    def _nobody(self, message: DetectorMessage) -> Sighting:
+    def _nobody(self, message: DetectorMessage) -> SeenPeople:
         empty = np.empty((0, self._model.n_markers, 3))
-        return sighting(self._model, message, self._frames.get(message.topic, ""), empty)
+        return seen_people(self._model, message, self._frames.get(message.topic, ""), empty)

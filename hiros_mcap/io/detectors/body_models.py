@@ -5,15 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
+from hiros_mcap.io.detectors.joint_names import Joint, joints_of
 from hiros_mcap.skeletons import SkeletonModel
 
 
-class _Row(NamedTuple):
+class _Skeleton(NamedTuple):
     source: str
     markers: str
     tree: str
@@ -85,14 +86,16 @@ _HUMAN = """
     l_hip l_knee l_ankle r_hip r_knee r_ankle"""
 _HUMAN_TREE = "body-torso-head  torso-*_shoulder-*_elbow-*_wrist  body-*_hip-*_knee-*_ankle"
 
-_TABLE: Mapping[str, _Row] = {
-    "azure-kinect": _Row("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
-    "kinect-v2": _Row("Kinect for Windows SDK 2.0, JointType", _KINECT_V2, _KINECT_V2_TREE),
-    "zed-18": _Row("ZED SDK 4, BODY_18_PARTS", _ZED_18, _ZED_18_TREE),
-    "zed-34": _Row("ZED SDK 4, BODY_34_PARTS", _ZED_34, _ZED_34_TREE),
-    "zed-38": _Row("ZED SDK 4, BODY_38_PARTS", _ZED_38, _ZED_38_TREE),
-    "zed-70": _Row("ZED SDK 4, BODY_70_PARTS", _ZED_70, _ZED_70_TREE),
-    "ros4hri": _Row("ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE),
+_TABLE: Mapping[str, _Skeleton] = {
+    "azure-kinect": _Skeleton("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
+    "kinect-v2": _Skeleton("Kinect for Windows SDK 2.0, JointType", _KINECT_V2, _KINECT_V2_TREE),
+    "zed-18": _Skeleton("ZED SDK 4, BODY_18_PARTS", _ZED_18, _ZED_18_TREE),
+    "zed-34": _Skeleton("ZED SDK 4, BODY_34_PARTS", _ZED_34, _ZED_34_TREE),
+    "zed-38": _Skeleton("ZED SDK 4, BODY_38_PARTS", _ZED_38, _ZED_38_TREE),
+    "zed-70": _Skeleton("ZED SDK 4, BODY_70_PARTS", _ZED_70, _ZED_70_TREE),
+    "ros4hri": _Skeleton(
+        "ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE
+    ),
 }
 BODY_MODELS = tuple(_TABLE)
 """Names of the models."""
@@ -113,9 +116,14 @@ def body_model(name: str) -> SkeletonModel:
 
 
 def name_of(model: SkeletonModel) -> str:
-    """Return the name of a model of the table; "" for one that has other markers."""
+    """Return the name of the smallest model of the table that has all markers; "" if none has.
+
+    Markers that were never seen are missing in the model of a log, but not most of them.
+    """
     names = set(model.marker_names)
-    return next((n for n in BODY_MODELS if set(body_model(n).marker_names) == names), "")
+    sizes = {n: body_model(n).n_markers for n in BODY_MODELS}
+    whole = [n for n, size in sizes.items() if names <= set(body_model(n).marker_names)]
+    return min(whole, key=lambda n: sizes[n]) if names and whole else ""
 
 
 def _edges(tree: str, names: Mapping[str, int]) -> Iterator[tuple[str, str]]:
@@ -128,3 +136,26 @@ def _edges(tree: str, names: Mapping[str, int]) -> Iterator[tuple[str, str]]:
                     pair = parent.replace("*", side), child.replace("*", side)
                     if pair[0] in names and pair[1] in names:
                         yield pair
+
+
+def linked(names: Sequence[str]) -> SkeletonModel:
+    """Return a model of any markers, linked as the table links joints of these names.
+
+    A joint is linked to the nearest one above it that is there.
+    """
+    joints = joints_of(names)
+    slots = {joint: slot for slot, joint in reversed([*enumerate(joints)])}
+    above: dict[Joint, Joint] = {}
+    for model in map(body_model, BODY_MODELS):
+        known = joints_of(model.marker_names)
+        for parent, child in model.links.tolist():
+            above.setdefault(known[child], known[parent])
+    links = []
+    for joint, slot in slots.items():
+        parent, passed = above.get(joint), {joint}
+        while parent is not None and parent not in slots and parent not in passed:
+            passed.add(parent)
+            parent = above.get(parent)
+        if parent in slots and parent is not None and parent != joint:
+            links.append((names[slot], slots[parent], slot))
+    return SkeletonModel.of(names, links)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -14,8 +15,8 @@ _MILLIMETRES = 300.0
 """Above this, a size is more likely given in mm than in cm."""
 
 
-def body_size(positions: Floats) -> float:
-    """Median size of people (P, M, 3): the diagonal of the box around their joints.
+def body_size(positions: Iterable[Floats]) -> float:
+    """Median size of people, each (M, 3): the diagonal of the box around their joints.
 
     NaN if nobody has two joints.
     """

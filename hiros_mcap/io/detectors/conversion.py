@@ -26,7 +26,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Recovery
 from hiros_mcap.io.detectors.body_models import name_of
-from hiros_mcap.io.detectors.detector import DetectorMessage, DetectorReader, Sighting
+from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.fusing import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.detectors.ros_types import cdr_of, decoder_of, types_of
@@ -110,15 +110,15 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
     sources = _sources(reader, selection)
     if selection.is_usual and not any(source.is_new for source in sources):
         return reader
-    sightings = _probe(reader, sources)
+    found_people = _probe(reader, sources)
     chosen = [
-        s._replace(selected=s.selected and s.info.topic in sightings)
+        s._replace(selected=s.selected and s.info.topic in found_people)
         for s in sources
-        if s.info.topic in sightings or not s.selected or s.type == _TRANSFORMS
+        if s.info.topic in found_people or not s.selected or s.type == _TRANSFORMS
     ]
-    if not sightings or (selection.is_usual and not any(source.is_new for source in chosen)):
+    if not found_people or (selection.is_usual and not any(source.is_new for source in chosen)):
         return reader
-    return ConvertedReader(reader, _Conversion(reader, selection, chosen, sightings))
+    return ConvertedReader(reader, _Conversion(reader, selection, chosen, found_people))
 
 
 class ConvertedReader(BagReader):
@@ -197,7 +197,9 @@ def _same(data: Any) -> Any:
     return data
 
 
-def _read(readers: Iterable[DetectorReader], message: DetectorMessage) -> Iterable[Sighting] | None:
+def _read(
+    readers: Iterable[DetectorReader], message: DetectorMessage
+) -> Iterable[SeenPeople] | None:
     """Return what the first reader that does not decline finds; None if all do."""
     for reader in readers:
         if message.type in reader.types:
@@ -291,14 +293,14 @@ class _Conversion:
                         channels.write(source, message.log_time, given.cdr)
                         if source.type != _TRANSFORMS or not source.selected:
                             continue
-                    sightings = _read(self._readers, given)
+                    found_people = _read(self._readers, given)
                 except LogError as error:
                     self.faulty[topic] += 1
                     self.first.setdefault(topic, error.fault)
                     continue
-                if sightings is None:
+                if found_people is None:
                     self._declined[topic] += source.type != _TRANSFORMS
-                self._add(channels, encoder, sightings or ())
+                self._add(channels, encoder, found_people or ())
             for reader in self._readers:
                 self._add(channels, encoder, reader.rest())
             writer.commit()
@@ -310,15 +312,15 @@ class _Conversion:
         same = self._models.get(source.info.topic) == self.target and self._choice.unit == "m"
         return not (source.type == _SKELETONS and same)
 
-    def _add(self, channels: _Channels, encoder: Encoder, some: Iterable[Sighting]) -> None:
+    def _add(self, channels: _Channels, encoder: Encoder, some: Iterable[SeenPeople]) -> None:
         for topic, model, frame in some:
             if not self._selects(topic):
                 continue
             fit = self._fits.get(model)
             if fit is None:
                 fit = self._fits[model] = Fit(model, self.target, METRES[self._choice.unit])
-            if fit.missing and frame.n_people:
-                self._missing.setdefault(topic, Counter()).update(fit.missing)
+            if names := fit.left_out(frame):
+                self._missing.setdefault(topic, Counter()).update(names)
             channels.add(topic, frame.log_time, encoder.encode(fit(frame)))
 
     def remarks(self) -> Iterator[str]:

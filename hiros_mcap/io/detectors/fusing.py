@@ -9,6 +9,7 @@ import numpy as np
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
+from hiros_mcap.io.detectors.detector_reader import add_links
 from hiros_mcap.io.detectors.joint_names import Joint, joints_of
 from hiros_mcap.skeletons import (
     ACCELERATION,
@@ -113,12 +114,7 @@ def _check_common(wanted: str, model: SkeletonModel, models: Mapping[str, Skelet
 
 
 class Fit:
-    """Turns frames of one model into frames of another.
-
-    Attributes
-    ----------
-    missing : markers of the source that the target does not have.
-    """
+    """Turns frames of one model into frames of another."""
 
     def __init__(self, source: SkeletonModel, target: SkeletonModel, factor: float = 1.0) -> None:
         """``factor`` turns the source's unit into metres."""
@@ -129,8 +125,8 @@ class Fit:
         # Of two names for one joint, the first counts.
         first = {known[j]: i for i, j in reversed([*enumerate(joints)]) if j in known}
         self._from, self._to = list(first.values()), list(first)
-        pairs = zip(source.marker_names, joints, strict=True)
-        self.missing = tuple(name for name, joint in pairs if joint not in known)
+        self._names = source.marker_names
+        self._missing = [i for i, joint in enumerate(joints) if joint not in known]
 
     def __call__(self, frame: Frame) -> Frame:
         """Return the frame with the target's markers; without orientations unless models agree.
@@ -146,10 +142,17 @@ class Fit:
             getattr(found, name)[:] = getattr(people, name)
         found.markers[:, self._to] = people.markers[:, self._from]
         found.markers[:, :, ORIENTATION] = np.nan
-        both = (~np.isnan(found.markers[:, :, 0]))[:, target.links].all(axis=-1)
-        found.link_confidences[both & (target.links >= 0).all(axis=-1)] = 1.0
         found.marker_confidences[:, self._to] = people.marker_confidences[:, self._from]
-        return frame.replace(people=found)
+        fitted = frame.replace(people=found)
+        add_links(fitted, target)
+        return fitted
+
+    def left_out(self, frame: Frame) -> list[str]:
+        """Names of the markers of a frame for which the target has no place."""
+        if not self._missing:
+            return []
+        here = ~np.isnan(frame.positions[:, self._missing, 0])
+        return [self._names[self._missing[k]] for k in np.flatnonzero(here.any(axis=0))]
 
     def _scaled(self, people: People) -> People:
         if self._factor == 1.0:

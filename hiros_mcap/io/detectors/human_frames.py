@@ -17,7 +17,12 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import Transform, parse_tf
 from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.io.detectors.detector import DetectorMessage, DetectorReader, Sighting, sighting
+from hiros_mcap.io.detectors.detector_reader import (
+    DetectorMessage,
+    DetectorReader,
+    SeenPeople,
+    seen_people,
+)
 from hiros_mcap.skeletons import Floats
 
 ROOT = "body_"
@@ -61,9 +66,9 @@ class HumanFrames(DetectorReader):
         self._instants: dict[str, tuple[int, DetectorMessage]] = {}
         """By camera: the stamp, and the last message that was part of it."""
 
-    def read(self, message: DetectorMessage) -> Iterable[Sighting] | None:
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Take note of the frames; return the bodies whose instant is over."""
-        done: list[Sighting] = []
+        done: list[SeenPeople] = []
         found = False
         for transform in parse_tf(message.cdr):
             match = _LINK.fullmatch(transform.child.lstrip("/"))
@@ -77,16 +82,16 @@ class HumanFrames(DetectorReader):
             body.frames[part] = transform
         return done if found else None
 
-    def rest(self) -> Iterator[Sighting]:
+    def rest(self) -> Iterator[SeenPeople]:
         """Return the last instant of every camera."""
         for camera in self._instants:
             yield from self._finish(camera)
 
-    def _advance(self, body: _Body, stamp: int, message: DetectorMessage) -> Iterable[Sighting]:
+    def _advance(self, body: _Body, stamp: int, message: DetectorMessage) -> Iterable[SeenPeople]:
         """Note that a frame of a body has a stamp; return its camera's last instant if it ends."""
         camera = body.camera
         instant, _ = self._instants.get(camera, (0, message))
-        done: list[Sighting] = []
+        done: list[SeenPeople] = []
         if stamp > instant + _SAME_NS:
             done += self._finish(camera)
             instant = stamp
@@ -94,7 +99,7 @@ class HumanFrames(DetectorReader):
         self._instants[camera] = instant, message
         return done
 
-    def _finish(self, camera: str) -> Iterator[Sighting]:
+    def _finish(self, camera: str) -> Iterator[SeenPeople]:
         """Yield the people of a camera's instant."""
         if camera not in self._instants or not camera:
             return
@@ -109,7 +114,7 @@ class HumanFrames(DetectorReader):
         positions = np.array([self._positions(name, body) for name, body in people.items()])
         ids = [body.number for body in people.values()]
         message = replace(last, topic=f"/{camera}/bodies")
-        yield sighting(self._model, message, camera, positions, stamp=instant, ids=ids)
+        yield seen_people(self._model, message, camera, positions, stamp=instant, ids=ids)
 
     def _positions(self, name: str, body: _Body) -> Floats:
         """(M, 3) of the joints in the camera's frame; NaN where a frame is missing."""

@@ -56,7 +56,7 @@ def joints_of(names: Sequence[str]) -> list[Joint]:
     for name, (part, side) in zip(names, split, strict=True):
         other = {"left": "right", "right": "left"}.get(side, "")
         part = _plain(part)
-        if side and (part, other) not in pairs:
+        if side and side not in name.lower() and (part, other) not in pairs:
             part, side = _plain(name), ""
         found.append((_CANONICAL.get(part, part), side))
     return found

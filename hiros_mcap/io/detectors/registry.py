@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.detectors.azure_kinect import AzureKinectMarkers
-from hiros_mcap.io.detectors.detector import DetectorReader
+from hiros_mcap.io.detectors.detector_reader import DetectorReader
 from hiros_mcap.io.detectors.human_frames import HumanFrames
 from hiros_mcap.io.detectors.skeleton_groups import SkeletonGroups
 from hiros_mcap.io.detectors.zed import ZedBodies

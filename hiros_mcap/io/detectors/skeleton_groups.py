@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.codec import Decoder, ModelBuilder
-from hiros_mcap.io.detectors.detector import DetectorMessage, DetectorReader, Sighting
+from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.ros_types import long_name, types_of
 from hiros_mcap.skeletons import Frame
 
@@ -37,10 +37,10 @@ class SkeletonGroups(DetectorReader):
         self._decoders: dict[str, Decoder] = {}
         self._held: dict[str, list[DetectorMessage]] = {}
 
-    def read(self, message: DetectorMessage) -> Iterable[Sighting]:
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople]:
         """Read a group, or hold back a skeleton until one of another time comes."""
         if message.type == GROUP:
-            return list(self._sightings(message, message.cdr))
+            return list(self._people(message, message.cdr))
         held = self._held.setdefault(message.topic, [])
         if held and _stamp(held[0]) == _stamp(message):
             held.append(message)
@@ -48,19 +48,19 @@ class SkeletonGroups(DetectorReader):
         self._held[message.topic] = [message]
         return list(self._joined(held))
 
-    def rest(self) -> Iterator[Sighting]:
+    def rest(self) -> Iterator[SeenPeople]:
         """Return what is held back."""
         for held in self._held.values():
             yield from self._joined(held)
 
-    def _joined(self, held: Sequence[DetectorMessage]) -> Iterator[Sighting]:
+    def _joined(self, held: Sequence[DetectorMessage]) -> Iterator[SeenPeople]:
         if held:
-            yield from self._sightings(held[-1], group_of([message.cdr for message in held]))
+            yield from self._people(held[-1], group_of([message.cdr for message in held]))
 
-    def _sightings(self, message: DetectorMessage, data: bytes | memoryview) -> Iterator[Sighting]:
+    def _people(self, message: DetectorMessage, data: bytes | memoryview) -> Iterator[SeenPeople]:
         builder = self._builders.setdefault(message.topic, ModelBuilder())
         for frame in self._frames(builder, message, data):
-            yield Sighting(message.topic, self._decoders[message.topic].model, frame)
+            yield SeenPeople(message.topic, self._decoders[message.topic].model, frame)
 
     def _frames(
         self, builder: ModelBuilder, message: DetectorMessage, data: bytes | memoryview

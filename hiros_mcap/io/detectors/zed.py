@@ -15,13 +15,13 @@ import numpy as np
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.detectors.body_models import body_model
-from hiros_mcap.io.detectors.detector import (
+from hiros_mcap.io.detectors.detector_reader import (
     DetectorMessage,
     DetectorReader,
-    Sighting,
+    SeenPeople,
+    is_seen,
     nanoseconds,
-    seen,
-    sighting,
+    seen_people,
 )
 from hiros_mcap.skeletons import Floats
 
@@ -38,7 +38,7 @@ class ZedBodies(DetectorReader):
     def __init__(self) -> None:
         self._formats: dict[str, str] = {}
 
-    def read(self, message: DetectorMessage) -> Iterable[Sighting] | None:
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Read the people; a camera that sees nobody uses the format of its last ones."""
         objects = message.fields.objects
         people = [one for one in objects if one.skeleton_available]
@@ -49,7 +49,7 @@ class ZedBodies(DetectorReader):
         header = message.fields.header
         model = body_model(self._formats[message.topic])
         return [
-            sighting(
+            seen_people(
                 model,
                 message,
                 header.frame_id,
@@ -74,5 +74,5 @@ def _positions(people: Sequence[Any], n: int) -> Floats:
     for row, one in zip(points, people, strict=True):
         keypoints = one.skeleton_3d.keypoints[:n]
         row[: len(keypoints)] = [point.kp for point in keypoints]
-    points[~seen(points)] = np.nan
+    points[~is_seen(points)] = np.nan
     return points

@@ -10,7 +10,7 @@ A reader takes one message and gives the skeletons in it, or declines::
             if not bodies:
                 return None
             ...
-            return [sighting(MODEL, message, frame_id, positions, stamp=stamp)]
+            return [seen_people(MODEL, message, frame_id, positions, stamp=stamp)]
 
 :mod:`hiros_mcap.io.detectors.registry` is where hiros finds it.
 """
@@ -52,7 +52,7 @@ class DetectorMessage:
         return self.decode(self.cdr)
 
 
-class Sighting(NamedTuple):
+class SeenPeople(NamedTuple):
     """The people that a camera saw at one instant."""
 
     topic: str
@@ -74,19 +74,19 @@ class DetectorReader(ABC):
     types: ClassVar[Sequence[str]]
 
     @abstractmethod
-    def read(self, message: DetectorMessage) -> Iterable[Sighting] | None:
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
         """Return what a message shows; None if it is of another use and shows no skeletons.
 
-        No sighting means that more messages are needed. A sighting of nobody means that the
+        No element means that more messages are needed. An element of nobody means that the
         camera saw nobody. Raises LogError for a message that cannot be read.
         """
 
-    def rest(self) -> Iterable[Sighting]:
+    def rest(self) -> Iterable[SeenPeople]:
         """Return what is still held back at the end of the log."""
         return ()
 
 
-def sighting(
+def seen_people(
     model: SkeletonModel,
     message: DetectorMessage,
     frame_id: str,
@@ -95,8 +95,8 @@ def sighting(
     stamp: int = 0,
     ids: Sequence[int] | None = None,
     confidences: Sequence[float] | None = None,
-) -> Sighting:
-    """Make a sighting of people whose joints are points.
+) -> SeenPeople:
+    """Return people whose joints are points.
 
     Parameters
     ----------
@@ -115,14 +115,14 @@ def sighting(
         frame.ids[:] = ids
     if confidences is not None:
         frame.confidences[:] = confidences
-    _add_links(frame, model)
-    return Sighting(message.topic, model, frame)
+    add_links(frame, model)
+    return SeenPeople(message.topic, model, frame)
 
 
-def _add_links(frame: Frame, model: SkeletonModel) -> None:
+def add_links(frame: Frame, model: SkeletonModel) -> None:
     """Give a link the confidence 1 where both of its markers are; otherwise it is absent."""
     there = ~np.isnan(frame.markers[:, :, 0])
-    both = there[:, model.links].all(axis=-1)
+    both = there[:, model.links].all(axis=-1) & (model.links >= 0).all(axis=-1)
     frame.link_confidences[both] = 1.0
 
 
@@ -131,6 +131,6 @@ def nanoseconds(stamp: Any) -> int:
     return int(stamp.sec) * NANO + int(stamp.nanosec)
 
 
-def seen(positions: Floats) -> Flags:
+def is_seen(positions: Floats) -> Flags:
     """(...) which points (..., 3) are there: finite and not (0, 0, 0), which stands for none."""
     return np.asarray(np.isfinite(positions).all(axis=-1) & positions.any(axis=-1))
