@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import detector_logs as made
 import numpy as np
 import pytest
 from detector_logs import Scene, azure, kinect_v2, only, points_in, together, write_ros2, zed
+from mcap.writer import Writer
 
 import hiros_schemas
 from hiros_cli.app import run
@@ -17,6 +21,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Scores, evaluate, load_truth
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.detectors import registry
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, name_of
 from hiros_mcap.io.detectors.body_size import unit_of
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
@@ -307,3 +312,65 @@ def test_points_of_another_skeleton_are_nan_where_it_has_none(scene: Scene) -> N
     points = points_in(frame, scene.names, "zed-38")
     assert np.isnan(points).any()
     assert hiros_schemas.type_hash(hiros_schemas.OBJECTS_STAMPED).startswith("RIHS01_")
+
+
+DOCS = Path(__file__).parents[2] / "docs" / "detectors.md"
+LAB = """\
+std_msgs/Header header
+int32[] ids
+float32[] points
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def test_the_reader_of_the_documentation_reads(
+    tmp_path: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is 40 lines long at most, and registered for the rest of the program."""
+    monkeypatch.setattr(registry, "_READERS", list(registry._READERS))
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(code.strip().splitlines()) <= 40
+    names: dict[str, Any] = {}
+    exec(code, names)
+    store = made.store_of({"lab_msgs/msg/Bodies": LAB})
+    slots = [joints_of(scene.names).index(joint) for joint in joints_of(names["JOINTS"])]
+    frames = [frame for _, frame in scene.detections if frame.n_people]
+    path = tmp_path / "lab.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("lab_msgs/msg/Bodies", "ros2msg", LAB.encode())
+        for camera in ("camera_0", "camera_1"):
+            channel = writer.register_channel(f"/{camera}/bodies", "cdr", schema)
+            for frame in (frame for frame in frames if frame.source == camera):
+                points = 1000 * frame.positions[:, slots]
+                bodies = store.types["lab_msgs/msg/Bodies"](
+                    made.header(made.stamp_of(frame), camera, store),
+                    np.arange(frame.n_people, dtype=np.int32),
+                    points.astype(np.float32).ravel(),
+                )
+                data = bytes(store.serialize_cdr(bodies, "lab_msgs/msg/Bodies"))
+                writer.add_message(channel, frame.log_time, data, frame.log_time)
+        writer.finish()
+    with open_log(path) as log:
+        assert log.model.n_links == 6
+        found = [frame for frame in log.frames() if frame.source == "camera_0"]
+    expected = [frame for frame in frames if frame.source == "camera_0"]
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a.positions, b.positions[:, slots], atol=1e-5)
+
+
+def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("lab", "nowhere.reader:Lab", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    registry._installed.cache_clear()
+    with pytest.raises(ConfigError, match=r"detector reader lab \(nowhere.reader:Lab\)"):
+        detector_readers()
+    registry._installed.cache_clear()
