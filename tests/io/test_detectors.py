@@ -21,7 +21,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Scores, evaluate, load_truth
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.detectors import registry
+from hiros_mcap.io.detectors import azure_kinect, registry
 from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, name_of
 from hiros_mcap.io.detectors.body_size import unit_of
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
@@ -137,6 +137,26 @@ def test_other_markers_are_no_skeletons(tmp_path: Path, scene: Scene) -> None:
     with open_log(write_ros2(tmp_path / "log.mcap", scene, both)) as log:
         assert type(log.reader) is McapReader
         assert len(log.cameras) == 3
+
+
+@pytest.mark.parametrize("namespaces", [("",), ("joint",), ("a", "bcd")])
+def test_markers_are_gathered_as_they_are_decoded(
+    namespaces: tuple[str, ...], scene: Scene
+) -> None:
+    """The fast way to the poses says what the generic one says, byte for byte."""
+    for _, frame in scene.detections[:20]:
+        message = made.azure_message(frame)
+        for i, marker in enumerate(message.markers):
+            marker.ns = namespaces[i % len(namespaces)]
+            marker.text = "t" * (i % 3)
+        data = bytes(made.ROS2.serialize_cdr(message, made.MARKERS))
+        fast = azure_kinect._gathered(data)
+        slow = azure_kinect._decoded(made.ROS2.deserialize_cdr(data, made.MARKERS).markers)
+        assert (fast is None) == (slow is None) == (frame.n_people == 0)
+        if fast and slow:
+            assert fast[:2] == slow[:2]
+            assert all(np.array_equal(a, b) for a, b in zip(fast[2:], slow[2:], strict=True))
+        assert azure_kinect._gathered(data[: len(data) // 2]) is None
 
 
 def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path: Path, scene: Scene) -> None:
