@@ -317,8 +317,7 @@ def test_info_says_how_the_log_is_read(
 ) -> None:
     assert run(["info", str(logs["zed 38"])]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "read from zed_msgs/msg/ObjectsStamped" in out
-    assert "(zed-38)" in out
+    assert "zed_msgs/msg/ObjectsStamped read as skeletons (zed-38)" in out
 
 
 def test_a_log_of_nothing_known_says_what_it_has(tmp_path: Path, scene: Scene) -> None:

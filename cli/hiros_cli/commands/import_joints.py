@@ -13,7 +13,7 @@ from hiros_cli.options import Force, Quiet
 def import_(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE...", help="CSV, TRC or JSON files, one for each camera."),
+        typer.Argument(metavar="FILE", help="CSV, TRC or JSON files, one for each camera."),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="LOG", help="MCAP log to write.")

@@ -325,11 +325,14 @@ class _Conversion:
 
     def remarks(self) -> Iterator[str]:
         """Say what was converted, and what was left out."""
+        topics: dict[tuple[str, str], dict[str, None]] = {}
         for source in self._sources.values():
-            models = self._found.get(source.info.topic, {})
-            if (source.selected and not source.stays) or (source.type == _TRANSFORMS and models):
-                names = ", ".join(f"{t} ({_named(m)})" for t, m in models.items())
-                yield f"read from {source.info.schema} on {source.info.topic}: {names}"
+            for topic, model in self._found.get(source.info.topic, {}).items():
+                if source.is_new:
+                    key = source.info.schema, _named(model)
+                    topics.setdefault(key, {})[topic] = None
+        for (schema, name), some in topics.items():
+            yield f"{', '.join(some)}: {schema} read as skeletons ({name})"
         yield from self._fusion()
         for topic, missing in self._missing.items():
             names = ", ".join([*missing][:_LISTED]) + (", ..." if len(missing) > _LISTED else "")
