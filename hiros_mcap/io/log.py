@@ -619,6 +619,18 @@ def open_reader(
     return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 
+def open_groups(path: str | os.PathLike[str]) -> McapReader:
+    """Open a log as SkeletonGroups, also one of other detectors; raises LogError."""
+    reader = open_reader(path)
+    try:
+        with _named(reader.path):
+            selects = partial(is_selected, topics=None, output_prefix=OUTPUT_PREFIX)
+            return converted(reader, Selection(selects))
+    except BaseException:
+        reader.close()
+        raise
+
+
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
     schema = reader.schema(reader.channels[info.id])
     if schema is None:

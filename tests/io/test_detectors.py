@@ -320,6 +320,13 @@ def test_info_says_how_the_log_is_read(
     assert "zed_msgs/msg/ObjectsStamped read as skeletons (zed-38)" in out
 
 
+def test_each_camera_is_scored_against_the_others(
+    logs: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["eval", str(logs["azure kinect"]), "--leave-one-out"]) == 0
+    assert capsys.readouterr().out.count("/body_tracking_data") >= 3
+
+
 def test_a_log_of_nothing_known_says_what_it_has(tmp_path: Path, scene: Scene) -> None:
     path = write_ros2(tmp_path / "log.mcap", scene, lambda scene: iter(()))
     with pytest.raises(LogError, match=r"no detections of cameras|has no"):

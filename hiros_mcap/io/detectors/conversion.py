@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -24,13 +25,13 @@ from hiros_mcap.io.channels import (
     channels_of,
 )
 from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import McapReader, McapWriter, Message, Recovery
+from hiros_mcap.io.container import McapReader, McapWriter, Message, Recovery, Schema
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.fusing import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.detectors.ros_types import cdr_of, decoder_of, types_of
-from hiros_mcap.io.layout import check_schema
+from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.summary import quantity
 
@@ -184,13 +185,18 @@ def _source(reader: McapReader, info: ChannelInfo, *, selected: bool) -> _Source
     is_transforms = name in (_TRANSFORMS, _OLD_TRANSFORMS)
     kind = _TRANSFORMS if is_transforms else name
     if info.encoding == "cdr" and name in (_SKELETONS, _TRANSFORMS):
-        layout = None
-        if name == _SKELETONS:
-            layout = check_schema(schema.name, schema.encoding, schema.data, topic=info.topic)
-        return _Source(info, kind, selected, stays=True, cdr=layout or _same, decode=_same)
+        cdr = partial(_published, {}, schema, info.topic) if name == _SKELETONS else _same
+        return _Source(info, kind, selected, stays=True, cdr=cdr, decode=_same)
     store = types_of({name: bytes(schema.data).decode(errors="replace")})
     cdr = cdr_of(store, name) if info.encoding == "ros1" else _same
     return _Source(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
+
+
+def _published(found: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
+    """Return a message in the published layout; the schema is compared when the first one comes."""
+    if topic not in found:
+        found[topic] = check_schema(schema.name, schema.encoding, schema.data, topic=topic)
+    return found[topic](data, topic)
 
 
 def _same(data: Any) -> Any:
