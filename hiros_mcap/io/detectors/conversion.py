@@ -185,10 +185,11 @@ def _source(reader: McapReader, info: ChannelInfo, *, selected: bool) -> _Source
     is_transforms = name in (_TRANSFORMS, _OLD_TRANSFORMS)
     kind = _TRANSFORMS if is_transforms else name
     if info.encoding == "cdr" and name in (_SKELETONS, _TRANSFORMS):
-        cdr = partial(_published, {}, schema, info.topic) if name == _SKELETONS else _same
-        return _Source(info, kind, selected, stays=True, cdr=cdr, decode=_same)
+        layouts: dict[str, Layout] = {}
+        read = partial(_published, layouts, schema, info.topic) if name == _SKELETONS else _same
+        return _Source(info, kind, selected, stays=True, cdr=read, decode=_same)
     store = types_of({name: bytes(schema.data).decode(errors="replace")})
-    cdr = cdr_of(store, name) if info.encoding == "ros1" else _same
+    cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
     return _Source(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
 
 
