@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import hiros_schemas
+from hiros_mcap.body.transforms import parse_tf
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bags import BagReader
 from hiros_mcap.io.channels import (
@@ -296,11 +297,13 @@ class _Conversion:
                 topic = source.info.topic
                 try:
                     given = source.message(message)
-                    if not self._is_read(source):
+                    stays = not self._is_read(source)
+                    reads = not stays or (source.selected and source.type == _TRANSFORMS)
+                    found_people = _read(self._readers, given) if reads else None
+                    if stays and not (found_people is not None and _is_of_one_body(given.cdr)):
                         channels.write(source, message.log_time, given.cdr)
-                        if source.type != _TRANSFORMS or not source.selected:
-                            continue
-                    found_people = _read(self._readers, given)
+                    if not reads:
+                        continue
                 except LogError as error:
                     self.faulty[topic] += 1
                     self.first.setdefault(topic, error.fault)
@@ -391,6 +394,11 @@ class _Channels:
         if topic not in self._ids:
             self._ids[topic] = add_skeleton_channel(self._writer, topic)
         self._writer.write(self._ids[topic], log_time, bytes(data))
+
+
+def _is_of_one_body(transforms: Any) -> bool:
+    """Whether all frames of a message belong to one human, so that no camera needs them."""
+    return len({t.child.rpartition("_")[2] for t in parse_tf(transforms)}) == 1
 
 
 def _named(model: SkeletonModel) -> str:
