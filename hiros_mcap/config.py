@@ -45,6 +45,14 @@ class InputParams(Params):
         "", description="Frame of all results. Empty: the root of the cameras' transforms."
     )
 
+    model: str = Field(
+        "",
+        description="Skeleton of the results where detectors have different ones: union, "
+        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, or the topic of a "
+        "camera. Empty: as in the log, the union if there are several.",
+    )
+    unit: Literal["m", "cm", "mm"] = Field("m", description="Unit of the log's positions.")
+
     clocks: Literal["lookahead", "causal", "off"] = Field(
         "lookahead",
         description="How the cameras' clocks are judged. lookahead: by the whole log and by the "

@@ -67,6 +67,11 @@ class SkeletonModel:
         """Number of link slots, L."""
         return len(self.link_ids)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has every marker and link that the detectors claim to know."""
+        return 0 < self.max_markers <= self.n_markers and self.max_links <= self.n_links
+
     @cached_property
     def links(self) -> npt.NDArray[np.int32]:
         """(L, 2) parent and child marker slot of each link."""

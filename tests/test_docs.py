@@ -93,6 +93,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path in ("recordings/kitchen.mcap", "mocap/kitchen.truth.mcap"):
         (folder / path).parent.mkdir()
         shutil.copy(folder / "kitchen.mcap", folder / path)
+    write_import(folder)
     return folder
 
 
@@ -104,6 +105,18 @@ def write_suite(folder: Path) -> None:
     (folder / "suite.toml").write_text(suite[1], encoding="utf-8")
     shutil.copy(folder / "lab.mcap", folder / "crossing.mcap")
     shutil.copy(folder / "sample_data" / "one_person_walking.mcap", folder / "kitchen.mcap")
+
+
+def write_import(folder: Path) -> None:
+    """Write the mapping file that docs/detectors.md shows, and the files that it describes."""
+    page = (DOCS / "detectors.md").read_text(encoding="utf-8")
+    mapping = re.search(r"```toml\n(unit = .*?)```", page, re.DOTALL)
+    assert mapping is not None
+    (folder / "lab.toml").write_text(mapping[1], encoding="utf-8")
+    head = ",".join(f"{name}_{axis}" for name in ("LSHO", "RSHO", "HEAD") for axis in "xyz")
+    rows = [f"{1.7e12 + 33 * i:.0f},1,{i},1400,0,{i + 400},1400,0,200,1700,{i}" for i in range(90)]
+    for name in ("left.csv", "right.csv"):
+        (folder / name).write_text("\n".join([f"timestamp,id,{head}", *rows]))
 
 
 def test_at_least_one_page_has_commands() -> None:

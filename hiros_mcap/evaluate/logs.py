@@ -23,7 +23,7 @@ from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
-from hiros_mcap.io.log import open_log, open_reader, span_of
+from hiros_mcap.io.log import open_groups, open_log, open_reader, span_of
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 _FIRST_MESSAGES = 100
@@ -80,7 +80,7 @@ def start_of(path: str | os.PathLike[str]) -> int:
     It is the log time of the first skeleton of a camera. A result without its cameras is logged
     later than it was seen, so there it is the stamp of its first frame.
     """
-    with open_reader(path) as reader:
+    with open_groups(path) as reader:
         start = span_of(reader)[0]
     if has_cameras(path):
         return start
@@ -95,7 +95,7 @@ def _first_stamp(path: str | os.PathLike[str], topic: str) -> int:
 
 def _skeletons(path: str | os.PathLike[str], globs: Sequence[str] = ("*",)) -> dict[str, int]:
     """Topic -> number of messages of the log's skeleton channels that a glob matches."""
-    with open_reader(path) as reader:
+    with open_groups(path) as reader:
         channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
     return {i.topic: i.count for i in channels if any(fnmatchcase(i.topic, g) for g in globs)}
 

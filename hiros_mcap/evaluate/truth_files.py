@@ -17,12 +17,12 @@ import numpy as np
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.joints.trc import lines_of, number_of, read_markers
 from hiros_mcap.io.log import open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 _LAST_TIME = 9e9
 """s; later times do not fit into 64 bits of nanoseconds."""
-_UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 _LARGEST_M, _SMALLEST_M = 10.0, 0.02
 """Nobody is as large or as small as this, between any two of his markers along an axis."""
 _ENOUGH_MARKERS = 2
@@ -66,32 +66,11 @@ def read_trc(path: Path) -> Truth:
 
     Raises ConfigError if the file is not a TRC file.
     """
-    lines = _lines(path)
-    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-        raise ConfigError(f"{path}: not a TRC file: the first line is not PathFileType")
-    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    unit = header.get("Units", "").strip()
-    if unit not in _UNITS:
-        raise ConfigError(f"{path}: line 3: unit {unit!r} is none of {', '.join(_UNITS)}")
-    names = [cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip()]
-    if not names:
-        raise ConfigError(f"{path}: line 4: names no marker")
-    times, rows = [], []
-    for number, line in enumerate(lines[5:], start=6):
-        cells = line.split("\t")
-        if not line.strip():
-            continue
-        columns = 1 + 3 * len(names)
-        values = [_number(cell, path, number) for cell in cells[1 : 1 + columns]]
-        values += [math.nan] * (columns - len(values))
-        if math.isnan(values[0]):
-            raise ConfigError(f"{path}: line {number}: has no time")
-        times.append(values[0])
-        rows.append(values[1:])
-    positions = _UNITS[unit] * np.array(rows, float).reshape(-1, 1, len(names), 3)
+    markers = read_markers(path)
+    positions = markers.positions[:, None]
     orientations = np.full((*positions.shape[:2], 0, 4), np.nan)
-    model = SkeletonModel.of(names, [])
-    return _truth(path, np.array(times), positions, orientations, model, (0,))
+    model = SkeletonModel.of(markers.names, [])
+    return _truth(path, markers.times, positions, orientations, model, (0,))
 
 
 def read_csv(path: Path) -> Truth:
@@ -137,7 +116,7 @@ class _CsvRows:
 
 def _read_table(path: Path) -> _CsvRows:
     try:
-        rows = list(csv.DictReader(_lines(path)))
+        rows = list(csv.DictReader(lines_of(path)))
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
     columns = set(rows[0]) if rows else set()
@@ -148,8 +127,8 @@ def _read_table(path: Path) -> _CsvRows:
         raise ConfigError(f"{path}: line 1: no column {', '.join(sorted(missing))}")
     table = _CsvRows()
     for line, row in enumerate(rows, start=2):
-        stamp = _number(row["time"], path, line)
-        person = _number(row.get("person") or "0", path, line)
+        stamp = number_of(row["time"], f"{path}: line {line}")
+        person = number_of(row.get("person") or "0", f"{path}: line {line}")
         if math.isnan(stamp) or not person.is_integer():
             raise ConfigError(f"{path}: line {line}: time and person must be numbers")
         _read_row(table, row, (stamp, int(person)), f"{path}: line {line}")
@@ -177,7 +156,7 @@ def _read_row(
 
 
 def _numbers(row: Mapping[str, str | None], columns: Sequence[str], where: str) -> list[float]:
-    return [_parsed(row[column], where) for column in columns]
+    return [number_of(row[column], where) for column in columns]
 
 
 def _truth(
@@ -220,25 +199,3 @@ def _check_unit(path: Path, positions: Floats) -> None:
         )
     if 0 < size < _SMALLEST_M and positions.shape[2] > _ENOUGH_MARKERS:
         raise ConfigError(f"{path}: its people measure {size:.2g} m; is the unit right?")
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not text: {error.reason}") from error
-
-
-def _number(text: str | None, path: Path, line: int) -> float:
-    return _parsed(text, f"{path}: line {line}")
-
-
-def _parsed(text: str | None, where: str) -> float:
-    text = (text or "").strip()
-    try:
-        number = float(text) if text else math.nan
-    except ValueError:
-        number = math.inf
-    if math.isinf(number):
-        raise ConfigError(f"{where}: {text!r} is not a number")
-    return number

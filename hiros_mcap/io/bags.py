@@ -19,6 +19,8 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader, McapWriter, RecoveringReader, Recovery
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import Damage, joined
+from hiros_mcap.io.detectors.registry import detector_readers
+from hiros_mcap.io.detectors.ros_types import types_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -26,10 +28,19 @@ if TYPE_CHECKING:
 
 _MAGIC = {b"#ROSBAG V2.0": "a ROS 1 bag", b"SQLite format 3": "a SQLite bag"}
 _FOLDER = "metadata.yaml"  # what makes a folder a rosbag2 recording
-_WANTED = {
-    hiros_schemas.short_name(name)
-    for name in (hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE)
-}
+_HUMANS = "hri_msgs/"  # its bodies are on /tf
+
+
+def _wanted() -> set[str]:
+    """Types that are taken over: those of the detectors, and transforms."""
+    return {name for reader in detector_readers() for name in reader.types}
+
+
+def _shows_people(name: str) -> bool:
+    """Whether a type may hold skeletons, or says that transforms do."""
+    short = hiros_schemas.short_name(name)
+    transforms = ("tf2_msgs/TFMessage", "tf/tfMessage")
+    return short.startswith(_HUMANS) or (short in _wanted() and short not in transforms)
 
 
 def kind_of(path: Path) -> str:
@@ -139,17 +150,17 @@ class BagReader(McapReader):
         self._folder.cleanup()
 
     def _convert(self, bag: Any, mcap: Path) -> None:
-        taken = [c for c in bag.connections if hiros_schemas.short_name(c.msgtype) in _WANTED]
+        wanted = _wanted()
+        taken = [c for c in bag.connections if hiros_schemas.short_name(c.msgtype) in wanted]
         for connection in bag.connections:
             if connection not in taken:
                 _, n = self.left_out.get(connection.topic, ("", 0))
                 self.left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
-        skeletons = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
-        if not any(hiros_schemas.short_name(c.msgtype) == skeletons for c in taken):
+        if not any(_shows_people(c.msgtype) for c in bag.connections):
             topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
             raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
         texts = {connection.msgtype: connection.msgdef.data for connection in taken}
-        store = bag.typestore if bag.is2 else ros2_types(texts)
+        store = bag.typestore if bag.is2 else types_of(texts)
         with McapWriter(mcap, compression="") as writer:
             channels: dict[tuple[str, str], int] = {}
             schemas: dict[str, int] = {}
@@ -202,7 +213,7 @@ class SplitReader(BagReader):
         for channel in part.channels.values():
             schema = part.schema(channel)
             name, n = schema.name if schema else "no type", part.counts.get(channel.id, 0)
-            if hiros_schemas.short_name(name) in _WANTED:
+            if schema and hiros_schemas.short_name(name) in _wanted():
                 wanted.add(channel.id)
             else:
                 n += self.left_out.get(channel.topic, ("", 0))[1]
@@ -263,8 +274,12 @@ def open_bag(path: Path, kind: str) -> Iterator[Any]:
     from rosbags.highlevel import AnyReader
 
     # SQLite bags of before 2023 do not say what their messages look like.
-    name = hiros_schemas.SKELETON_GROUP
-    types = ros2_types({name: hiros_schemas.text(name)})
+    names = (
+        hiros_schemas.SKELETON_GROUP,
+        hiros_schemas.STAMPED_SKELETON,
+        hiros_schemas.OBJECTS_STAMPED,
+    )
+    types = ros2_types({name: hiros_schemas.text(name) for name in names})
     try:
         with AnyReader([path], default_typestore=types) as bag:
             yield bag

@@ -138,6 +138,15 @@ def select_skeletons(
     return tuple(info for info in chosen if info.count) or tuple(chosen)
 
 
+def is_selected(topic: str, topics: Sequence[str] | None, output_prefix: str) -> bool:
+    """Whether :func:`select_skeletons` would take a skeleton channel of this name."""
+    if _is_below(topic, output_prefix.rstrip("/")):
+        return False
+    if topics is None:
+        return not _is_below(topic, TRUTH_PREFIX)
+    return any(fnmatchcase(topic, glob) for glob in topics)
+
+
 def add_skeleton_channel(writer: McapWriter, topic: str) -> int:
     """Declare a channel of SkeletonGroup messages as rosbag2 would, return its id."""
     return add_ros_channel(writer, topic, hiros_schemas.SKELETON_GROUP)

@@ -52,6 +52,10 @@ Precision = Literal["micrometre", "full"]
 _DROPPED = 32  # of the 52 bits of a mantissa: 20 are left
 
 
+class OtherSkeletonError(LogError):
+    """A message whose markers or links have other names than the log's."""
+
+
 class ModelBuilder:
     """Learns the skeleton model of a log from some of its messages."""
 
@@ -86,12 +90,12 @@ class ModelBuilder:
             known, where = self._markers.setdefault(key, (name, topic))
             if known != name:
                 fault = f"marker {key} is {name!r} here and {known!r} on {where}"
-                raise LogError(fault, topic=topic)
+                raise OtherSkeletonError(fault, topic=topic)
 
     def _add_link(self, key: int, link: tuple[str, int, int], topic: str) -> None:
         known, where = self._links.setdefault(key, (link, topic))
         if known != link:
-            raise LogError(
+            raise OtherSkeletonError(
                 f"link {key} is {link[0]!r} from marker {link[1]} to {link[2]} here "
                 f"and {known[0]!r} from {known[1]} to {known[2]} on {where}",
                 topic=topic,

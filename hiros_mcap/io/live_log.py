@@ -13,6 +13,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ class LiveLog(Log):
         """Read a camera from its first message on that holds somebody in a known place."""
         self.reader.preface = [message]
         try:
-            (camera,), model, _ = look_into(self.reader, [info], self.transforms)
+            (camera,), model, _ = look_into(self.reader, self.transforms, [escape(info.topic)])
         except LogError as error:
             self._refused[info.id] = f"{info.topic}: not used: {error.fault}"
             return
@@ -169,7 +170,7 @@ def open_live(
     reader = LiveReader(source)
 
     def attempt() -> LiveLog:
-        found = look_into(reader, select_skeletons(channels_of(reader), topics), tree)
+        found = look_into(reader, tree, topics)
         return LiveLog(
             reader, found, topics=topics, extrinsics=tree is not None, fixed_frame=fixed_frame
         )

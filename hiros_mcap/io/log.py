@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -42,9 +43,17 @@ from hiros_mcap.io.channels import (
     TF_TOPICS,
     ChannelInfo,
     channels_of,
+    is_selected,
     select_skeletons,
 )
-from hiros_mcap.io.codec import Decoded, Decoder, MessagePart, ModelBuilder, RestPoses
+from hiros_mcap.io.codec import (
+    Decoded,
+    Decoder,
+    MessagePart,
+    ModelBuilder,
+    OtherSkeletonError,
+    RestPoses,
+)
 from hiros_mcap.io.container import (
     Batch,
     LogOrder,
@@ -56,6 +65,13 @@ from hiros_mcap.io.container import (
 )
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
+from hiros_mcap.io.detectors.body_size import body_size, unit_doubt
+from hiros_mcap.io.detectors.conversion import (
+    ConvertedReader,
+    Selection,
+    SkeletonChoice,
+    converted,
+)
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Frame, People, SkeletonModel, Stamps
@@ -97,6 +113,8 @@ class CameraChannel:
     """The name that each of its cameras goes by; usually there is one camera."""
     frames: tuple[str, ...]
     """Coordinate frames of its detections."""
+    size: float = math.nan
+    """Size of the first people on it, m; NaN if nobody is."""
 
 
 class Log:
@@ -198,7 +216,12 @@ class Log:
         changes: dict[str, list[PoseChange]] = {}
         for change in self.transforms.changes_above([*frames, fixed]):
             changes.setdefault(change.child, []).append(change)
-        return (*map(self._changed, changes.values()), *map(_coincide, same_place(poses)))
+        sizes = (unit_doubt(c.channel.topic, c.size) for c in self.cameras)
+        return (
+            *filter(None, sizes),
+            *map(self._changed, changes.values()),
+            *map(_coincide, same_place(poses)),
+        )
 
     def _changed(self, changes: Sequence[PoseChange]) -> str:
         first = changes[0]
@@ -233,7 +256,8 @@ class Log:
     def remarks(self) -> tuple[str, ...]:
         """Notes about the log."""
         found = (self._empty(), self._nameless(), self._former(), self._left_out())
-        return tuple(filter(None, found))
+        own = self.reader.remarks if isinstance(self.reader, ConvertedReader) else ()
+        return (*own, *filter(None, found))
 
     def _former(self) -> str:
         found = [info.topic for info in self.channels if info.topic in OUTPUT_TOPICS]
@@ -341,6 +365,7 @@ class Log:
         """
         topics = {camera.channel.topic for camera in self.cameras}
         self.accounts = {topic: Account(topic) for topic in sorted(topics)}
+        self._account_for_conversion()
         self._inputs.clear()
         self._layouts.clear()
         for camera in self.cameras:
@@ -361,6 +386,15 @@ class Log:
         account = self.accounts.setdefault(topic, Account(topic))
         self._inputs[camera.channel.id] = _Input(camera, account)
         self._layouts[camera.channel.id] = camera.layout
+
+    def _account_for_conversion(self) -> None:
+        """Account for the messages that could not be converted."""
+        faults = self.reader.faults if isinstance(self.reader, ConvertedReader) else {}
+        for topic, (n, first) in faults.items():
+            if topic in self.accounts:
+                account = self.accounts[topic]
+                account.read, account.first_error = n, first
+                account.skipped[DAMAGED] = n
 
     def _accounted(
         self, decoded: Decoded, messages: Sequence[int], inputs: Mapping[int, _Input]
@@ -512,6 +546,7 @@ def open_log(
     output_prefix: str = OUTPUT_PREFIX,
     recover: bool = False,
     memory: int = MEMORY,
+    skeletons: SkeletonChoice | None = None,
 ) -> Log:
     """Open a log and find out what is in it.
 
@@ -525,6 +560,7 @@ def open_log(
     output_prefix : channels below it are results of hiros and not read.
     recover : read what can be read of a damaged MCAP file; ``Log.recovery`` says what is lost.
     memory : bytes that reading may take, about; see :class:`McapReader`.
+    skeletons : skeleton model of the results and unit of the log's positions.
 
     Raises
     ------
@@ -540,29 +576,40 @@ def open_log(
     reader = open_reader(path, recover=recover, memory=memory)
     try:
         with _named(reader.path):
-            chosen = select_skeletons(channels_of(reader), topics, output_prefix)
-        return Log(reader, *look_into(reader, chosen, tree), fixed_frame)
+            selects = partial(is_selected, topics=topics, output_prefix=output_prefix)
+            selection = Selection(selects, skeletons or SkeletonChoice())
+            reader = converted(reader, selection)
+        try:
+            found = look_into(reader, tree, topics, output_prefix)
+        except _SeveralModelsError:
+            with _named(reader.path):
+                reader = converted(reader, selection._replace(several=True))
+            found = look_into(reader, tree, topics, output_prefix)
+        return Log(reader, *found, fixed_frame)
     except BaseException:
         reader.close()
         raise
 
 
 def look_into(
-    reader: McapReader, chosen: Sequence[ChannelInfo], tree: TransformTree | None
+    reader: McapReader,
+    tree: TransformTree | None,
+    topics: Sequence[str] | None,
+    output_prefix: str = OUTPUT_PREFIX,
 ) -> tuple[list[CameraChannel], SkeletonModel, TransformTree]:
     """Find out about the chosen channels: cameras, skeleton model, and transforms unless given.
 
     Raises as :func:`open_log` does.
     """
     with _named(reader.path):
-        layouts = {info.id: _layout(reader, info) for info in chosen}
-        model, first = _learn(reader, layouts)
+        layouts, model, first = _learn(reader, topics, output_prefix)
         decoder = Decoder(model, layouts=layouts)
         seen = [
             _look(reader, info, decoder, layouts[info.id], first[info.id])
             if info.count
             else CameraChannel(info, layouts[info.id], {"": ""}, ())
-            for info in chosen
+            for info in channels_of(reader)
+            if info.id in layouts
         ]
         begin = min((message.log_time for message in first.values()), default=0)
         transforms = _transforms(reader, min(begin, _LATEST)) if tree is None else tree
@@ -598,6 +645,18 @@ def open_reader(
     return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 
+def open_groups(path: str | os.PathLike[str]) -> McapReader:
+    """Open a log as SkeletonGroups, also one of other detectors; raises LogError."""
+    reader = open_reader(path)
+    try:
+        with _named(reader.path):
+            selects = partial(is_selected, topics=None, output_prefix=OUTPUT_PREFIX)
+            return converted(reader, Selection(selects))
+    except BaseException:
+        reader.close()
+        raise
+
+
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
     schema = reader.schema(reader.channels[info.id])
     if schema is None:
@@ -606,16 +665,36 @@ def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
         return check_schema(schema.name, schema.encoding, schema.data)
 
 
+class _SeveralModelsError(LogError):
+    """The channels of a log have different skeletons, which a file is converted for."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the cameras have different skeletons, which live input cannot fuse; record them first"
+        )
+
+
 def _learn(
+    reader: McapReader, topics: Sequence[str] | None, output_prefix: str
+) -> tuple[dict[int, Layout], SkeletonModel, dict[int, Message]]:
+    """Find the layouts of the channels to read, their skeleton model and their first messages."""
+    chosen = select_skeletons(channels_of(reader), topics, output_prefix)
+    layouts = {info.id: _layout(reader, info) for info in chosen}
+    return layouts, *_learn_model(reader, layouts)
+
+
+def _learn_model(
     reader: McapReader, layouts: Mapping[int, Layout]
 ) -> tuple[SkeletonModel, dict[int, Message]]:
     """Learn the skeleton model, and each channel's first message on the way.
 
     The first messages are enough when they hold every marker and link that the detectors claim to
     know; at worst the whole log is read. A message that is damaged, or contradicts the former
-    ones, teaches nothing; whoever decodes it will say so.
+    ones, teaches nothing; whoever decodes it will say so. Raises _SeveralModelsError if the first
+    skeletons of a channel contradict another channel.
     """
     builder, first, failed = ModelBuilder(), dict[int, Message](), ""
+    taught: set[int] = set()
     decoder = Decoder(builder.build(), layouts=layouts)
     for records, rows in reader.runs(layouts.keys()):
         some = records._replace(messages=records.messages[rows])
@@ -624,6 +703,11 @@ def _learn(
             if ident not in first or not (builder.complete or _reads(decoder, message)):
                 try:
                     builder.add(message.data, topic, layouts[ident])
+                    taught.add(ident)
+                except OtherSkeletonError as error:
+                    if ident not in taught:
+                        raise _SeveralModelsError from None
+                    failed = failed or f"; first error: {topic}: {error.fault}"
                 except LogError as error:
                     failed = failed or f"; first error: {topic}: {error.fault}"
                 else:
@@ -682,7 +766,8 @@ def _look(
         raise LogError(failed.fault, topic=info.topic)
     sources = {frame.source: frame.source for frame in seen}
     frames = tuple({frame.frame_id.lstrip("/"): 0 for frame in seen})
-    return CameraChannel(info, layout, sources, frames)
+    size = body_size(np.concatenate([frame.positions for frame in seen])) if seen else math.nan
+    return CameraChannel(info, layout, sources, frames, size)
 
 
 def _after(first: Message, reader: McapReader) -> Iterator[Message]:

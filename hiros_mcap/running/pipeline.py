@@ -19,6 +19,7 @@ from hiros_mcap.config import ClockParams, Config, load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
@@ -150,6 +151,7 @@ def open_input(source: str | os.PathLike[str], config: Config, options: ProcessO
         fixed_frame=config.input.fixed_frame or None,
         recover=options.recover,
         memory=int(options.memory * 2**30),
+        skeletons=SkeletonChoice(config.input.model, config.input.unit),
     )
 
 

@@ -27,8 +27,10 @@ __all__ = [
     "LOG",
     "MARKER_ARRAY",
     "NAMES",
+    "OBJECTS_STAMPED",
     "ROS_PACKAGE",
     "SKELETON_GROUP",
+    "STAMPED_SKELETON",
     "TF_MESSAGE",
     "DefinitionError",
     "Definitions",
@@ -58,6 +60,8 @@ NAMES = tuple(
 """Full names of the seven message types."""
 
 SKELETON_GROUP = "hiros_skeleton_msgs/msg/SkeletonGroup"
+STAMPED_SKELETON = "hiros_skeleton_msgs/msg/StampedSkeleton"
+OBJECTS_STAMPED = "zed_msgs/msg/ObjectsStamped"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -66,9 +70,11 @@ LOG = "rcl_interfaces/msg/Log"
 DELIMITER = "=" * 80
 
 # Numbers of the field types in a type description (REP 2016, type_description_interfaces).
-_NESTED, _SEQUENCE = 1, 144
+_NESTED, _ARRAY, _SEQUENCE = 1, 48, 144
 _TYPE_IDS = {
+    "int8": 2,
     "uint8": 3,
+    "int16": 4,
     "int32": 6,
     "uint32": 7,
     "float32": 10,
@@ -83,8 +89,8 @@ def text(name: str) -> str:
     """Return the schema text that MCAP's ``ros2msg`` wants: the type, then all that it uses.
 
     Takes ``pkg/msg/Type`` or ``pkg/Type`` of any of :data:`NAMES`, of TFMessage, MarkerArray,
-    JointState or Log, or of what these are made of. Comments are left out: the text goes into
-    every log.
+    JointState, Log or ObjectsStamped, or of what these are made of. Comments are left out: the
+    text goes into every log.
 
     Raises :class:`KeyError` for another name.
     """
@@ -139,9 +145,10 @@ def _description(key: str) -> dict[str, object]:
 
 def _field(field: Field) -> dict[str, object]:
     number = _NESTED if field.is_message else _TYPE_IDS[field.type]
+    size = 0 if field.is_sequence else int(field.array.strip("[]") or 0)
     kind = {
-        "type_id": number + (_SEQUENCE if field.array else 0),
-        "capacity": 0,
+        "type_id": number + (_SEQUENCE if field.is_sequence else _ARRAY if size else 0),
+        "capacity": size,
         "string_capacity": 0,
         "nested_type_name": _long(field.type) if field.is_message else "",
     }

@@ -1,4 +1,4 @@
-"""The messages of ROS 2's own packages that hiros reads or writes (as of Humble), by type name."""
+"""Messages of other packages that hiros reads or writes, by type name; ROS 2's own as of Humble."""
 
 STANDARD = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
@@ -39,4 +39,24 @@ STANDARD = {
         "bool mesh_use_embedded_materials\n"
     ),
     "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers\n",
+    # Stereolabs' package zed_msgs, as documented for the ZED ROS 2 wrapper 5.
+    "zed_msgs/Keypoint2Di": "uint32[2] kp\n",
+    "zed_msgs/Keypoint2Df": "float32[2] kp\n",
+    "zed_msgs/Keypoint3D": "float32[3] kp\n",
+    "zed_msgs/BoundingBox2Di": "zed_msgs/Keypoint2Di[4] corners\n",
+    "zed_msgs/BoundingBox2Df": "zed_msgs/Keypoint2Df[4] corners\n",
+    "zed_msgs/BoundingBox3D": "zed_msgs/Keypoint3D[8] corners\n",
+    "zed_msgs/Skeleton2D": "zed_msgs/Keypoint2Df[70] keypoints\n",
+    "zed_msgs/Skeleton3D": "zed_msgs/Keypoint3D[70] keypoints\n",
+    "zed_msgs/Object": (
+        "string label\nint16 label_id\nstring sublabel\nfloat32 confidence\n"
+        "float32[3] position\nfloat32[6] position_covariance\nfloat32[3] velocity\n"
+        "bool tracking_available\nint8 tracking_state\nint8 action_state\n"
+        "zed_msgs/BoundingBox2Di bounding_box_2d\nzed_msgs/BoundingBox3D bounding_box_3d\n"
+        "float32[3] dimensions_3d\nbool skeleton_available\nint8 body_format\n"
+        "zed_msgs/BoundingBox2Df head_bounding_box_2d\n"
+        "zed_msgs/BoundingBox3D head_bounding_box_3d\nfloat32[3] head_position\n"
+        "zed_msgs/Skeleton2D skeleton_2d\nzed_msgs/Skeleton3D skeleton_3d\n"
+    ),
+    "zed_msgs/ObjectsStamped": "std_msgs/Header header\nzed_msgs/Object[] objects\n",
 }

@@ -16,6 +16,7 @@ from hiros_cli.commands import (
     completion,
     evaluate,
     export,
+    import_joints,
     info,
     plot,
     process,
@@ -75,6 +76,7 @@ app.command("eval", cls=HelpfulCommand)(evaluate.evaluate)
 app.command(cls=HelpfulCommand)(check.check)
 app.command(cls=HelpfulCommand)(compare.compare)
 app.command(cls=HelpfulCommand)(info.info)
+app.command("import", cls=HelpfulCommand)(import_joints.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
 app.command(cls=HelpfulCommand)(simulate.simulate)
 app.command(cls=HelpfulCommand)(systems.systems)

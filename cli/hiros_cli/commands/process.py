@@ -117,6 +117,22 @@ def process(
             rich_help_panel=INPUT,
         ),
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help="Unit of the positions: m (default), cm or mm.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     clock: Annotated[
         list[str] | None,
         typer.Option(
@@ -250,6 +266,10 @@ def process(
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
+    if model is not None:
+        shortcuts["--model"] = {"input": {"model": model}}
+    if unit is not None:
+        shortcuts["--unit"] = {"input": {"unit": unit}}
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     prepare(quiet=quiet, roots=RUN)

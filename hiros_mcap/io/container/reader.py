@@ -163,6 +163,11 @@ class McapReader:
         return self._contents
 
     @property
+    def memory(self) -> int:
+        """Bytes that reading may take, about."""
+        return self._memory
+
+    @property
     def has_checksums(self) -> bool:
         """Whether a damaged message is noticed: a checksum covers each of them."""
         chunks = self._contents.chunks

@@ -1,0 +1,161 @@
+"""The skeletons of the detectors in one table: names in the order of the SDK, and who joins whom.
+
+``*`` stands for both sides. A tree is written as chains of markers from the root to the tips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from itertools import pairwise
+from typing import NamedTuple
+
+from hiros_mcap.io.detectors.joint_names import Joint, joints_of
+from hiros_mcap.skeletons import SkeletonModel
+
+
+class _Skeleton(NamedTuple):
+    source: str
+    markers: str
+    tree: str
+
+
+# Azure Kinect Body Tracking SDK, k4abt_joint_id_t; its joint hierarchy.
+_AZURE = """
+    PELVIS SPINE_NAVAL SPINE_CHEST NECK
+    CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT HANDTIP_LEFT THUMB_LEFT
+    CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT THUMB_RIGHT
+    HIP_LEFT KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT
+    HEAD NOSE EYE_LEFT EAR_LEFT EYE_RIGHT EAR_RIGHT"""
+_AZURE_TREE = """
+    PELVIS-SPINE_NAVAL-SPINE_CHEST-NECK-HEAD-NOSE  HEAD-EYE_*  HEAD-EAR_*
+    SPINE_CHEST-CLAVICLE_*-SHOULDER_*-ELBOW_*-WRIST_*-HAND_*-HANDTIP_*  WRIST_*-THUMB_*
+    PELVIS-HIP_*-KNEE_*-ANKLE_*-FOOT_*"""
+_KINECT_V2 = """
+    SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft
+    ShoulderRight ElbowRight WristRight HandRight HipLeft KneeLeft AnkleLeft FootLeft
+    HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft ThumbLeft
+    HandTipRight ThumbRight"""
+_KINECT_V2_TREE = """
+    SpineBase-SpineMid-SpineShoulder-Neck-Head
+    SpineShoulder-Shoulder*-Elbow*-Wrist*-Hand*-HandTip*  Wrist*-Thumb*
+    SpineBase-Hip*-Knee*-Ankle*-Foot*"""
+_ZED_18 = """
+    NOSE NECK RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST
+    RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE LEFT_HIP LEFT_KNEE LEFT_ANKLE
+    RIGHT_EYE LEFT_EYE RIGHT_EAR LEFT_EAR"""
+_ZED_18_TREE = """
+    NECK-NOSE-*_EYE-*_EAR  NECK-*_SHOULDER-*_ELBOW-*_WRIST  NECK-*_HIP-*_KNEE-*_ANKLE"""
+_ZED_34 = """
+    PELVIS NAVAL_SPINE CHEST_SPINE NECK
+    LEFT_CLAVICLE LEFT_SHOULDER LEFT_ELBOW LEFT_WRIST LEFT_HAND LEFT_HANDTIP LEFT_THUMB
+    RIGHT_CLAVICLE RIGHT_SHOULDER RIGHT_ELBOW RIGHT_WRIST RIGHT_HAND RIGHT_HANDTIP RIGHT_THUMB
+    LEFT_HIP LEFT_KNEE LEFT_ANKLE LEFT_FOOT RIGHT_HIP RIGHT_KNEE RIGHT_ANKLE RIGHT_FOOT
+    HEAD NOSE LEFT_EYE LEFT_EAR RIGHT_EYE RIGHT_EAR LEFT_HEEL RIGHT_HEEL"""
+_ZED_34_TREE = """
+    PELVIS-NAVAL_SPINE-CHEST_SPINE-NECK-HEAD-NOSE-*_EYE-*_EAR
+    CHEST_SPINE-*_CLAVICLE-*_SHOULDER-*_ELBOW-*_WRIST-*_HAND-*_HANDTIP  *_HAND-*_THUMB
+    PELVIS-*_HIP-*_KNEE-*_ANKLE-*_FOOT  *_ANKLE-*_HEEL"""
+_ZED_TRUNK = """
+    PELVIS SPINE_1 SPINE_2 SPINE_3 NECK NOSE LEFT_EYE RIGHT_EYE LEFT_EAR RIGHT_EAR
+    LEFT_CLAVICLE RIGHT_CLAVICLE LEFT_SHOULDER RIGHT_SHOULDER LEFT_ELBOW RIGHT_ELBOW
+    LEFT_WRIST RIGHT_WRIST LEFT_HIP RIGHT_HIP LEFT_KNEE RIGHT_KNEE LEFT_ANKLE RIGHT_ANKLE
+    LEFT_BIG_TOE RIGHT_BIG_TOE LEFT_SMALL_TOE RIGHT_SMALL_TOE LEFT_HEEL RIGHT_HEEL"""
+_ZED_TRUNK_TREE = """
+    PELVIS-SPINE_1-SPINE_2-SPINE_3-NECK-NOSE-*_EYE-*_EAR
+    SPINE_3-*_CLAVICLE-*_SHOULDER-*_ELBOW-*_WRIST
+    PELVIS-*_HIP-*_KNEE-*_ANKLE-*_BIG_TOE  *_ANKLE-*_SMALL_TOE  *_ANKLE-*_HEEL"""
+_ZED_38 = f"""{_ZED_TRUNK}
+    LEFT_HAND_THUMB_4 RIGHT_HAND_THUMB_4 LEFT_HAND_INDEX_1 RIGHT_HAND_INDEX_1
+    LEFT_HAND_MIDDLE_4 RIGHT_HAND_MIDDLE_4 LEFT_HAND_PINKY_1 RIGHT_HAND_PINKY_1"""
+_ZED_38_TREE = f"""{_ZED_TRUNK_TREE}
+    *_WRIST-*_HAND_THUMB_4  *_WRIST-*_HAND_INDEX_1  *_WRIST-*_HAND_MIDDLE_4
+    *_WRIST-*_HAND_PINKY_1"""
+_FINGERS = ("THUMB", "INDEX", "MIDDLE", "RING", "PINKY")
+_ZED_70 = _ZED_TRUNK + "".join(
+    f" {side}_HAND_{finger}_{i}"
+    for side in ("LEFT", "RIGHT")
+    for finger in _FINGERS
+    for i in range(1, 5)
+)
+_ZED_70_TREE = _ZED_TRUNK_TREE + "".join(
+    " *_WRIST" + "".join(f"-*_HAND_{finger}_{i}" for i in range(1, 5)) for finger in _FINGERS
+)
+_HUMAN = """
+    body torso head l_shoulder l_elbow l_wrist r_shoulder r_elbow r_wrist
+    l_hip l_knee l_ankle r_hip r_knee r_ankle"""
+_HUMAN_TREE = "body-torso-head  torso-*_shoulder-*_elbow-*_wrist  body-*_hip-*_knee-*_ankle"
+
+_TABLE: Mapping[str, _Skeleton] = {
+    "azure-kinect": _Skeleton("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
+    "kinect-v2": _Skeleton("Kinect for Windows SDK 2.0, JointType", _KINECT_V2, _KINECT_V2_TREE),
+    "zed-18": _Skeleton("ZED SDK 4, BODY_18_PARTS", _ZED_18, _ZED_18_TREE),
+    "zed-34": _Skeleton("ZED SDK 4, BODY_34_PARTS", _ZED_34, _ZED_34_TREE),
+    "zed-38": _Skeleton("ZED SDK 4, BODY_38_PARTS", _ZED_38, _ZED_38_TREE),
+    "zed-70": _Skeleton("ZED SDK 4, BODY_70_PARTS", _ZED_70, _ZED_70_TREE),
+    "ros4hri": _Skeleton(
+        "ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE
+    ),
+}
+BODY_MODELS = tuple(_TABLE)
+"""Names of the models."""
+
+
+@cache
+def body_model(name: str) -> SkeletonModel:
+    """Return a model of the table, whose links are called by their child.
+
+    Raises KeyError for another name.
+    """
+    row = _TABLE[name]
+    markers = row.markers.split()
+    slots = {marker: slot for slot, marker in enumerate(markers)}
+    parents = {slots[child]: slots[parent] for parent, child in _edges(row.tree, slots)}
+    links = [(markers[child], parents[child], child) for child in sorted(parents)]
+    return SkeletonModel.of(markers, links)
+
+
+def name_of(model: SkeletonModel) -> str:
+    """Return the name of the smallest model of the table that has all markers; "" if none has.
+
+    Markers that were never seen are missing in the model of a log, but not most of them.
+    """
+    names = set(model.marker_names)
+    sizes = {n: body_model(n).n_markers for n in BODY_MODELS}
+    whole = [n for n, size in sizes.items() if names <= set(body_model(n).marker_names)]
+    return min(whole, key=lambda n: sizes[n]) if names and whole else ""
+
+
+def _edges(tree: str, names: Mapping[str, int]) -> Iterator[tuple[str, str]]:
+    """Yield parent and child of every link."""
+    for chain in tree.split():
+        steps = chain.split("-")
+        for parent, child in pairwise(steps):
+            for sides in (("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r")):
+                for side in sides:
+                    pair = parent.replace("*", side), child.replace("*", side)
+                    if pair[0] in names and pair[1] in names:
+                        yield pair
+
+
+def linked(names: Sequence[str]) -> SkeletonModel:
+    """Return a model of any markers, linked as the table links joints of these names.
+
+    A joint is linked to the nearest one above it that is there.
+    """
+    joints = joints_of(names)
+    slots = {joint: slot for slot, joint in reversed([*enumerate(joints)])}
+    above: dict[Joint, Joint] = {}
+    for model in map(body_model, BODY_MODELS):
+        known = joints_of(model.marker_names)
+        for parent, child in model.links.tolist():
+            above.setdefault(known[child], known[parent])
+    links = []
+    for joint, slot in slots.items():
+        parent, passed = above.get(joint), {joint}
+        while parent is not None and parent not in slots and parent not in passed:
+            passed.add(parent)
+            parent = above.get(parent)
+        if parent in slots and parent is not None and parent != joint:
+            links.append((names[slot], slots[parent], slot))
+    return SkeletonModel.of(names, links)

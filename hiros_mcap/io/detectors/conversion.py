@@ -1,0 +1,405 @@
+"""A log of other detectors as one of SkeletonGroups of one model.
+
+What is not a SkeletonGroup in CDR, or not of the model that results are to have, is rewritten once
+into a temporary file. From there on it is read as any log.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import hiros_schemas
+from hiros_mcap.body.transforms import parse_tf
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.bags import BagReader
+from hiros_mcap.io.channels import (
+    LATCHED_QOS,
+    TF_TOPICS,
+    ChannelInfo,
+    add_ros_channel,
+    add_skeleton_channel,
+    channels_of,
+)
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapReader, McapWriter, Message, Recovery, Schema
+from hiros_mcap.io.detectors.body_models import name_of
+from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
+from hiros_mcap.io.detectors.fusing import UNION, Fit, chosen_model
+from hiros_mcap.io.detectors.registry import detector_readers
+from hiros_mcap.io.detectors.ros_types import cdr_of, decoder_of, types_of
+from hiros_mcap.io.layout import Layout, check_schema
+from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.summary import quantity
+
+Unit = Literal["m", "cm", "mm"]
+METRES: Mapping[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+_SKELETONS = hiros_schemas.short_name(hiros_schemas.SKELETON_GROUP)
+_TRANSFORMS = hiros_schemas.short_name(hiros_schemas.TF_MESSAGE)
+_OLD_TRANSFORMS = "tf/tfMessage"
+_HUMANS = "hri_msgs/"
+_PROBED = 16 * 2**20
+"""Bytes of a channel that are looked at to learn whether it shows people, and which joints."""
+_LISTED = 12
+
+
+class SkeletonChoice(NamedTuple):
+    """Which skeletons results are to have, and what the log's positions mean."""
+
+    model: str = ""
+    """As in :func:`hiros_mcap.io.detectors.fusing.chosen_model`."""
+    unit: Unit = "m"
+    """Of the positions in the log."""
+
+
+class Selection(NamedTuple):
+    """What is read of a log, and as what."""
+
+    selects: Callable[[str], bool]
+    """Says of a topic whether its skeletons are wanted."""
+    choice: SkeletonChoice = SkeletonChoice()
+    several: bool = False
+    """The log is known to have several models."""
+
+    @property
+    def is_usual(self) -> bool:
+        """Whether SkeletonGroups can stay as they are."""
+        return not self.several and self.choice == SkeletonChoice()
+
+
+class _Source(NamedTuple):
+    """A channel that may hold skeletons, or that is copied."""
+
+    info: ChannelInfo
+    type: str
+    """``pkg/Type``."""
+    selected: bool
+    """Whether its skeletons are wanted; others are copied."""
+    stays: bool
+    """Whether hiros reads it as it is."""
+    cdr: Callable[[Any], Any]
+    decode: Callable[[Any], Any]
+
+    @property
+    def is_new(self) -> bool:
+        """Whether a log with this channel must be converted."""
+        return not self.stays or (self.selected and self.type == _TRANSFORMS)
+
+    def message(self, message: Message) -> DetectorMessage:
+        """Return a message of it as readers take it; raises LogError for damaged bytes."""
+        return DetectorMessage(
+            self.info.topic, self.type, message.log_time, self.cdr(message.data), self.decode
+        )
+
+
+class Faults(NamedTuple):
+    """Messages of a topic that cannot be decoded."""
+
+    messages: int
+    first: str
+
+
+def converted(reader: McapReader, selection: Selection) -> McapReader:
+    """Return a reader of the same log in SkeletonGroups: itself if it holds nothing else.
+
+    Otherwise ``reader`` is closed. Raises LogError, and ConfigError for a model that is not there.
+    """
+    sources = _sources(reader, selection)
+    if selection.is_usual and not any(source.is_new for source in sources):
+        return reader
+    found_people = _probe(reader, sources)
+    chosen = [
+        s._replace(selected=s.selected and s.info.topic in found_people)
+        for s in sources
+        if s.info.topic in found_people or not s.selected or s.type == _TRANSFORMS
+    ]
+    if not found_people or (selection.is_usual and not any(source.is_new for source in chosen)):
+        return reader
+    return ConvertedReader(reader, _Conversion(reader, selection, chosen, found_people))
+
+
+class ConvertedReader(BagReader):
+    """Reads what a conversion made of a log; closing removes it.
+
+    Attributes
+    ----------
+    remarks : what was converted, and what was left out.
+    faults : by topic.
+    """
+
+    def __init__(self, source: McapReader, conversion: _Conversion) -> None:
+        self._checksums = source.has_checksums
+        self._recovery = getattr(source, "recovery", None)
+        self._open_converted(source.path, conversion.write, source.memory)
+        self.left_out = {**getattr(source, "left_out", {}), **conversion.left_out}
+        self.remarks = tuple(conversion.remarks())
+        self.faults = {t: Faults(n, conversion.first[t]) for t, n in conversion.faulty.items()}
+        source.close()
+
+    @property
+    def has_checksums(self) -> bool:
+        """Whether checksums cover every message of the log."""
+        return self._checksums
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """What is lost, None unless damaged files are accepted."""
+        return self._recovery
+
+
+def _short(info: ChannelInfo) -> str:
+    """Type of a channel as ``pkg/Type``; "" if it has none."""
+    try:
+        return hiros_schemas.short_name(info.schema)
+    except hiros_schemas.DefinitionError:
+        return ""
+
+
+def _sources(reader: McapReader, selection: Selection) -> list[_Source]:
+    """Return the channels that may show people, and those that are copied as they are."""
+    known = {name for kind in detector_readers() for name in kind.types}
+    infos = [i for i in channels_of(reader) if i.count and _short(i) in known]
+    found = []
+    for info in infos:
+        is_transforms = _short(info) in (_TRANSFORMS, _OLD_TRANSFORMS)
+        selected = not is_transforms and selection.selects(info.topic)
+        if selected or (is_transforms and info.topic in TF_TOPICS) or _short(info) == _SKELETONS:
+            found.append(_source(reader, info, selected=selected))
+    # Every log has transforms. Those of humans are looked for where something hints at them.
+    hints = any(i.schema.startswith(_HUMANS) for i in channels_of(reader))
+    if hints or not any(source.selected for source in found):
+        found = [s._replace(selected=True) if s.type == _TRANSFORMS else s for s in found]
+    return found
+
+
+def _source(reader: McapReader, info: ChannelInfo, *, selected: bool) -> _Source:
+    """Prepare a channel; raises LogError for a definition that cannot be used."""
+    schema = reader.schema(reader.channels[info.id])
+    name = _short(info)
+    if schema is None or info.encoding not in ("cdr", "ros1"):
+        raise LogError(f"is encoded as {info.encoding!r}, not as CDR", topic=info.topic)
+    is_transforms = name in (_TRANSFORMS, _OLD_TRANSFORMS)
+    kind = _TRANSFORMS if is_transforms else name
+    if info.encoding == "cdr" and name in (_SKELETONS, _TRANSFORMS):
+        layouts: dict[str, Layout] = {}
+        read = partial(_published, layouts, schema, info.topic) if name == _SKELETONS else _same
+        return _Source(info, kind, selected, stays=True, cdr=read, decode=_same)
+    store = types_of({name: bytes(schema.data).decode(errors="replace")})
+    cdr: Callable[[Any], Any] = cdr_of(store, name) if info.encoding == "ros1" else _same
+    return _Source(info, kind, selected, stays=False, cdr=cdr, decode=decoder_of(store, name))
+
+
+def _published(found: dict[str, Layout], schema: Schema, topic: str, data: Any) -> Any:
+    """Return a message in the published layout; the schema is compared when the first one comes."""
+    if topic not in found:
+        found[topic] = check_schema(schema.name, schema.encoding, schema.data, topic=topic)
+    return found[topic](data, topic)
+
+
+def _same(data: Any) -> Any:
+    return data
+
+
+def _read(
+    readers: Iterable[DetectorReader], message: DetectorMessage
+) -> Iterable[SeenPeople] | None:
+    """Return what the first reader that does not decline finds; None if all do."""
+    for reader in readers:
+        if message.type in reader.types:
+            found = reader.read(message)
+            if found is not None:
+                return found
+    return None
+
+
+def _probe(reader: McapReader, sources: Iterable[_Source]) -> dict[str, dict[str, SkeletonModel]]:
+    """Look at the beginning of the channels: topic -> output topic -> model of its skeletons.
+
+    A channel is not in there if no message of its first _PROBED bytes shows people; transforms
+    are looked at to their end.
+    """
+    selected = [source for source in sources if source.selected]
+    groups = [[s] for s in selected if s.type != _TRANSFORMS]
+    transforms = [s for s in selected if s.type == _TRANSFORMS]
+    found: dict[str, dict[str, SkeletonModel]] = {}
+    for group in [*groups, transforms] if transforms else groups:
+        models = _models_of(reader, group)
+        if models:
+            found |= {source.info.topic: models for source in group}
+    return found
+
+
+def _models_of(reader: McapReader, group: Iterable[_Source]) -> dict[str, SkeletonModel]:
+    """Return the models that channels show, by output topic."""
+    sources = {source.info.id: source for source in group}
+    readers = [kind() for kind in detector_readers()]
+    models: dict[str, SkeletonModel] = {}
+    size = 0
+    for message in reader.messages(sources):
+        source = sources[message.channel_id]
+        size += len(message.data)
+        with suppress(LogError):
+            for one in _read(readers, source.message(message)) or ():
+                models[one.topic] = one.model
+        whole = all(model.is_whole for model in models.values()) if models else False
+        if source.type != _TRANSFORMS and (whole or size > _PROBED):
+            break
+    for one in (s for r in readers for s in r.rest()) if not models else ():
+        models[one.topic] = one.model
+    return models
+
+
+class _Conversion:
+    """Writes the skeletons of a log as SkeletonGroups of one model, and copies its transforms.
+
+    Attributes
+    ----------
+    left_out : type and number of messages of every topic that is not taken over.
+    faulty, first : number of messages that cannot be decoded, and why the first one cannot.
+    """
+
+    def __init__(
+        self,
+        reader: McapReader,
+        selection: Selection,
+        sources: Iterable[_Source],
+        found: Mapping[str, Mapping[str, SkeletonModel]],
+    ) -> None:
+        self._reader, self._found = reader, found
+        self._selects, self._choice, _ = selection
+        self._sources = {source.info.id: source for source in sources}
+        self._models = {t: m for models in found.values() for t, m in models.items()}
+        self.target = chosen_model(self._choice.model, self._models)
+        self._readers = [kind() for kind in detector_readers()]
+        self._fits: dict[SkeletonModel, Fit] = {}
+        self._missing: dict[str, Counter[str]] = {}
+        self._declined: Counter[str] = Counter()
+        self.faulty: Counter[str] = Counter()
+        self.first: dict[str, str] = {}
+        self.left_out = {
+            info.topic: (info.schema or "no type", info.count)
+            for info in channels_of(reader)
+            if info.id not in self._sources
+        }
+
+    def write(self, path: Path) -> None:
+        """Write the file; a message that cannot be decoded is counted."""
+        encoder = Encoder(self.target)
+        with McapWriter(path) as writer:
+            channels = _Channels(writer)
+            for message in self._reader.messages(self._sources):
+                source = self._sources[message.channel_id]
+                topic = source.info.topic
+                try:
+                    given = source.message(message)
+                    stays = not self._is_read(source)
+                    reads = not stays or (source.selected and source.type == _TRANSFORMS)
+                    found_people = _read(self._readers, given) if reads else None
+                    if stays and not (found_people is not None and _is_of_one_body(given.cdr)):
+                        channels.write(source, message.log_time, given.cdr)
+                    if not reads:
+                        continue
+                except LogError as error:
+                    self.faulty[topic] += 1
+                    self.first.setdefault(topic, error.fault)
+                    continue
+                if found_people is None:
+                    self._declined[topic] += source.type != _TRANSFORMS
+                self._add(channels, encoder, found_people or ())
+            for reader in self._readers:
+                self._add(channels, encoder, reader.rest())
+            writer.commit()
+
+    def _is_read(self, source: _Source) -> bool:
+        """Whether a channel's messages change: others are copied."""
+        if source.type == _TRANSFORMS or not source.selected:
+            return False
+        same = self._models.get(source.info.topic) == self.target and self._choice.unit == "m"
+        return not (source.type == _SKELETONS and same)
+
+    def _add(self, channels: _Channels, encoder: Encoder, some: Iterable[SeenPeople]) -> None:
+        for topic, model, frame in some:
+            if not self._selects(topic):
+                continue
+            fit = self._fits.get(model)
+            if fit is None:
+                fit = self._fits[model] = Fit(model, self.target, METRES[self._choice.unit])
+            if names := fit.left_out(frame):
+                self._missing.setdefault(topic, Counter()).update(names)
+            channels.add(topic, frame.log_time, encoder.encode(fit(frame)))
+
+    def remarks(self) -> Iterator[str]:
+        """Say what was converted, and what was left out."""
+        topics: dict[tuple[str, str], dict[str, None]] = {}
+        for source in self._sources.values():
+            for topic, model in self._found.get(source.info.topic, {}).items():
+                if source.is_new:
+                    key = source.info.schema, _named(model)
+                    topics.setdefault(key, {})[topic] = None
+        for (schema, name), some in topics.items():
+            yield f"{', '.join(some)}: {schema} read as skeletons ({name})"
+        yield from self._fusion()
+        for topic, missing in self._missing.items():
+            names = ", ".join([*missing][:_LISTED]) + (", ..." if len(missing) > _LISTED else "")
+            yield (
+                f"{topic}: the skeleton model of the results has no place for "
+                f"{quantity(len(missing), 'joint')}, left out of "
+                f"{quantity(max(missing.values()), 'message')}: {names}"
+            )
+        for topic, n in self._declined.items():
+            if n:
+                yield f"{topic}: {quantity(n, 'message')} without skeletons left out"
+
+    def _fusion(self) -> Iterator[str]:
+        """Say which models became one."""
+        by_model: dict[SkeletonModel, list[str]] = {}
+        for topic, model in self._models.items():
+            by_model.setdefault(model, []).append(topic)
+        if set(by_model) == {self.target}:
+            return
+        models = "; ".join(f"{_named(m)}: {', '.join(t)}" for m, t in by_model.items())
+        which = "their union" if self._choice.model in ("", UNION) else _named(self.target)
+        yield (
+            f"skeletons are fused by the names of their joints ({models}); results have {which}, "
+            f"{self.target.n_markers} markers. Orientations are left out, since every detector has "
+            "its own axes; --model chooses another skeleton"
+        )
+
+
+class _Channels:
+    """The channels of the file that is written, each added when it is first needed."""
+
+    def __init__(self, writer: McapWriter) -> None:
+        self._writer = writer
+        self._ids: dict[str, int] = {}
+
+    def write(self, source: _Source, log_time: int, data: Any) -> None:
+        """Copy a message."""
+        topic = source.info.topic
+        if source.type == _SKELETONS:
+            self.add(topic, log_time, data)
+            return
+        if topic not in self._ids:
+            qos = {"qos": LATCHED_QOS} if topic == "/tf_static" else {}
+            self._ids[topic] = add_ros_channel(self._writer, topic, hiros_schemas.TF_MESSAGE, **qos)
+        self._writer.write(self._ids[topic], log_time, bytes(data))
+
+    def add(self, topic: str, log_time: int, data: Any) -> None:
+        """Write a SkeletonGroup."""
+        if topic not in self._ids:
+            self._ids[topic] = add_skeleton_channel(self._writer, topic)
+        self._writer.write(self._ids[topic], log_time, bytes(data))
+
+
+def _is_of_one_body(transforms: Any) -> bool:
+    """Whether all frames of a message belong to one human, so that no camera needs them."""
+    return len({t.child.rpartition("_")[2] for t in parse_tf(transforms)}) == 1
+
+
+def _named(model: SkeletonModel) -> str:
+    return name_of(model) or quantity(model.n_markers, "marker")

@@ -1,0 +1,78 @@
+"""Bodies of the ZED ROS 2 wrapper (Stereolabs): ``zed_msgs/ObjectsStamped``.
+
+Every object has a fixed array ``skeleton_3d`` of 70 keypoints, m. Its ``body_format`` says how
+many count: 0 = 18, 1 = 34, 2 = 38, 3 = 70 (zed_msgs/msg/Object.msg). The package was called
+``zed_interfaces`` before, whose oldest messages have 18 keypoints and no ``body_format``.
+Confidences go from 0 to 100. A keypoint that was not seen is NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.detectors.body_models import body_model
+from hiros_mcap.io.detectors.detector_reader import (
+    DetectorMessage,
+    DetectorReader,
+    SeenPeople,
+    is_seen,
+    nanoseconds,
+    seen_people,
+)
+from hiros_mcap.skeletons import Floats
+
+FORMATS = ("zed-18", "zed-34", "zed-38", "zed-70")
+"""Models by ``body_format``."""
+_HIGHEST = 100.0
+
+
+class ZedBodies(DetectorReader):
+    """Objects without a skeleton are left out; a message of nothing else is declined."""
+
+    types = ("zed_msgs/ObjectsStamped", "zed_interfaces/ObjectsStamped")
+
+    def __init__(self) -> None:
+        self._formats: dict[str, str] = {}
+
+    def read(self, message: DetectorMessage) -> Iterable[SeenPeople] | None:
+        """Read the people; a camera that sees nobody uses the format of its last ones."""
+        objects = message.fields.objects
+        people = [one for one in objects if one.skeleton_available]
+        if people:
+            self._formats[message.topic] = self._format(people, message.topic)
+        elif objects or message.topic not in self._formats:
+            return None
+        header = message.fields.header
+        model = body_model(self._formats[message.topic])
+        return [
+            seen_people(
+                model,
+                message,
+                header.frame_id,
+                _positions(people, model.n_markers),
+                stamp=nanoseconds(header.stamp),
+                ids=[int(one.label_id) for one in people],
+                confidences=[float(one.confidence) / _HIGHEST for one in people],
+            )
+        ]
+
+    def _format(self, people: Sequence[Any], topic: str) -> str:
+        number = int(getattr(people[0], "body_format", 0))
+        if not 0 <= number < len(FORMATS):
+            fault = f"body_format {number} is unknown; hiros knows 0 to {len(FORMATS) - 1}"
+            raise LogError(fault, topic=topic)
+        return FORMATS[number]
+
+
+def _positions(people: Sequence[Any], n: int) -> Floats:
+    """(P, n, 3) m; NaN where a keypoint was not seen."""
+    points = np.full((len(people), n, 3), np.nan)
+    for row, one in zip(points, people, strict=True):
+        keypoints = one.skeleton_3d.keypoints[:n]
+        row[: len(keypoints)] = [point.kp for point in keypoints]
+    points[~is_seen(points)] = np.nan
+    return points

@@ -1,0 +1,1 @@
+"""Joint positions from files that are no logs: CSV, TRC and JSON."""

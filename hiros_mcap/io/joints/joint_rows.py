@@ -1,0 +1,176 @@
+"""Files of joint positions as rows: who had which joint where, and when."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping
+from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, read_markers
+
+
+class JointRow(NamedTuple):
+    """One joint of one person at one instant, in the file's own axes."""
+
+    time: float
+    """s, as the file has it."""
+    person: str
+    joint: str
+    position: tuple[float, float, float]
+    """m."""
+    confidence: float
+    """0 to 1, NaN = not given."""
+
+
+def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+    """Yield what a CSV, TRC or JSON file holds.
+
+    Raises ConfigError naming the file and the line, for a file that is not as the mapping says.
+    """
+    readers: dict[str, Callable[[Path, FileMapping], Iterator[JointRow]]] = {
+        ".csv": _csv_rows,
+        ".trc": _trc_rows,
+        ".json": _json_rows,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ConfigError(f"{path}: is none of {', '.join(readers)}, which hiros imports")
+    yield from reader(path, mapping)
+
+
+def _trc_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+    names, times, positions = read_markers(path)
+    for time, points in zip(times.tolist(), positions.tolist(), strict=True):
+        for name, point in zip(names, points, strict=True):
+            yield JointRow(time, "0", name, tuple(point), math.nan)
+
+
+def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+    try:
+        rows = list(csv.DictReader(lines_of(path)))
+    except csv.Error as error:
+        raise ConfigError(f"{path}: not CSV: {error}") from error
+    columns = list(rows[0]) if rows else []
+    names = _wide_names(columns, mapping.columns)
+    needed = [] if mapping.time.rate else [mapping.time.column]
+    if not names:
+        c = mapping.columns
+        needed += [c.joint, c.x, c.y, c.z]
+    if missing := [name for name in needed if name not in columns]:
+        raise ConfigError(
+            f"{path}: line 1: no column {', '.join(missing)}; the mapping file says how the "
+            f"columns are called (there are: {', '.join(columns[:12])})"
+        )
+    for number, row in enumerate(rows):
+        where = f"{path}: line {number + 2}"
+        time = _time(row.get(mapping.time.column), number, mapping, where)
+        yield from (
+            _wide(row, names, time, mapping, where) if names else _tall(row, time, mapping, where)
+        )
+
+
+def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
+    """Joints that have a column for x, in the order of the file; none if rows name the joint."""
+    pattern = mapping.position or ("" if mapping.joint in columns else "{joint}_{axis}")
+    before, found, after = pattern.format(joint="\0", axis=mapping.x).partition("\0")
+    if not found:
+        return []
+    return [
+        column[len(before) : len(column) - len(after)]
+        for column in columns
+        if column and column.startswith(before) and column.endswith(after)
+    ]
+
+
+def _wide(
+    row: dict[str, str], names: Sequence[str], time: float, mapping: FileMapping, where: str
+) -> Iterator[JointRow]:
+    c = mapping.columns
+    pattern = c.position or "{joint}_{axis}"
+    for name in names:
+        x, y, z, sure = (
+            number_of(row.get(pattern.format(joint=name, axis=axis)), where)
+            for axis in (c.x, c.y, c.z, c.confidence)
+        )
+        yield _row(time, row.get(c.person) or "0", name, (x, y, z), sure, mapping)
+
+
+def _tall(row: dict[str, str], time: float, mapping: FileMapping, where: str) -> Iterator[JointRow]:
+    c = mapping.columns
+    x, y, z, sure = (number_of(row.get(name), where) for name in (c.x, c.y, c.z, c.confidence))
+    yield _row(time, row.get(c.person) or "0", row[c.joint] or "", (x, y, z), sure, mapping)
+
+
+def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+    try:
+        content = json.loads("\n".join(lines_of(path)))
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: not a JSON file: {error}") from None
+    c = mapping.columns
+    frames = content.get(c.frames) if isinstance(content, dict) else content
+    for number, frame in enumerate(_list(frames, c.frames, path)):
+        where = f"{path}: frame {number}"
+        given = frame.get(mapping.time.column) if isinstance(frame, dict) else None
+        time = _time(None if given is None else str(given), number, mapping, where)
+        for index, person in enumerate(_list(frame.get(c.people), c.people, where)):
+            who = str(person.get(c.person, person.get("id", index)))
+            for name, values in _named(person.get(c.joints), mapping, where):
+                x, y, z, sure = _four(values, where)
+                yield _row(time, who, name, (x, y, z), sure, mapping)
+
+
+def _list(value: Any, name: str, where: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise ConfigError(f"{where}: has no list {name!r}; the mapping file says how it is called")
+    return value
+
+
+def _named(joints: Any, mapping: FileMapping, where: str) -> Iterator[tuple[str, Any]]:
+    """Yield name and numbers of each joint of a person."""
+    if isinstance(joints, dict):
+        yield from joints.items()
+        return
+    values = _list(joints, mapping.columns.joints, where)
+    if len(values) != len(mapping.names):
+        raise ConfigError(
+            f"{where}: has {len(values)} joints without names, and names in the mapping file are "
+            f"{len(mapping.names)}"
+        )
+    yield from zip(mapping.names, values, strict=True)
+
+
+def _four(values: Any, where: str) -> list[float]:
+    """Return x, y, z and confidence; NaN for null and for a confidence that is not there."""
+    numbers = values if isinstance(values, list) else [None] * 3 if values is None else []
+    if len(numbers) not in (3, 4):
+        raise ConfigError(f"{where}: a joint is no list of x, y, z and perhaps a confidence")
+    found = [number_of("" if v is None else str(v), where) for v in numbers]
+    return [*found, math.nan][:4]
+
+
+def _time(text: str | None, number: int, mapping: FileMapping, where: str) -> float:
+    if mapping.time.rate is not None:
+        return number / mapping.time.rate
+    time = number_of(text, where)
+    if math.isnan(time):
+        raise ConfigError(f"{where}: has no time")
+    return time * SECONDS[mapping.time.unit]
+
+
+def _row(
+    time: float,
+    person: str,
+    joint: str,
+    position: tuple[float, float, float],
+    confidence: float,
+    mapping: FileMapping,
+) -> JointRow:
+    factor = METRES[mapping.unit]
+    x, y, z = position
+    name = mapping.joints.get(joint, joint)
+    return JointRow(time, person, name, (factor * x, factor * y, factor * z), confidence)

@@ -1,0 +1,155 @@
+"""The mapping file of ``hiros import``: what the columns and numbers of a file mean.
+
+::
+
+    unit = "mm"
+    axes = ["x", "-z", "y"]     # the file's axes that are x, y, z of the log
+    frame = "world"
+
+    [time]
+    column = "timestamp"
+    unit = "ms"
+
+    [columns]                   # of a CSV file
+    person = "id"
+    position = "{joint}_{axis}"
+
+    [joints]                    # names in the file = names in the log
+    LSHO = "SHOULDER_LEFT"
+
+    [files."left.csv"]          # what differs in one file
+    camera = "left"
+    frame = "left_camera"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.params import explain
+from hiros_mcap.skeletons import Floats
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+_AXES = ("x", "y", "z")
+
+
+class TimeMapping(BaseModel):
+    """When the rows are of."""
+
+    model_config = _STRICT
+    column: str = "time"
+    """Of a CSV file; key of a JSON file."""
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    rate: float | None = Field(None, gt=0)
+    """Instants per second, of a file without times."""
+    start: datetime | float = 0.0
+    """Added to every time: a TOML date, or seconds since 1970."""
+    offset: float = 0.0
+    """Seconds to add to this camera's clock."""
+
+
+class ColumnMapping(BaseModel):
+    """Columns of a CSV file, keys of a JSON file."""
+
+    model_config = _STRICT
+    person: str = "person"
+    joint: str = "joint"
+    x: str = "x"
+    y: str = "y"
+    z: str = "z"
+    confidence: str = "confidence"
+    position: str = ""
+    """A CSV file with a row per instant and person: name of a column, with {joint} and {axis}."""
+    frames: str = "frames"
+    people: str = "people"
+    joints: str = "joints"
+
+
+class FileMapping(BaseModel):
+    """What one file means."""
+
+    model_config = _STRICT
+    camera: str = ""
+    """Name of the camera; the file's name if empty."""
+    frame: str = "world"
+    unit: Literal["m", "cm", "mm"] = "m"
+    axes: list[str] = ["x", "y", "z"]
+    time: TimeMapping = TimeMapping()
+    columns: ColumnMapping = ColumnMapping()
+    joints: dict[str, str] = {}
+    names: list[str] = []
+    """Joints in the order of a JSON list without names."""
+
+    @field_validator("axes")
+    @classmethod
+    def _are_axes(cls, axes: list[str]) -> list[str]:
+        if sorted(axis.removeprefix("-") for axis in axes) != list(_AXES):
+            raise ValueError('should be x, y and z in some order, with signs, as ["x", "-z", "y"]')
+        if np.linalg.det(rotation_of(axes)) < 0:
+            raise ValueError("should not mirror people: change one sign")
+        return axes
+
+    def rotated(self, positions: Floats) -> Floats:
+        """Return positions (..., 3) of the file in the axes of the log."""
+        return np.asarray(positions @ rotation_of(self.axes).T)
+
+
+class Mapping(BaseModel):
+    """A mapping file."""
+
+    default: FileMapping
+    files: dict[str, FileMapping]
+
+    def of(self, path: Path) -> FileMapping:
+        """Return what holds for a file, found by its name."""
+        return self.files.get(path.name, self.default)
+
+
+def rotation_of(axes: list[str]) -> Floats:
+    """(3, 3) matrix whose rows pick the file's axes."""
+    rows = np.zeros((3, 3))
+    for row, axis in zip(rows, axes, strict=True):
+        row[_AXES.index(axis.removeprefix("-"))] = -1.0 if axis.startswith("-") else 1.0
+    return rows
+
+
+def read_mapping(path: Path | None) -> Mapping:
+    """Read a mapping file; without one everything is as by default.
+
+    Raises ConfigError naming the file and the key.
+    """
+    if path is None:
+        return Mapping(default=FileMapping(), files={})
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        files = table.pop("files", {})
+        if not isinstance(files, dict):
+            raise ConfigError(f'{path}: files: should be tables [files."NAME"]')
+        return Mapping(
+            default=FileMapping.model_validate(table),
+            files={n: FileMapping.model_validate(_merged(table, own)) for n, own in files.items()},
+        )
+    except ValidationError as error:
+        where, message = explain(error)
+        raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not a TOML file: {error}") from None
+
+
+def _merged(table: dict[str, Any], own: Any) -> dict[str, Any]:
+    """Return a table with the entries of another one put over it, also within its tables."""
+    merged = dict(table)
+    for key, value in (own if isinstance(own, dict) else {}).items():
+        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = {**merged[key], **value} if both else value
+    return merged

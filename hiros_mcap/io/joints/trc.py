@@ -1,0 +1,72 @@
+"""TRC files (OpenSim, Cortex): the markers of one person, a line per instant."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.skeletons import Floats
+
+METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+
+
+class TrcMarkers(NamedTuple):
+    """What a TRC file holds."""
+
+    names: list[str]
+    times: Floats
+    """(T,) s."""
+    positions: Floats
+    """(T, M, 3) m, in the file's axes."""
+
+
+def read_markers(path: Path) -> TrcMarkers:
+    """Read a TRC file; its ``Units`` scale to metres. Raises ConfigError if it is none."""
+    lines = lines_of(path)
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise ConfigError(f"{path}: not a TRC file: the first line is not PathFileType")
+    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    unit = header.get("Units", "").strip()
+    if unit not in METRES:
+        raise ConfigError(f"{path}: line 3: unit {unit!r} is none of {', '.join(METRES)}")
+    names = [cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip()]
+    if not names:
+        raise ConfigError(f"{path}: line 4: names no marker")
+    times, rows = [], []
+    for number, line in enumerate(lines[5:], start=6):
+        cells = line.split("\t")
+        if not line.strip():
+            continue
+        columns = 1 + 3 * len(names)
+        values = [number_of(cell, f"{path}: line {number}") for cell in cells[1 : 1 + columns]]
+        values += [math.nan] * (columns - len(values))
+        if math.isnan(values[0]):
+            raise ConfigError(f"{path}: line {number}: has no time")
+        times.append(values[0])
+        rows.append(values[1:])
+    positions = METRES[unit] * np.array(rows, float).reshape(-1, len(names), 3)
+    return TrcMarkers(names, np.array(times), positions)
+
+
+def lines_of(path: Path) -> list[str]:
+    """Lines of a text file; raises ConfigError if it is not UTF-8."""
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not text: {error.reason}") from error
+
+
+def number_of(text: str | None, where: str) -> float:
+    """Return a finite number, NaN for an empty cell; raises ConfigError for anything else."""
+    text = (text or "").strip()
+    try:
+        number = float(text) if text else math.nan
+    except ValueError:
+        number = math.inf
+    if math.isinf(number):
+        raise ConfigError(f"{where}: {text!r} is not a number")
+    return number

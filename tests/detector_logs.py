@@ -1,0 +1,388 @@
+"""One simulated scene as the logs of other detectors: the bytes that their drivers write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import Writer
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+import hiros_schemas
+from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.detectors.body_models import body_model
+from hiros_mcap.io.detectors.joint_names import joints_of
+from hiros_mcap.io.log import open_log
+from hiros_mcap.simulate.settings import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.skeletons import Floats, Frame
+
+NANO = 1_000_000_000
+MARKERS, OBJECTS = hiros_schemas.MARKER_ARRAY, hiros_schemas.OBJECTS_STAMPED
+GROUP, STAMPED = hiros_schemas.SKELETON_GROUP, hiros_schemas.STAMPED_SKELETON
+TF = hiros_schemas.TF_MESSAGE
+# visualization_msgs/Marker of ROS 1 (Noetic): without the textures of ROS 2.
+MARKERS_ROS1 = """\
+visualization_msgs/Marker[] markers
+================================================================================
+MSG: visualization_msgs/Marker
+Header header
+string ns
+int32 id
+int32 type
+int32 action
+geometry_msgs/Pose pose
+geometry_msgs/Vector3 scale
+std_msgs/ColorRGBA color
+duration lifetime
+bool frame_locked
+geometry_msgs/Point[] points
+std_msgs/ColorRGBA[] colors
+string text
+string mesh_resource
+bool mesh_use_embedded_materials
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+================================================================================
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+================================================================================
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: std_msgs/ColorRGBA
+float32 r
+float32 g
+float32 b
+float32 a
+"""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A simulated log of SkeletonGroups and what is in it."""
+
+    path: Path
+    detections: list[tuple[str, Frame]]
+    """Topic and frame, in the camera's coordinates."""
+    names: tuple[str, ...]
+    others: list[tuple[str, str, int, bytes]]
+    """Topic, type, log time and CDR of the transforms and the truth."""
+
+
+def scene(path: Path, **params: object) -> Scene:
+    """Simulate a scene; orientations of the links are left out, since others have none."""
+    write_log(path, SimulateParams.model_validate(params))
+    with open_log(path) as log:
+        topics = {next(iter(c.sources.values())): c.channel.topic for c in log.cameras}
+        found = [(topics[frame.source], frame) for frame in log.frames()]
+        names = log.model.marker_names
+    with McapReader(path) as reader:
+        kept = {
+            i: (c.topic, schema.name)
+            for i, c in reader.channels.items()
+            if c.topic.startswith((TRUTH_PREFIX, "/tf")) and (schema := reader.schema(c))
+        }
+        others = [(*kept[m.channel_id], m.log_time, bytes(m.data)) for m in reader.messages(kept)]
+    return Scene(path, found, names, others)
+
+
+def store_of(texts: dict[str, str], base: Stores = Stores.ROS2_HUMBLE) -> Typestore:
+    store = get_typestore(base)
+    for name, text in texts.items():
+        types = get_types_from_msg(text, name)
+        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+    return store
+
+
+ROS2 = store_of({name: hiros_schemas.text(name) for name in (MARKERS, OBJECTS, GROUP, STAMPED, TF)})
+ROS1 = store_of({GROUP: hiros_schemas.text(GROUP), TF: hiros_schemas.text(TF)}, Stores.ROS1_NOETIC)
+
+Made = Iterator[tuple[str, str, int, bytes]]
+"""Topic, type, log time, CDR."""
+
+
+def default(name: str, store: Typestore = ROS2, **values: Any) -> Any:
+    """Make a message whose other fields are 0, "" and empty."""
+    kinds = {"string": "", "bool": False}
+    made = {}
+    for field, (node, desc) in store.fielddefs[name][1]:
+        if field in values:
+            made[field] = values.pop(field)
+        elif node.name == "BASE":
+            made[field] = kinds.get(desc[0], 0)
+        elif node.name == "NAME":
+            made[field] = default(desc, store)
+        elif node.name == "SEQUENCE":
+            inner = desc[0]
+            made[field] = [] if inner[0].name == "NAME" else np.zeros(0, inner[1][0])
+        else:
+            inner, n = desc
+            made[field] = (
+                [default(inner[1], store) for _ in range(n)]
+                if inner[0].name == "NAME"
+                else np.zeros(n, inner[1][0])
+            )
+    assert not values, values
+    return store.types[name](**made)
+
+
+def header(stamp: int, frame_id: str, store: Typestore = ROS2) -> Any:
+    time = store.types["builtin_interfaces/msg/Time"](stamp // NANO, stamp % NANO)
+    return default("std_msgs/msg/Header", store, stamp=time, frame_id=frame_id)
+
+
+def stamp_of(frame: Frame) -> int:
+    return max(frame.stamps.tolist(), default=frame.stamp)
+
+
+def points_in(frame: Frame, names: Sequence[str], model: str) -> Floats:
+    """(P, M, 3) positions in the order of another model; NaN where the scene has no such joint."""
+    slots = {joint: slot for slot, joint in enumerate(joints_of(names))}
+    wanted = joints_of(body_model(model).marker_names)
+    points = np.full((frame.n_people, len(wanted), 3), np.nan)
+    for to, joint in enumerate(wanted):
+        if joint in slots:
+            points[:, to] = frame.positions[:, slots[joint]]
+    return points
+
+
+def azure_message(frame: Frame, store: Typestore = ROS2) -> Any:
+    """Make the MarkerArray of one capture."""
+    marker = "visualization_msgs/msg/Marker"
+    point, turn = (
+        store.types["geometry_msgs/msg/Point"],
+        store.types["geometry_msgs/msg/Quaternion"],
+    )
+    pose = store.types["geometry_msgs/msg/Pose"]
+    markers = [
+        default(
+            marker,
+            store,
+            header=header(stamp_of(frame), frame.frame_id, store),
+            id=(7 + body) * 100 + joint,
+            type=2,
+            pose=pose(point(*map(float, xyz)), turn(0.0, 0.0, 0.0, 1.0)),
+        )
+        for body, joints in enumerate(frame.positions)
+        for joint, xyz in enumerate(joints)
+    ]
+    return store.types[MARKERS](markers)
+
+
+def azure(scene: Scene) -> Made:
+    """The Azure Kinect ROS driver on ROS 2."""
+    for topic, frame in scene.detections:
+        data = ROS2.serialize_cdr(azure_message(frame), MARKERS)
+        yield topic.replace("skeletons", "body_tracking_data"), MARKERS, frame.log_time, bytes(data)
+
+
+def zed(model: str) -> Callable[[Scene], Made]:
+    """The ZED ROS 2 wrapper with a body format."""
+    body_format = ("zed-18", "zed-34", "zed-38", "zed-70").index(model)
+
+    def make(scene: Scene) -> Made:
+        keypoint, skeleton = "zed_msgs/msg/Keypoint3D", "zed_msgs/msg/Skeleton3D"
+        for topic, frame in scene.detections:
+            objects = []
+            for i, joints in enumerate(points_in(frame, scene.names, model)):
+                rest = np.zeros((70 - len(joints), 3))
+                keypoints = [
+                    ROS2.types[keypoint](row.astype(np.float32)) for row in [*joints, *rest]
+                ]
+                objects.append(
+                    default(
+                        "zed_msgs/msg/Object",
+                        label="Body",
+                        label_id=i,
+                        confidence=80.0,
+                        skeleton_available=True,
+                        body_format=body_format,
+                        skeleton_3d=ROS2.types[skeleton](keypoints),
+                    )
+                )
+            message = default(
+                OBJECTS, header=header(stamp_of(frame), frame.frame_id), objects=objects
+            )
+            data = bytes(ROS2.serialize_cdr(message, OBJECTS))
+            yield topic.replace("skeletons", "body_trk/skeletons"), OBJECTS, frame.log_time, data
+
+    return make
+
+
+def stamped(scene: Scene) -> Made:
+    """One StampedSkeleton per person."""
+    for topic, data, log_time in groups(scene):
+        group = ROS2.deserialize_cdr(data, GROUP)
+        for person in group.skeletons:
+            values = {n: getattr(person, n) for n, _ in ROS2.fielddefs[STAMPED][1] if n != "header"}
+            one = default(STAMPED, header=group.header, **values)
+            yield topic, STAMPED, log_time, bytes(ROS2.serialize_cdr(one, STAMPED))
+
+
+def humans(scene: Scene) -> Made:
+    """ROS4HRI: the frames of human_description below body_<id>, and the ids that are tracked."""
+    model = body_model("ros4hri")
+    parents = {child: parent for parent, child in model.links.tolist()}
+    for _, frame in scene.detections:
+        for person, joints in enumerate(points_in(frame, scene.names, "ros4hri")):
+            joints[1] = (joints[3] + joints[6]) / 2  # the torso's frame is between the shoulders
+            body = f"{frame.source[-1]}{person + 10:04d}"
+            rows = []
+            for joint, name in enumerate(model.marker_names):
+                parent = parents.get(joint)
+                at = joints[joint] - (joints[parent] if parent is not None else 0)
+                above = frame.frame_id if parent is None else f"{model.marker_names[parent]}_{body}"
+                rows.append((above, f"{name}_{body}", at))
+            yield "/tf", TF, frame.log_time, tf_message(stamp_of(frame), rows)
+
+
+def tf_message(stamp: int, rows: Sequence[tuple[str, str, Floats]]) -> bytes:
+    transform, vector = "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/Vector3"
+    turn = ROS2.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    found = [
+        ROS2.types[transform](
+            header(stamp, parent),
+            child,
+            ROS2.types["geometry_msgs/msg/Transform"](ROS2.types[vector](*map(float, at)), turn),
+        )
+        for parent, child, at in rows
+    ]
+    return bytes(ROS2.serialize_cdr(ROS2.types[TF](found), TF))
+
+
+def groups(scene: Scene) -> Iterator[tuple[str, bytes, int]]:
+    with McapReader(scene.path) as reader:
+        topics = {i: c.topic for i, c in reader.channels.items() if c.topic.startswith("/camera")}
+        for m in reader.messages(topics):
+            yield topics[m.channel_id], bytes(m.data), m.log_time
+
+
+def write_ros2(path: Path, scene: Scene, make: Callable[[Scene], Made]) -> Path:
+    """Write a log in MCAP by the mcap library."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        channels: dict[tuple[str, str], int] = {}
+        for topic, name, log_time, data in [*scene.others, *make(scene)]:
+            if (topic, name) not in channels:
+                text = hiros_schemas.text(name).encode()
+                schema = writer.register_schema(name, "ros2msg", text)
+                channels[topic, name] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic, name], log_time, data, log_time)
+        writer.finish()
+    return path
+
+
+def ros1_messages(scene: Scene) -> Iterator[tuple[str, str, int, bytes]]:
+    """SkeletonGroups and transforms as ROS 1 writes them, with the Header's seq."""
+    for topic, data, log_time in groups(scene):
+        yield topic, GROUP, log_time, bytes(ROS2.cdr_to_ros1(data, GROUP))
+    for topic, name, log_time, data in scene.others:
+        yield topic, name, log_time, bytes(ROS2.cdr_to_ros1(data, name))
+
+
+def write_ros1_mcap(path: Path, scene: Scene) -> Path:
+    """ROS 1 messages in MCAP, as ``mcap convert`` makes them of a bag."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1", "test")
+        channels: dict[tuple[str, str], int] = {}
+        for topic, name, log_time, data in ros1_messages(scene):
+            if (topic, name) not in channels:
+                text = ROS1.generate_msgdef(name, ros_version=1)[0].encode()
+                schema = writer.register_schema(name.replace("/msg/", "/"), "ros1msg", text)
+                channels[topic, name] = writer.register_channel(topic, "ros1", schema)
+            writer.add_message(channels[topic, name], log_time, data, log_time)
+        writer.finish()
+    return path
+
+
+def write_ros1_bag(path: Path, scene: Scene) -> Path:
+    """MarkerArrays of the Azure Kinect's original driver in a ROS 1 bag."""
+    texts = {MARKERS: MARKERS_ROS1, **{name: hiros_schemas.text(name) for name in (TF, GROUP)}}
+    store = store_of(texts, Stores.ROS1_NOETIC)
+    rows = [
+        (topic.replace("skeletons", "body_tracking_data"), MARKERS, frame.log_time,
+         bytes(store.serialize_ros1(azure_message(frame, store), MARKERS)))
+        for topic, frame in scene.detections
+    ]  # fmt: skip
+    rows += [row for row in ros1_messages(scene) if not row[0].startswith("/camera")]
+    with Bag1Writer(path) as writer:
+        connections: dict[str, Any] = {}
+        for topic, name, log_time, data in sorted(rows, key=lambda row: row[2]):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=store)
+            writer.write(connections[topic], log_time, data)
+    return path
+
+
+def write_native(path: Path, scene: Scene) -> Path:
+    return scene.path
+
+
+KINDS: dict[str, Callable[[Path, Scene], Path]] = {
+    "skeleton groups": write_native,
+    "stamped skeletons": lambda path, scene: write_ros2(path, scene, stamped),
+    "ros1 in mcap": write_ros1_mcap,
+    "azure kinect": lambda path, scene: write_ros2(path, scene, azure),
+    "azure kinect in a ros1 bag": write_ros1_bag,
+    "zed 18": lambda path, scene: write_ros2(path, scene, zed("zed-18")),
+    "zed 34": lambda path, scene: write_ros2(path, scene, zed("zed-34")),
+    "zed 38": lambda path, scene: write_ros2(path, scene, zed("zed-38")),
+    "zed 70": lambda path, scene: write_ros2(path, scene, zed("zed-70")),
+    "ros4hri": lambda path, scene: write_ros2(path, scene, humans),
+}
+"""Writers of the scene's log, by kind."""
+
+
+def kinect_v2(scene: Scene) -> Made:
+    """SkeletonGroups with the joints of a Kinect v2."""
+    model = body_model("kinect-v2")
+    encoder = Encoder(model)
+    for topic, frame in scene.detections:
+        made = Frame.empty(
+            frame.n_people, model, stamp=stamp_of(frame), source=frame.source,
+            frame_id=frame.frame_id,
+        )  # fmt: skip
+        made.markers[:, :, :3] = points_in(frame, scene.names, "kinect-v2")
+        made.link_confidences[:] = 1.0
+        yield topic, GROUP, frame.log_time, encoder.encode(made)
+
+
+def only(camera: str, make: Callable[[Scene], Made]) -> Callable[[Scene], Made]:
+    """One camera of a scene."""
+
+    def made(scene: Scene) -> Made:
+        yield from (row for row in make(scene) if row[0].startswith(f"/{camera}/"))
+
+    return made
+
+
+def together(*makers: Callable[[Scene], Made]) -> Callable[[Scene], Made]:
+    """Several detectors in one log."""
+    return lambda scene: (row for make in makers for row in make(scene))

@@ -1,0 +1,402 @@
+"""Logs of other detectors, with the bytes of their drivers, say what SkeletonGroups say."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import detector_logs as made
+import numpy as np
+import pytest
+from detector_logs import Scene, azure, kinect_v2, only, points_in, together, write_ros2, zed
+from mcap.writer import Writer
+
+import hiros_schemas
+from hiros_cli.app import run
+from hiros_mcap.config import load_config
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate import Scores, evaluate, load_truth
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.detectors import azure_kinect, registry
+from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, name_of
+from hiros_mcap.io.detectors.body_size import unit_of
+from hiros_mcap.io.detectors.conversion import SkeletonChoice
+from hiros_mcap.io.detectors.detector_reader import DetectorMessage
+from hiros_mcap.io.detectors.fusing import union_of
+from hiros_mcap.io.detectors.joint_names import joints_of
+from hiros_mcap.io.detectors.registry import detector_readers
+from hiros_mcap.io.log import open_log
+from hiros_mcap.io.overview import look
+from hiros_mcap.running.pipeline import process
+
+EXACT = {"skeleton groups", "stamped skeletons", "ros1 in mcap"}
+"""They keep every number; float32 of the ZED is off by 1 um at 8 m, sums of frames by less."""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    path = tmp_path_factory.mktemp("scene") / "scene.mcap"
+    return made.scene(path, people=2, cameras=3, seconds=1.2, seed=11)
+
+
+@pytest.fixture(scope="module")
+def logs(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("logs")
+    return {
+        kind: write(folder / f"{i}{'.bag' if 'bag' in kind else '.mcap'}", scene)
+        for i, (kind, write) in enumerate(made.KINDS.items())
+    }
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of temporary files, in which nothing may be left."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("kind", made.KINDS)
+def test_every_detector_says_what_skeleton_groups_say(
+    kind: str, logs: dict[str, Path], scene: Scene
+) -> None:
+    expected = {
+        (frame.source, made.stamp_of(frame)): frame
+        for _, frame in scene.detections
+        if frame.n_people
+    }
+    with open_log(logs[kind]) as log:
+        found = [frame for frame in log.frames() if frame.n_people]
+        joints = joints_of(log.model.marker_names)
+        assert log.warnings == ()
+    assert len(found) == len(expected) > 70
+    slots = {joint: slot for slot, joint in enumerate(joints_of(scene.names))}
+    both = [(i, slots[joint]) for i, joint in enumerate(joints) if joint in slots]
+    assert len(both) >= 13
+    here, there = map(list, zip(*both, strict=True))
+    for frame in found:
+        other = expected[frame.source, frame.stamp]
+        assert frame.frame_id == other.frame_id
+        assert frame.log_time == other.log_time
+        off = 0 if kind in EXACT else 2e-6
+        np.testing.assert_allclose(frame.positions[:, here], other.positions[:, there], atol=off)
+
+
+@pytest.mark.parametrize("kind", made.KINDS)
+def test_every_detector_can_be_processed(kind: str, logs: dict[str, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    summary = process(logs[kind], out)
+    assert len(summary.people) == 2
+    assert summary.warnings == ()
+    score = score_of(out)
+    assert (score.missing, score.false, score.switches) == (0, 0, 0)
+    assert score.mean < 45.0  # mm; SkeletonGroups have 30 to 40 here
+    assert run(["export", str(out), "-o", str(tmp_path / "joints.csv"), "--quiet"]) == 0
+
+
+def score_of(out: Path) -> Scores:
+    """Scores of the last channel against the truth that was copied."""
+    truth = load_truth(out)
+    with open_log(out, topics=["/hiros/filtered"], output_prefix="/no") as log:
+        return evaluate(log.frames(), truth, log.model)
+
+
+@pytest.mark.parametrize("reader", detector_readers(), ids=lambda reader: reader.__name__)
+def test_every_reader_declines_what_is_not_its_own(reader: type) -> None:
+    """One kind of message holds its skeletons only if it looks like it."""
+    empty = made.ROS2.serialize_cdr(made.ROS2.types[made.MARKERS]([]), made.MARKERS)
+    message = DetectorMessage("/costmap", "x/Y", 0, bytes(empty), lambda data: None)
+    assert reader.types
+    assert "x/Y" not in reader.types
+    if "visualization_msgs/MarkerArray" in reader.types:
+        decoded = DetectorMessage(
+            "/costmap", "visualization_msgs/MarkerArray", 0, bytes(empty),
+            lambda data: made.ROS2.deserialize_cdr(data, made.MARKERS),
+        )  # fmt: skip
+        assert reader().read(decoded) is None
+    assert list(reader().rest()) == []
+    assert message.fields is None
+
+
+def test_other_markers_are_no_skeletons(tmp_path: Path, scene: Scene) -> None:
+    """A log of SkeletonGroups with markers for RViz in it stays as it is."""
+    point = made.default("visualization_msgs/msg/Marker", id=3, type=2)
+    data = bytes(made.ROS2.serialize_cdr(made.ROS2.types[made.MARKERS]([point]), made.MARKERS))
+    when = scene.detections[0][1].log_time
+
+    def both(scene: Scene) -> made.Made:
+        yield "/plan", made.MARKERS, when, data
+        yield from ((t, made.GROUP, when, d) for t, d, when in made.groups(scene))
+
+    with open_log(write_ros2(tmp_path / "log.mcap", scene, both)) as log:
+        assert type(log.reader) is McapReader
+        assert len(log.cameras) == 3
+
+
+@pytest.mark.parametrize("namespaces", [("",), ("joint",), ("a", "bcd")])
+def test_markers_are_gathered_as_they_are_decoded(
+    namespaces: tuple[str, ...], scene: Scene
+) -> None:
+    """The fast way to the poses says what the generic one says, byte for byte."""
+    for _, frame in scene.detections[:20]:
+        message = made.azure_message(frame)
+        for i, marker in enumerate(message.markers):
+            marker.ns = namespaces[i % len(namespaces)]
+            marker.text = "t" * (i % 3)
+        data = bytes(made.ROS2.serialize_cdr(message, made.MARKERS))
+        fast = azure_kinect._gathered(data)
+        slow = azure_kinect._decoded(made.ROS2.deserialize_cdr(data, made.MARKERS).markers)
+        assert (fast is None) == (slow is None) == (frame.n_people == 0)
+        if fast and slow:
+            assert fast[:2] == slow[:2]
+            assert all(np.array_equal(a, b) for a, b in zip(fast[2:], slow[2:], strict=True))
+        assert azure_kinect._gathered(data[: len(data) // 2]) is None
+
+
+def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path: Path, scene: Scene) -> None:
+    def later_empty(scene: Scene) -> made.Made:
+        rows = list(azure(scene))
+        yield from rows
+        nobody = made.ROS2.serialize_cdr(made.ROS2.types[made.MARKERS]([]), made.MARKERS)
+        yield rows[-1][0], made.MARKERS, rows[-1][2] + 10**8, bytes(nobody)
+
+    with open_log(write_ros2(tmp_path / "log.mcap", scene, later_empty)) as log:
+        last = list(log.frames())[-1]
+    assert last.n_people == 0
+    assert last.frame_id.startswith("camera_")
+
+
+def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path: Path, scene: Scene) -> None:
+    assert body_model("azure-kinect").marker_names == scene.names
+    assert body_model("azure-kinect").marker_names.index("HEAD") == 26
+
+
+def test_body_formats_of_the_zed_have_their_joints() -> None:
+    counts = [body_model(name).n_markers for name in ("zed-18", "zed-34", "zed-38", "zed-70")]
+    assert counts == [18, 34, 38, 70]
+
+
+@pytest.mark.parametrize("name", BODY_MODELS)
+def test_every_skeleton_is_one_tree(name: str) -> None:
+    model = body_model(name)
+    assert model.n_links == model.n_markers - 1
+    assert len(set(model.link_children)) == model.n_links
+    assert len(set(joints_of(model.marker_names))) == model.n_markers
+    assert name_of(model) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["left shoulder", "LeftShoulder", "SHOULDER_LEFT", "l_shoulder", "LShoulder", "Shoulder.L",
+     "shoulder_l", "K4ABT_JOINT_SHOULDER_LEFT", "JOINT_SHOULDER_LEFT", "left-shoulder"],
+)  # fmt: skip
+def test_a_joint_has_many_names(name: str) -> None:
+    sides = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "l_": "r_", "LS": "RS"}
+    sides |= {"_l": "_r", ".L": ".R"}
+    other = next(name.replace(a, b) for a, b in sides.items() if a in name)
+    assert joints_of([name, other]) == [("shoulder", "left"), ("shoulder", "right")]
+
+
+def test_an_initial_without_its_other_side_is_no_side() -> None:
+    assert joints_of(["Lumbar", "Ribs"]) == [("lumbar", ""), ("ribs", "")]
+
+
+@pytest.fixture(scope="module")
+def mixed(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    make = together(
+        only("camera_0", kinect_v2), only("camera_1", azure), only("camera_2", zed("zed-38"))
+    )
+    return write_ros2(tmp_path_factory.mktemp("mixed") / "mixed.mcap", scene, make)
+
+
+def test_different_skeletons_are_fused_by_name(mixed: Path, scene: Scene) -> None:
+    with open_log(mixed) as log:
+        frames = [frame for frame in log.frames() if frame.n_people]
+        names = log.model.marker_names
+        remarks = " ".join(log.remarks)
+    assert {frame.source for frame in frames} == {"camera_0", "camera_1", "camera_2"}
+    joints = joints_of(names)
+    assert len(set(joints)) == len(joints)
+    knee = joints.index(("knee", "left"))
+    for topic, frame in scene.detections[:30]:
+        if frame.n_people:
+            same = [f for f in frames if f.source == frame.source and f.stamp == frame.stamp]
+            expected = frame.positions[:, scene.names.index("KNEE_LEFT")]
+            np.testing.assert_allclose(same[0].positions[:, knee], expected, atol=2e-6), topic
+    assert "kinect-v2: /camera_0/skeletons" in remarks
+    assert "results have their union" in remarks
+
+
+def test_results_have_the_skeleton_that_was_chosen(mixed: Path, tmp_path: Path) -> None:
+    config = load_config(None, ["input.model=zed-18"])
+    summary = process(mixed, tmp_path / "out.mcap", config=config)
+    with open_log(tmp_path / "out.mcap", topics=["/hiros/filtered"], output_prefix="/no") as log:
+        assert set(log.model.marker_names) == set(body_model("zed-18").marker_names)
+    assert len(summary.people) == 2
+    left_out = [note for note in summary.notes if "has no place for" in note]
+    assert any("HANDTIP_LEFT" in note for note in left_out), summary.notes
+
+
+def test_the_skeleton_of_a_camera_can_be_chosen(mixed: Path) -> None:
+    with open_log(mixed, skeletons=SkeletonChoice("/camera_0/skeletons")) as log:
+        assert set(log.model.marker_names) <= set(body_model("kinect-v2").marker_names)
+
+
+def test_an_unknown_skeleton_names_the_known_ones(mixed: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no skeleton model 'kinect'.*kinect-v2.*/camera_0"):
+        open_log(mixed, skeletons=SkeletonChoice("kinect"))
+
+
+def test_cameras_left_out_do_not_change_the_skeleton(mixed: Path) -> None:
+    with open_log(mixed, topics=["/camera_1/*"]) as log:
+        assert log.model.marker_names == body_model("azure-kinect").marker_names
+        assert len(log.cameras) == 1
+
+
+def test_a_union_has_every_joint_once_and_stays_a_tree() -> None:
+    models = [body_model(name) for name in ("azure-kinect", "kinect-v2", "zed-70", "ros4hri")]
+    model = union_of(models)
+    every = {joint for one in models for joint in joints_of(one.marker_names)}
+    assert sorted(joints_of(model.marker_names)) == sorted(every)
+    assert len(set(model.link_children)) == model.n_links == model.n_markers - 1
+    assert len(set(model.link_names)) == model.n_links
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm"), (100.0, "cm")])
+def test_a_wrong_unit_is_noticed_and_can_be_given(
+    factor: float, unit: str, tmp_path: Path, scene: Scene
+) -> None:
+    large = Scene(
+        scene.path,
+        [(t, f.replace(markers=f.markers * factor)) for t, f in scene.detections[:60]],
+        scene.names,
+        scene.others,
+    )
+    path = write_ros2(tmp_path / "large.mcap", large, azure)
+    with open_log(path) as log:
+        assert len(log.warnings) == 3
+        assert (
+            f"the positions are in {unit}, not in m; read them with --unit {unit}"
+            in (log.warnings[0])
+        )
+    with open_log(path, skeletons=SkeletonChoice(unit=unit)) as log:  # type: ignore[arg-type]
+        assert log.warnings == ()
+        frame = next(frame for frame in log.frames() if frame.n_people)
+    expected = next(f for _, f in scene.detections if f.n_people and f.source == frame.source)
+    np.testing.assert_allclose(frame.positions, expected.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"),
+    [(1.7, "m"), (0.2, "m"), (4.0, "m"), (1700.0, "mm"), (500.0, "mm"), (170.0, "cm"),
+     (0.0017, ""), (float("nan"), "m")],
+)  # fmt: skip
+def test_units_by_the_size_of_people(size: float, unit: str) -> None:
+    assert unit_of(size) == unit
+
+
+def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path, scene: Scene) -> None:
+    def damaged(scene: Scene) -> made.Made:
+        for i, (topic, name, time, data) in enumerate(azure(scene)):
+            yield topic, name, time, data[: len(data) // 2] if i in (40, 50) else data
+
+    path = write_ros2(tmp_path / "log.mcap", scene, damaged)
+    skipped = look(path).skipped
+    assert sum(n for reasons in skipped.values() for n in reasons.values()) == 2
+    assert run(["process", str(path), "-o", str(tmp_path / "o.mcap"), "--strict", "-q"]) == 2
+
+
+def test_info_says_how_the_log_is_read(
+    logs: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["info", str(logs["zed 38"])]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "zed_msgs/msg/ObjectsStamped read as skeletons (zed-38)" in out
+
+
+def test_each_camera_is_scored_against_the_others(
+    logs: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["eval", str(logs["azure kinect"]), "--leave-one-out"]) == 0
+    assert capsys.readouterr().out.count("/body_tracking_data") >= 3
+
+
+def test_a_log_of_nothing_known_says_what_it_has(tmp_path: Path, scene: Scene) -> None:
+    path = write_ros2(tmp_path / "log.mcap", scene, lambda scene: iter(()))
+    with pytest.raises(LogError, match=r"no detections of cameras|has no"):
+        open_log(path)
+
+
+def test_points_of_another_skeleton_are_nan_where_it_has_none(scene: Scene) -> None:
+    frame = next(f for _, f in scene.detections if f.n_people)
+    points = points_in(frame, scene.names, "zed-38")
+    assert np.isnan(points).any()
+    assert hiros_schemas.type_hash(hiros_schemas.OBJECTS_STAMPED).startswith("RIHS01_")
+
+
+DOCS = Path(__file__).parents[2] / "docs" / "detectors.md"
+LAB = """\
+std_msgs/Header header
+int32[] ids
+float32[] points
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def test_the_reader_of_the_documentation_reads(
+    tmp_path: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is 40 lines long at most, and registered for the rest of the program."""
+    monkeypatch.setattr(registry, "_READERS", list(registry._READERS))
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(code.strip().splitlines()) <= 40
+    names: dict[str, Any] = {}
+    exec(code, names)
+    store = made.store_of({"lab_msgs/msg/Bodies": LAB})
+    slots = [joints_of(scene.names).index(joint) for joint in joints_of(names["JOINTS"])]
+    frames = [frame for _, frame in scene.detections if frame.n_people]
+    path = tmp_path / "lab.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("lab_msgs/msg/Bodies", "ros2msg", LAB.encode())
+        for camera in ("camera_0", "camera_1"):
+            channel = writer.register_channel(f"/{camera}/bodies", "cdr", schema)
+            for frame in (frame for frame in frames if frame.source == camera):
+                points = 1000 * frame.positions[:, slots]
+                bodies = store.types["lab_msgs/msg/Bodies"](
+                    made.header(made.stamp_of(frame), camera, store),
+                    np.arange(frame.n_people, dtype=np.int32),
+                    points.astype(np.float32).ravel(),
+                )
+                data = bytes(store.serialize_cdr(bodies, "lab_msgs/msg/Bodies"))
+                writer.add_message(channel, frame.log_time, data, frame.log_time)
+        writer.finish()
+    with open_log(path) as log:
+        assert log.model.n_links == 6
+        found = [frame for frame in log.frames() if frame.source == "camera_0"]
+    expected = [frame for frame in frames if frame.source == "camera_0"]
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a.positions, b.positions[:, slots], atol=1e-5)
+
+
+def test_a_reader_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("lab", "nowhere.reader:Lab", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    registry._installed.cache_clear()
+    with pytest.raises(ConfigError, match=r"detector reader lab \(nowhere.reader:Lab\)"):
+        detector_readers()
+    registry._installed.cache_clear()

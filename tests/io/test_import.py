@@ -1,0 +1,223 @@
+"""``hiros import``: joint positions from CSV, TRC and JSON files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import detector_logs as made
+import numpy as np
+import pytest
+from detector_logs import Scene
+
+from hiros_cli.app import run
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.detectors.body_models import body_model, linked
+from hiros_mcap.io.joints.importing import RELATIVE_START, import_joints
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import process
+from hiros_mcap.skeletons import Frame
+
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # x, y, z of the file = x, z, -y of the log
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    path = tmp_path_factory.mktemp("scene") / "scene.mcap"
+    return made.scene(path, people=1, cameras=2, seconds=1.5, seed=4)
+
+
+def frames_of(scene: Scene, camera: str) -> list[Frame]:
+    return [f for _, f in scene.detections if f.source == camera and f.n_people]
+
+
+def wide_csv(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+    """Columns time, LEFT_x, LEFT_y, ...; mm, y up, ms since 1970."""
+    head = ["time", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    rows = [
+        [
+            f"{made.stamp_of(f) / 1e6:.6f}",
+            *map(repr, (1000 * f.positions[0] @ Y_UP.T).ravel().tolist()),
+        ]
+        for f in frames
+    ]
+    path.write_text("\n".join(",".join(row) for row in [head, *rows]))
+
+
+def tall_csv(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+    """A row per joint."""
+    rows = ["t,who,landmark,X,Y,Z,score"]
+    rows += [
+        f"{made.stamp_of(f) / 1e6:.6f},{who},{name},{','.join(map(repr, xyz))},0.5"
+        for f in frames
+        for who, person in enumerate((1000 * f.positions @ Y_UP.T).tolist())
+        for name, xyz in zip(names, person, strict=True)
+    ]
+    path.write_text("\n".join(rows))
+
+
+def json_file(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+    content = [
+        {
+            "t": made.stamp_of(f) / 1e6,
+            "persons": [
+                {"id": "anna", "keypoints": (1000 * person @ Y_UP.T).tolist()}
+                for person in f.positions
+            ],
+        }
+        for f in frames
+    ]
+    path.write_text(json.dumps({"instants": content}))
+
+
+def trc_file(path: Path, frames: list[Frame], names: tuple[str, ...]) -> None:
+    head = [
+        "PathFileType\t4\t(X/Y/Z)\tx.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+        f"30\t30\t{len(frames)}\t{len(names)}\tmm",
+        "Frame#\tTime\t" + "\t\t\t".join(names),
+        "",
+    ]
+    first = made.stamp_of(frames[0])
+    rows = [
+        f"{i}\t{(made.stamp_of(f) - first) / 1e9:.9f}\t"
+        + "\t".join(map(repr, (1000 * f.positions[0] @ Y_UP.T).ravel().tolist()))
+        for i, f in enumerate(frames)
+    ]
+    path.write_text("\n".join([*head, *rows]))
+
+
+AXES = 'axes = ["x", "-z", "y"]\n'
+KINDS: dict[str, tuple[Callable[[Path, list[Frame], tuple[str, ...]], None], str, str]] = {
+    "wide": (wide_csv, ".csv", f'unit = "mm"\n{AXES}[time]\nunit = "ms"\n'),
+    "tall": (
+        tall_csv,
+        ".csv",
+        f'unit = "mm"\n{AXES}[time]\ncolumn = "t"\nunit = "ms"\n[columns]\nperson = "who"\n'
+        'joint = "landmark"\nx = "X"\ny = "Y"\nz = "Z"\nconfidence = "score"\n',
+    ),
+    "json": (
+        json_file,
+        ".json",
+        f'unit = "mm"\n{AXES}names = {json.dumps(list(body_model("azure-kinect").marker_names))}\n'
+        '[time]\ncolumn = "t"\nunit = "ms"\n[columns]\nframes = "instants"\npeople = "persons"\n'
+        'joints = "keypoints"\n',
+    ),
+    "trc": (trc_file, ".trc", AXES + "[time]\nstart = {start}\n"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_say_what_the_log_says(kind: str, tmp_path: Path, scene: Scene) -> None:
+    write, suffix, text = KINDS[kind]
+    files = []
+    for camera in ("camera_0", "camera_1"):
+        files.append(tmp_path / f"{camera}{suffix}")
+        write(files[-1], frames_of(scene, camera), scene.names)
+        start = repr(made.stamp_of(frames_of(scene, camera)[0]) / 1e9)
+        text += f'[files."{camera}{suffix}"]\nframe = "{camera}"\n'
+        if "{start}" in KINDS[kind][2]:
+            text += f"time.start = {start}\n"
+    (tmp_path / "map.toml").write_text(text.replace("{start}", "0.0"))
+    arguments = [*map(str, files), "--mapping", str(tmp_path / "map.toml")]
+    assert run(["import", *arguments, "-o", str(tmp_path / "log.mcap"), "-q"]) == 0
+    with open_log(tmp_path / "log.mcap", fixed_frame="camera_0") as log:
+        found = [frame for frame in log.frames() if frame.source == "camera_0"]
+        assert log.model.marker_names == scene.names
+        assert log.model.n_links == 31
+    expected = frames_of(scene, "camera_0")
+    assert len(found) == len(expected)
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a.positions, b.positions[: a.n_people], atol=1e-9)
+        assert abs(a.stamp - made.stamp_of(b)) < 1000  # ns; the text has us
+        assert (a.frame_id, a.source) == ("camera_0", "camera_0")
+
+
+def test_an_imported_log_can_be_processed(tmp_path: Path, scene: Scene) -> None:
+    wide_csv(tmp_path / "a.csv", frames_of(scene, "camera_0"), scene.names)
+    (tmp_path / "map.toml").write_text(KINDS["wide"][2])
+    import_joints([tmp_path / "a.csv"], tmp_path / "log.mcap", tmp_path / "map.toml")
+    summary = process(tmp_path / "log.mcap", tmp_path / "out.mcap")
+    assert len(summary.people) == 1
+
+
+def small(path: Path, factor: float = 1.0, times: tuple[float, ...] = (0.0, 0.1, 0.2)) -> Path:
+    """A person of three joints, 1.6 m high."""
+    rows = [f"{t},0,{1.6 * factor},0,0,{0.8 * factor},0,0,0,0" for t in times]
+    names = ("HEAD", "PELVIS", "FOOT_LEFT")
+    head = ",".join(["time", *(f"{n}_{a}" for n in names for a in "xyz")])
+    path.write_text("\n".join([head, *rows]))
+    return path
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm"), (100.0, "cm")])
+def test_a_wrong_unit_is_named_with_its_remedy(factor: float, unit: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=rf'large if its unit is m; write unit = "{unit}" in'):
+        import_joints([small(tmp_path / "a.csv", factor)], tmp_path / "log.mcap")
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_metres_declared_as_millimetres_are_noticed(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text('unit = "mm"')
+    with pytest.raises(ConfigError, match='write unit = "m" in'):
+        import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap", tmp_path / "map.toml")
+
+
+def test_times_from_zero_get_a_date(tmp_path: Path) -> None:
+    import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap")
+    with open_log(tmp_path / "log.mcap") as log:
+        stamps = [frame.stamp for frame in log.frames()]
+    assert stamps[0] == round(RELATIVE_START * 1e9)
+    assert [s - stamps[0] for s in stamps] == [0, 100_000_000, 200_000_000]
+
+
+def test_joints_get_other_names_and_are_linked(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text('[joints]\nHEAD = "Head"\n')
+    import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap", tmp_path / "map.toml")
+    with open_log(tmp_path / "log.mcap") as log:
+        assert log.model.marker_names == ("Head", "PELVIS", "FOOT_LEFT")
+        assert log.model.n_links == 2
+
+
+def test_a_joint_is_linked_to_the_nearest_one_above() -> None:
+    model = linked(["l_hip", "l_ankle", "r_hip", "r_ankle", "Hips"])
+    names = model.marker_names
+    ends = {(names[p], names[c]) for p, c in model.links.tolist()}
+    assert ends == {
+        ("l_hip", "l_ankle"),
+        ("r_hip", "r_ankle"),
+        ("Hips", "l_hip"),
+        ("Hips", "r_hip"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ('unit = "inch"', "unit: should be 'm', 'cm' or 'mm'"),
+        ('axes = ["x", "y", "-z"]', "axes: should not mirror people"),
+        ('axes = ["x", "x", "z"]', "axes: should be x, y and z in some order"),
+        ("colour = 3", "colour: "),
+        ("unit = ", "not a TOML file"),
+        ('[time]\ncolumn = "frame"', "no column frame; the mapping file says"),
+    ],
+)
+def test_a_wrong_mapping_is_one_line(
+    text: str, fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "map.toml").write_text(text)
+    arguments = [str(small(tmp_path / "a.csv")), "--mapping", str(tmp_path / "map.toml")]
+    code = run(["import", *arguments, "-o", str(tmp_path / "log.mcap"), "-q"])
+    err = capsys.readouterr().err
+    assert code == 2
+    assert err.count("\n") == 1
+    assert fault in err
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_two_files_of_one_camera_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    files = [small(tmp_path / "a.csv"), small(tmp_path / "b" / "a.csv")]
+    with pytest.raises(ConfigError, match="several files are of the camera a"):
+        import_joints(files, tmp_path / "log.mcap")
