@@ -14,7 +14,8 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
-from hiros_mcap.evaluate.logs import read_channel
+from hiros_mcap.evaluate.logs import evaluate_log, read_channel
+from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -24,6 +25,7 @@ from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
+from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
 from hiros_viewer.columns import TIMELINE
 from hiros_viewer.displacement import EarlierPoses
@@ -380,19 +382,44 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("stage", [[], ["--stage", "merged"]])
-def test_a_result_is_overlaid_with_a_truth_and_its_distance(
-    tmp_path: Path, stage: list[str]
-) -> None:
+def test_a_result_is_overlaid_with_a_truth_and_its_error(tmp_path: Path, stage: list[str]) -> None:
     result, truth = tmp_path / "result.mcap", tmp_path / "truth.mcap"
     process(CROSSING, result, options=ProcessOptions(keep=()))
     cut_to_truth(CROSSING, truth)
+    scores = evaluate_log(result, load_truth(truth), [f"/hiros/{stage[1]}"] if stage else [])
+    expected = list(scores.values())[-1].scores.mean
     target = tmp_path / "both.rrd"
-    for logs in ([result, truth], [truth, result]):
-        arguments = [*map(str, logs), *stage, "--save", str(target), "-q"]
-        assert run(["view", *arguments]) == 0
-        mean = np.concatenate(list(rows(target, "/distance/mean", "Scalars:scalars").values()))
-        assert len(mean) > 100
-        assert 5 < np.mean(mean) < 40
+    for arguments in (
+        [str(result), str(truth)],
+        [str(truth), str(result)],
+        [str(result), "--truth", str(truth)],
+    ):
+        assert run(["view", *arguments, *stage, "--save", str(target), "-q"]) == 0
+        errors = [rows(target, f"/error/person_{p}", "Scalars:scalars") for p in (0, 1)]
+        mean = np.concatenate([value for person in errors for value in person.values()])
+        assert np.mean(mean) == pytest.approx(expected, rel=0.02)
+        assert {"/truth/person_0", "/error_lines/person_1"} <= entities(target)
+
+
+def test_two_results_are_each_compared_with_a_truth(processed: Path, tmp_path: Path) -> None:
+    truth, target = tmp_path / "truth.mcap", tmp_path / "both.rrd"
+    cut_to_truth(CROSSING, truth)
+    arguments = [str(processed), str(processed), "--truth", str(truth)]
+    assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
+    assert {"/a/error/person_0", "/b/error/person_0", "/a/truth/person_0"} <= entities(target)
+    assert "/b/truth/person_0" not in entities(target)
+
+
+def test_a_truth_of_another_time_is_refused(
+    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = tmp_path / "truth.csv"
+    lines = [f"{100 + k / 30},0,PELVIS,0,0,1" for k in range(30)]
+    truth.write_text("\n".join(["time,person,marker,x,y,z", *lines]))
+    arguments = ["view", str(processed), "--truth", str(truth)]
+    assert run([*arguments, "--save", str(tmp_path / "a.rrd")]) == 2
+    assert "covers no frame of the result" in capsys.readouterr().err
+    assert not (tmp_path / "a.rrd").exists()
 
 
 def cut_to_truth(log: Path, target: Path) -> None:
@@ -442,6 +469,24 @@ def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
             bodies = [body for rows in scene._stages.values() for body in rows.people.values()]
             longest = max(longest, *(len(body.stamps) for body in bodies), 0)
     assert 0 < longest <= 50
+
+
+def test_a_long_log_is_drawn_with_fewer_frames(
+    processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replaying, "LONG_S", 3.0)
+    monkeypatch.setattr(replaying, "MOST_FRAMES", 50)
+    target = tmp_path / "long.rrd"
+    assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
+    stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
+    assert 0.09e9 < np.median(np.diff(stamps)) < 0.11e9
+    whole = rows(recording, "/filtered/person_0", "Points3D:positions")
+    assert set(stamps[:-1]) <= set(whole)  # the last row hides the person
+    assert "/merged/person_0" not in entities(target)
+    part = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q", "-f"]
+    assert run(part) == 0
+    stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
+    assert np.median(np.diff(stamps)) < 0.04e9
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ TRAIL_S = 2.0
 JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
+_BONES = ("bones", "left_bones")
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 
 
@@ -42,6 +43,8 @@ class Content:
     """Of those cameras whose poses are known, in the fixed frame."""
     prefixes: Sequence[str] = ("",)
     """Of the logs that are overlaid."""
+    has_error: bool = False
+    """Whether the result was compared with a truth."""
 
     @property
     def final(self) -> str:
@@ -76,6 +79,8 @@ def overview(content: Content) -> rrb.Container:
     side = [angles, speed, _series("People per camera", ["/people/**"])]
     if len(content.prefixes) == 2:
         side.insert(1, _series("Joint distance between the logs, mm", ["/distance/**"]))
+    if content.has_error:
+        side.insert(1, _error(content))
     lanes = rrb.StateTimelineView(
         origin="/", contents=_all(content, "/state/**"), name="People in the result"
     )
@@ -119,7 +124,9 @@ def person(content: Content) -> rrb.Container:
             _key(),
             _angles(content, who),
             _sides(content, "limbs", who, LIMBS, "m"),
-            _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
+            _error(content, who)
+            if content.has_error
+            else _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
             row_shares=[0.24, 2, 2, 1],
             name=f"Person {who}",
         )
@@ -191,6 +198,10 @@ def _room(
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
         overrides = _compared_looks(content, *shown)
+    elif content.has_error:
+        overrides = _thin_looks(content, *shown)
+    if "truth" in content.stages and "truth" not in shown:
+        what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     trail = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
@@ -229,19 +240,26 @@ def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]
     """Return looks of two stages whose bones are millimetres apart: both thin, the first grey."""
     import rerun as rr
 
-    first = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
-    second = rr.LineStrips3D.from_fields(radii=0.006)
-    return {
-        f"{prefix}/{stage}/{person_part(who)}/{bones}": look
-        for prefix in content.prefixes
-        for stage, look in ((before, first), (after, second))
-        for who in content.people
-        for bones in ("bones", "left_bones")
-    } | {
-        f"{prefix}/{after}/{person_part(who)}": rr.Points3D.from_fields(radii=0.012)
-        for prefix in content.prefixes
-        for who in content.people
+    look = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
+    return _thin_looks(content, after) | {
+        f"{path}/{bones}": look for path in _paths(content, before) for bones in _BONES
     }
+
+
+def _thin_looks(content: Content, stage: str) -> dict[str, Any]:
+    """Return looks of a stage that lets see what is millimetres away from it."""
+    import rerun as rr
+
+    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=0.012)
+    paths = _paths(content, stage)
+    return {f"{path}/{part}": bones for path in paths for part in _BONES} | dict.fromkeys(
+        paths, joints
+    )
+
+
+def _paths(content: Content, stage: str) -> list[str]:
+    """Return the entities of everybody at a stage."""
+    return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
 
 
 def _eye(content: Content) -> Floats:
@@ -301,6 +319,12 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
         for part in parts
     ]
     return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
+
+
+def _error(content: Content, who: int | None = None) -> Any:
+    """Return the curves of the error, of everybody or of one person."""
+    part = "**" if who is None else person_part(who)
+    return _series("Error, mm: mean over joints", _all(content, f"/error/{part}"))
 
 
 def _events(content: Content) -> Any:

@@ -23,6 +23,7 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_viewer.blueprint import blueprint
 from hiros_viewer.destinations import save
+from hiros_viewer.entities import Layer
 from hiros_viewer.figures import SPREAD, TRUTH, new_axes, new_figure, tidy
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
@@ -99,34 +100,32 @@ def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
     """Write a recording with the last stage of every system, each a tree of its own."""
 
     def draw(recording: rr.RecordingStream) -> None:
-        scenes, prefixes = [], []
+        scenes = []
         with tempfile.TemporaryDirectory() as folder:
             for k, entry in enumerate(entries):
                 out = Path(folder) / f"{k}.mcap"
                 config = load_config(None, entry.assignments, "default", entry.system)
                 options = ProcessOptions(system=entry.system, stages=entry.stages)
                 process(log, out, config=config, options=options)
-                prefixes.append("/" + "".join(c if c.isalnum() else "_" for c in entry.name))
-                scenes.append(_draw_one(recording, out, prefixes[-1], (k, entry.name)))
-        content = content_of(scenes, prefixes)
-        recording.send_blueprint(blueprint(content))
+                part = "".join(c if c.isalnum() else "_" for c in entry.name)
+                layer = Layer(f"/{part}", entry.name, k, one_colour=True)
+                scenes.append(_draw_one(recording, out, layer))
+        recording.send_blueprint(blueprint(content_of(scenes)))
 
     save(target, log.name, draw)
 
 
-def _draw_one(
-    recording: rr.RecordingStream, out: Path, prefix: str, team: tuple[int, str]
-) -> Scene:
+def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
     with open_log(out, topics=["*"], output_prefix="/none") as opened:
         source = describe(opened)
         final = source.stages[-1]
         # The layouts show "filtered", so the last stage goes by that name.
-        scene = Scene(recording, source.model, final="filtered", prefix=prefix, team=team)
+        scene = Scene(recording, source.model, final="filtered", layer=layer)
         scene.start = source.start
-        if team[0] == 0:
+        if not layer.number:
             scene.begin(source.cameras)
         for kind, frame in in_time_order(opened):
-            if kind == DETECTIONS and team[0] == 0:
+            if kind == DETECTIONS and not layer.number:
                 scene.detections(source.names[frame.source], frame)
             elif kind == final:
                 scene.stage("filtered", frame)

@@ -11,6 +11,7 @@
     /speed/<person>             of the last stage
     /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
+    /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
     /state/<person>             while somebody is tracked;  /log   events
 
 A person's part of a path is person_<id>. Time is in seconds from the start, and as a date.
@@ -30,9 +31,11 @@ import numpy as np
 from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.evaluate.match import MATCH_DISTANCE
+from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.evaluate.smoothness import lengths_of
+from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import (
@@ -46,7 +49,7 @@ from hiros_viewer.columns import (
     TextRows,
 )
 from hiros_viewer.displacement import EarlierPoses, mean_distances
-from hiros_viewer.entities import Entities, path_part, person_part
+from hiros_viewer.entities import Entities, Layer, path_part, person_hue, person_part
 from hiros_viewer.palette import SIDES, curve_colour, pale
 
 if TYPE_CHECKING:
@@ -57,6 +60,7 @@ BATCH = 4000
 """Frames collected before they are sent."""
 GONE_NS = 250_000_000
 """Somebody or something that was not seen for this long is hidden."""
+_ALONE = Layer()
 _SAME_PERSON_M = 1.0
 _MOST_BOUNDS = 2000
 _MOST_WAITING = 10_000
@@ -84,10 +88,7 @@ class Scene:
     ----------
     recording : where to draw. model : of all frames.
     final : the stage that curves and residuals are taken from.
-    prefix : put before every entity of this log when two logs are overlaid.
-    is_second : of two logs that are overlaid; drawn in paler colours.
-    team : number and name of the system that made this, when several are overlaid: everybody of
-        it has one colour, and its name beside the id.
+    layer : which of several logs this is, when they are overlaid.
     """
 
     def __init__(
@@ -96,9 +97,7 @@ class Scene:
         model: SkeletonModel,
         *,
         final: str = "filtered",
-        prefix: str = "",
-        is_second: bool = False,
-        team: tuple[int, str] | None = None,
+        layer: Layer = _ALONE,
         batch: int = BATCH,
     ) -> None:
         self.model = model
@@ -109,8 +108,11 @@ class Scene:
         self.bounds: list[Floats] = []
         self.camera_poses: Mapping[str, Rigid] = {}
         """By name, in the fixed frame."""
-        self._prefix = prefix
-        self._is_second = is_second
+        self.truth: Truth | None = None
+        """What to compare the last stage with, on the markers of the model."""
+        self.n_true = 0
+        """Frames of the last stage whose instant the truth covers."""
+        self._layer, self._prefix = layer, layer.prefix
         self._batch = batch
         self._collected = 0
         self._n_detections = 0
@@ -122,13 +124,20 @@ class Scene:
         self._texts = defaultdict[str, TextRows](TextRows)
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
         """By stage and person."""
+        self._true = defaultdict[int, list[tuple[int, Floats]]](list)
+        """By person: stamps and true poses that are not among the earlier ones yet."""
         self._reference = _Reference()
         self._waiting: list[tuple[int, int, str, Floats]] = []
         """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
         self._alive: set[int] = set()
         self._root = _root_slot(model)
-        self._entities = Entities(recording, model, self._root, is_second=is_second, team=team)
+        self._entities = Entities(recording, model, self._root, layer)
         self._limbs = limb_links(model)
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the entities of this log."""
+        return self._layer.prefix
 
     @property
     def cameras(self) -> list[str]:
@@ -144,12 +153,17 @@ class Scene:
 
     def begin(self, cameras: Mapping[str, Rigid]) -> None:
         """Draw what stands still: axes, colours, and the cameras at their poses in the room."""
-        # Dim behind a result; without one, detections are all there is to see.
-        self._entities.room(dim_detections=bool(self.final))
+        if not self._layer.number:
+            # Dim behind a result; without one, detections are all there is to see.
+            self._entities.room(dim_detections=bool(self.final))
         self.camera_poses = cameras
         for number, (name, pose) in enumerate(cameras.items()):
             _ = self._detections[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
+
+    def explain(self, *lines: str) -> None:
+        """Add lines to those that say what colours mean, Markdown."""
+        self._entities.key(*lines)
 
     # -- frames --------------------------------------------------------------------------------
 
@@ -201,7 +215,8 @@ class Scene:
                 person_rows = rows.people.get(person)
                 if person_rows is None:
                     person_rows = rows.people[person] = PersonRows()
-                    self.people.add(person)
+                    if name != "truth" or not self.final:
+                        self.people.add(person)
                 self._hide_after_pause(person_rows, frame.stamp)
                 person_rows.add(frame.stamp, place)
                 rows.shown[person] = person_rows
@@ -211,7 +226,18 @@ class Scene:
         if name == self.final:
             self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
             self._states(ids, frame.stamp)
+            if self.truth is not None and self.truth.covers(frame.stamp):
+                self._match(frame, self.truth)
         self._count(frame.stamp)
+
+    def _match(self, frame: Frame | Poses, truth: Truth) -> None:
+        """Note the true pose of everybody in a frame who is near a true person."""
+        self.n_true += 1
+        true = truth.at(frame.stamp)[0]
+        distances = skeleton_distances(true, frame.positions)
+        distances[:, frame.ids == UNTRACKED] = np.inf
+        for row, column in best_pairs(np.where(distances < MATCH_DISTANCE, distances, np.inf)):
+            self._true[int(frame.ids[column])].append((frame.stamp, true[row]))
 
     def _hide_gone(self, rows: StageRows, ids: list[int], stamp: int, patience: int) -> None:
         """Hide people whom this frame lacks."""
@@ -259,7 +285,7 @@ class Scene:
     def event(self, event: Event) -> None:
         """Write an event into the log."""
         level = "WARN" if event.is_warning else "INFO"
-        self._texts[f"{self._prefix}/log"].add(event.stamp, event.text, level)
+        self._texts[f"{self._prefix}/log"].add(event.stamp, self._layer.named(event.text), level)
 
     def distance(self, stamp: int, name: str, millimetres: float) -> None:
         """Add to the curve of joint distances between two logs, mm."""
@@ -307,6 +333,10 @@ class Scene:
                 if not self.final:
                     self._extend_bounds(highest)
                 rows.sent()
+        for person, noted in self._true.items():
+            stamps, poses = zip(*noted, strict=True)
+            self._earlier["truth", person].add(np.array(stamps), np.stack(poses))
+        self._true.clear()
         for name in sorted(self._stages, key=lambda name: name == self.final):
             self._send_stage(name, self._stages[name])
         for path, curve in self._scalars.items():
@@ -325,7 +355,7 @@ class Scene:
             if person_rows.stamps:
                 path = f"{self._prefix}/{stage}/{person_part(person)}"
                 shown, highest = self._entities.person(
-                    path, person_rows, rows.poses, is_strong=stage in (self.final, "truth")
+                    path, person_rows, rows.poses, is_strong=stage == (self.final or "truth")
                 )
                 self._extend_bounds(highest)
                 poses = rows.poses.positions[np.array(person_rows.places)[shown]]
@@ -362,20 +392,32 @@ class Scene:
                 )
             apart = 1000 * mean_distances(before, result)
             known = ~np.isnan(apart)
-            lines = [Line(f"person {person}", self._hue(person))]
+            lines = [self._person_line(person)]
             self._extend(f"{self._prefix}/moved/{path}", lines, stamps[known], apart[known])
+        if self.truth is not None:
+            self._show_errors(person, stamps, result)
 
-    def _hue(self, person: int) -> RGB:
-        """Return a person's colour, as in the room."""
-        return pale(person_colour(person)) if self._is_second else person_colour(person)
+    def _show_errors(self, person: int, stamps: Stamps, result: Floats) -> None:
+        """Draw how far the result, (T, M, 3) m, is from the truth."""
+        true = self._earlier["truth", person].at(stamps, self.model.n_markers)
+        part = person_part(person)
+        self._entities.errors(f"{self._prefix}/error_lines/{part}", stamps.tolist(), result, true)
+        mean = 1000 * mean_distances(result, true)
+        known = ~np.isnan(mean)
+        lines = [self._person_line(person)]
+        self._extend(f"{self._prefix}/error/{part}", lines, stamps[known], mean[known])
+
+    def _person_line(self, person: int) -> Line:
+        """Return the curve of a person, in its colour."""
+        return Line(self._layer.named(f"person {person}"), person_hue(person, self._layer))
 
     def _side_lines(self, names: Sequence[str]) -> list[Line]:
         """Return curves of which the left ones are pale and thin, the right ones strong."""
         lines = []
         for name in names:
             side = split_side(name)[1]
-            colour = pale(SIDES[side]) if self._is_second else SIDES[side]
-            lines.append(Line(name, colour, 2.5 if side == "right" else 1.5))
+            colour = pale(SIDES[side]) if self._layer.number else SIDES[side]
+            lines.append(Line(self._layer.named(name), colour, 2.5 if side == "right" else 1.5))
         return lines
 
     def _extend_sides(
@@ -407,7 +449,7 @@ class Scene:
         steps = np.diff(moments)
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        lines = [Line(f"person {person}", self._hue(person))]
+        lines = [self._person_line(person)]
         self._extend(f"{self._prefix}/speed/{path}", lines, moments[1:][steady], speeds)
 
     def _extend(self, path: str, lines: Sequence[Line], stamps: Stamps, values: Floats) -> None:
