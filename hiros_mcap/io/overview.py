@@ -24,6 +24,7 @@ from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
+    REPORT_ATTACHMENT,
     TRUTH_PREFIX,
     ChannelInfo,
     channels_of,
@@ -394,7 +395,7 @@ def _table(reader: McapReader) -> Mapping[str, Any]:
 
 def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
     try:
-        report = json.loads(reader.attachment("hiros/report.json") or b"{}")
+        report = json.loads(reader.attachment(REPORT_ATTACHMENT) or b"{}")
     except ValueError:
         return ()
     found = report.get("warnings") if isinstance(report, dict) else None

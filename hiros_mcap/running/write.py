@@ -20,6 +20,7 @@ from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
+    REPORT_ATTACHMENT,
     TF_TOPICS,
     TRUTH_PREFIX,
     add_skeleton_channel,
@@ -156,7 +157,7 @@ class LogOutput:
         writer.add_attachment(LIMBS_ATTACHMENT, run.limbs.to_toml().encode(), "application/toml")
         writer.add_attachment(EVENTS_ATTACHMENT, run.events.to_json().encode(), "application/json")
         report = json.dumps(summary.reproducible(), indent=1, sort_keys=True)
-        writer.add_attachment("hiros/report.json", report.encode(), "application/json")
+        writer.add_attachment(REPORT_ATTACHMENT, report.encode(), "application/json")
 
 
 def _write_poses(writer: McapWriter, log: Log) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
@@ -27,9 +27,10 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
-from hiros_viewer.columns import TIMELINE
+from hiros_viewer.columns import TIMELINE, Poses
 from hiros_viewer.displacement import EarlierPoses
 from hiros_viewer.palette import SIDES, shade
+from hiros_viewer.scene import Scene
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -64,6 +65,15 @@ def rows(recording: Path, entity: str, component: str, timeline: str = "stamp") 
         for stamp, value in zip(stamps, batch.column(component), strict=True):
             found[int(stamp)] = np.array(value.as_py(), float)
     return found
+
+
+def texts(recording: Path, entity: str, component: str = "TextLog:text") -> list[str]:
+    import rerun.chunk
+
+    chunks = rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks()
+    batches: list[Any] = [chunk.to_record_batch() for chunk in chunks]
+    known = [batch.column(component) for batch in batches if component in batch.schema.names]
+    return [str(text) for column in known for row in column.to_pylist() for text in row]
 
 
 def entities(recording: Path) -> set[str]:
@@ -351,6 +361,39 @@ def test_the_tree(recording: Path) -> None:
         "/truth/person_0", "/state/person_0", "/log", "/residual/camera_1", "/speed/person_1",
     ):  # fmt: skip
         assert path in found
+
+
+def test_cameras_have_their_numbers(recording: Path) -> None:
+    (table,) = texts(recording, "/cameras", "TextDocument:text")
+    lines = [line.split(" | ") for line in table.splitlines() if "camera_" in line]
+    assert [line[0] for line in lines] == ["| camera_0", "| camera_1", "| camera_2"]
+    for line in lines:
+        used, of = map(int, line[1].split(" of "))
+        assert 0 < used <= of
+        assert 50 <= int(line[2].rstrip("%")) <= 100
+        assert 10 < int(line[3].removesuffix(" mm")) < 100
+
+
+def test_a_mirrored_view_is_marked_and_listed(
+    processed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of camera_1's detections, the viewer is shown mirrored ones for a second."""
+    target, shown = tmp_path / "mirrored.rrd", Scene.detections
+    with open_log(processed) as log:
+        start, mirror = log.span[0], symmetry_of(log.model).mirror
+
+    def mirrored(scene: Scene, camera: str, frame: Poses) -> None:
+        if camera == "camera_1" and 2e9 < frame.stamp - start < 3e9:
+            frame = replace(frame, positions=frame.positions[:, mirror])
+        shown(scene, camera, frame)
+
+    monkeypatch.setattr(Scene, "detections", mirrored)
+    assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
+    bones = rows(target, "/marked/camera_1/mirrored/bones", "LineStrips3D:strips")
+    wrong = [stamp - start for stamp, strips in bones.items() if len(strips)]
+    assert sum(2e9 < since < 3e9 for since in wrong) >= 25
+    assert any("view mirrored camera_1: for" in text for text in texts(target, "/log"))
+    assert "/views/camera_1/mirrored" in entities(target)
 
 
 def test_a_time_range(processed: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_viewer.columns import STAMP, TIMELINE
-from hiros_viewer.entities import KEY, MAGNIFIED, person_part
+from hiros_viewer.entities import CAMERA_TABLE, KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
 
 if TYPE_CHECKING:
@@ -82,7 +82,9 @@ def overview(content: Content) -> rrb.Container:
     if content.has_error:
         side.insert(1, _error(content))
     lanes = rrb.StateTimelineView(
-        origin="/", contents=_all(content, "/state/**"), name="People in the result"
+        origin="/",
+        contents=[*_all(content, "/state/**"), "/views/**"],
+        name="People in the result, and when a camera's view is wrong",
     )
     return rrb.Vertical(
         rrb.Horizontal(
@@ -91,7 +93,7 @@ def overview(content: Content) -> rrb.Container:
             column_shares=[4, 3],
         ),
         rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
-        row_shares=[4, 1],
+        row_shares=[3.3, 1],
     )
 
 
@@ -149,7 +151,11 @@ def cameras(content: Content) -> rrb.Container:
     ]
     below = [_series("People per camera", ["/people/**"])]
     if not content.is_raw:
-        below.insert(0, _series("Distance to the result, mm", ["/residual/**"]))
+        table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
+        wrong = rrb.StateTimelineView(
+            origin="/", contents=["/views/**"], name="When a camera's view is wrong"
+        )
+        below = [table, _series("Distance to the result, mm", ["/residual/**"]), wrong]
     return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
 
 
@@ -191,7 +197,7 @@ def _room(
 
     what = ["+ /world/**"]
     seen = content.cameras if cameras is None else cameras
-    what += [f"+ /detections/{camera}/**" for camera in seen]
+    what += [f"+ /{kind}/{camera}/**" for kind in ("detections", "marked") for camera in seen]
     shown = [stage for stage in shown if stage]
     what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]
     overrides: dict[str, Any] = {}

@@ -6,7 +6,7 @@ hundred for a call of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.columns import (
     HIDDEN,
     DetectionRows,
+    Line,
     PersonRows,
     PoseBatch,
     ScalarRows,
@@ -33,6 +34,7 @@ from hiros_viewer.palette import (
     CLASSES,
     DISPLACEMENT,
     ERROR,
+    FAULTY,
     TRUTH,
     camera_colour,
     curve_colour,
@@ -77,6 +79,16 @@ class Layer:
         return f"{self.name} {text}" if self.name else text
 
 
+CAMERA_TABLE = "/cameras"
+CAMERA_COLUMNS = (
+    *("camera", "messages used", "coverage", "distance"),
+    *("mirrored", "far off", "flips", "outliers"),
+)
+_CAMERA_NOTE = (
+    "Coverage: how many of the people in the result the camera reports. Distance: median of its "
+    "detections to the result. Flips: detections that the merger relabelled. Outliers: markers "
+    "that it left out."
+)
 KEY = "/key"
 _KEY_TEXT = (
     "**Right**: bright limbs, thick blue curves. **Left**: dark limbs, thin grey curves. "
@@ -246,6 +258,41 @@ class Entities:
             self.recording.send_columns(f"{path}{part}", when, columns(batches, counts))
         return shown, highest
 
+    def marks(self, camera: str, kind: str, rows: DetectionRows) -> None:
+        """Send detections of a camera that are wrong, in a colour that warns, and say how."""
+        import rerun as rr
+
+        path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
+        colour = FAULTY[kind]
+        if not rows.started:
+            rows.started = True
+            look = rr.LineStrips3D.from_fields(colors=[colour], radii=_DETECTION_M)
+            for part in self._bones:
+                self.recording.log(f"{path}{part}", look, static=True)
+            name = rr.Points3D.from_fields(
+                colors=[label_colour(colour)], radii=0.001, labels=[f"{camera} {kind}"],
+                show_labels=True,
+            )  # fmt: skip
+            self.recording.log(f"{path}/name", name, static=True)
+        when, counts = times(rows.stamps, self.start), np.array(rows.counts)
+        joints, _ = self._joints(rows.poses, np.arange(rows.poses.size), _DETECTION_M)
+        frames = np.repeat(np.arange(len(counts)), counts)
+        for part, batches, per_pose in self._bone_parts(joints):
+            per_row = np.bincount(frames, per_pose, len(counts)).astype(np.int32)
+            self.recording.send_columns(f"{path}{part}", when, columns(batches, per_row))
+        tops_ = _highest(rows.poses, np.arange(rows.poses.size)) - np.array([0, 0, _LABEL_ABOVE_M])
+        where = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(tops_)}
+        self.recording.send_columns(f"{path}/name", when, columns(where, counts))
+
+    def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
+        """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
+        import rerun as rr
+
+        lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
+        text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        document = rr.TextDocument(f"{text}\n\n{_CAMERA_NOTE}", media_type="text/markdown")
+        self.recording.log(CAMERA_TABLE, document, static=True)
+
     def displacements(self, path: str, stamps: list[int], result: Floats, before: Floats) -> None:
         """Send magnified lines from a person's joints (T, M, 3), m, to where they were before.
 
@@ -368,20 +415,19 @@ class Entities:
         when = times([self.start + elapsed for elapsed in since], self.start)
         self.recording.send_columns(path, when, parts)
 
-    def lane(self, path: str, rows: TextRows) -> None:
-        """Send when a person was tracked, as a lane with a gap where they are gone."""
+    def lane(self, path: str, rows: TextRows, look: Line) -> None:
+        """Send a lane: filled in the first of its states, with a gap where that is gone."""
         import rerun as rr
 
         if not rows.started:
             rows.started = True
-            person = person_of(path)
-            look = rr.StateConfiguration(
-                values=["tracked", "gone"],
-                labels=[self._layer.named(f"person {person}"), "gone"],
-                colors=[_packed(person_hue(person, self._layer))] * 2,
+            states = rr.StateConfiguration(
+                values=[rows.texts[0], "gone"],
+                labels=[look.name, "gone"],
+                colors=[_packed(look.colour)] * 2,
                 visible=[True, False],
             )
-            self.recording.log(path, look, static=True)
+            self.recording.log(path, states, static=True)
         parts = rr.StateChange.columns(state=rows.texts)
         self.recording.send_columns(path, times(rows.stamps, self.start), parts)
 
@@ -400,6 +446,11 @@ def path_part(name: str) -> str:
 def person_part(person: int) -> str:
     """Return a person as one part of an entity path; spaces would be shown with backslashes."""
     return f"person_{person}"
+
+
+def fault_part(kind: str) -> str:
+    """Return a fault of a camera's view as one part of an entity path."""
+    return kind.replace(" ", "_")
 
 
 def person_of(path: str) -> int:

@@ -87,9 +87,12 @@ def name_ends(axes: Axes) -> None:
 
 def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread: Any) -> None:
     """Draw horizontal bars, the first one on top, each with its value."""
-    bars = axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
-    texts = ["" if np.isnan(value) else f"{value:.1f}" for value in values]
-    axes.bar_label(bars, texts, label_type="center", color="white", fontsize=8)
+    axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
+    wide = np.nanmax(values, initial=0.0) / 8
+    for row, value in enumerate(values):
+        text, colour = f" {value:.1f}", "white" if value > wide else "black"
+        if not np.isnan(value):
+            axes.text(0, row, text, va="center", fontsize=8, color=colour)
     axes.set_xlim(0, None)
     axes.invert_yaxis()
     axes.margins(y=0.01)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import heapq
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +17,12 @@ from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.channels import (
+    EVENTS_ATTACHMENT,
+    OUTPUT_PREFIX,
+    REPORT_ATTACHMENT,
+    TRUTH_PREFIX,
+)
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
@@ -70,6 +76,8 @@ class Source:
     start: int
     """ns; what seconds count from."""
     topics: tuple[str, ...]
+    report: Mapping[str, Mapping[str, Any]]
+    """By camera: what the run that made the result counted."""
 
 
 def replay(
@@ -184,6 +192,7 @@ class _Replay:
             if self._window[0] <= event.stamp <= self._window[1]:
                 scene.event(event)
         scene.finish()
+        scene.describe_cameras(source.report)
 
     def _open(self, topics: Sequence[str]) -> Log:
         extrinsics = self.options.extrinsics
@@ -264,7 +273,8 @@ def describe(log: Log) -> Source:
             poses.update({names[source]: pose for source in camera.sources.values()})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     topics = tuple(dict.fromkeys(camera.channel.topic for camera in log.cameras))
-    return Source(log.model, poses, names, stages, _events(log), log.span[0], topics)
+    report = {names.get(c["name"], c["name"]): c for c in _report(log).get("cameras", ())}
+    return Source(log.model, poses, names, stages, _events(log), log.span[0], topics, report)
 
 
 def _camera_name(camera: CameraChannel, source: str, cameras: list[CameraChannel]) -> str:
@@ -279,6 +289,15 @@ def kind_of(topic: str) -> str:
         return "truth"
     stage = topic.removeprefix(f"{OUTPUT_PREFIX}/")
     return stage if stage != topic and stage in STAGES else DETECTIONS
+
+
+def _report(log: Log) -> Mapping[str, Any]:
+    """Return the summary of the run that made the result; nothing if there is none."""
+    try:
+        return dict(json.loads(log.reader.attachment(REPORT_ATTACHMENT) or b"{}"))
+    except (ValueError, TypeError):
+        fault = f"attachment {REPORT_ATTACHMENT} is damaged"
+        raise LogError(fault, path=log.path) from None
 
 
 def _events(log: Log) -> tuple[Event, ...]:

@@ -13,6 +13,8 @@
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
     /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
     /state/<person>             while somebody is tracked;  /log   events
+    /marked/<camera>/<fault>    detections that are mirrored or far off;  /views/...   when
+    /cameras                    numbers of each camera
 
 A person's part of a path is person_<id>. Time is in seconds from the start, and as a date.
 Rows are collected and sent in columns, a batch at a time, so that memory stays bounded.
@@ -22,21 +24,20 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
 from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
 from hiros_viewer.columns import (
     DetectionRows,
@@ -49,8 +50,16 @@ from hiros_viewer.columns import (
     TextRows,
 )
 from hiros_viewer.displacement import EarlierPoses, mean_distances
-from hiros_viewer.entities import Entities, Layer, path_part, person_hue, person_part
-from hiros_viewer.palette import SIDES, curve_colour, pale
+from hiros_viewer.entities import (
+    Entities,
+    Layer,
+    fault_part,
+    path_part,
+    person_hue,
+    person_part,
+)
+from hiros_viewer.palette import FAULTY, SIDES, curve_colour, pale
+from hiros_viewer.view_check import FaultySpan, ViewCheck
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -61,7 +70,6 @@ BATCH = 4000
 GONE_NS = 250_000_000
 """Somebody or something that was not seen for this long is hidden."""
 _ALONE = Layer()
-_SAME_PERSON_M = 1.0
 _MOST_BOUNDS = 2000
 _MOST_WAITING = 10_000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
@@ -124,6 +132,15 @@ class Scene:
         self._texts = defaultdict[str, TextRows](TextRows)
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
         """By stage and person."""
+        mirror = symmetry_of(model).mirror
+        self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))
+        """By camera."""
+        self._marks = defaultdict[tuple[str, str], DetectionRows](
+            lambda: DetectionRows(PoseBatch(n))
+        )
+        """By camera and kind of fault: its detections that have it."""
+        self._lane_looks: dict[str, Line] = {}
+        """By path."""
         self._true = defaultdict[int, list[tuple[int, Floats]]](list)
         """By person: stamps and true poses that are not among the earlier ones yet."""
         self._reference = _Reference()
@@ -196,12 +213,42 @@ class Scene:
         self._reference = newest
 
     def _residual(self, camera: str, stamp: int, positions: Floats, people: Floats) -> None:
-        """Draw the mean joint distance of detections to the nearest person each."""
-        distances = np.empty(len(positions))
-        nearest(positions, people, distances)
-        same = [distance for distance in distances.tolist() if distance < _SAME_PERSON_M]
-        if same:
-            self._curve("/residual", camera).add(stamp, 1000 * sum(same) / len(same))
+        """Draw how far detections are from the nearest person each, and mark wrong ones."""
+        check = self._checks[camera]
+        known = len(check.distances)
+        faults = check.compare(positions, people)
+        if len(check.distances) > known:
+            self._curve("/residual", camera).add(stamp, check.distances[-1])
+        for kind, rows in faults.items():
+            if rows.any():
+                wrong = positions[rows]
+                certain = np.ones(wrong.shape[:2])
+                ids = np.full(len(wrong), UNTRACKED)
+                self._marks[camera, kind].add(Poses(stamp, camera, ids, wrong, certain))
+            elif (camera, kind) in self._marks:
+                self._marks[camera, kind].hide(stamp)
+        self._tell(camera, check.spans(stamp, faults))
+
+    def _tell(self, camera: str, spans: Iterable[FaultySpan]) -> None:
+        """Show when a camera's view was wrong: a lane, and a line in the list of events."""
+        for span in spans:
+            path = f"/views/{path_part(camera)}/{fault_part(span.kind)}"
+            self._lane_looks[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
+            self._texts[path].add(span.start, span.kind)
+            self._texts[path].add(span.end, "gone")
+            detail = f"for {(span.end - span.start) / 1e9:.2f} s"
+            self.event(Event(span.start, f"view {span.kind}", UNTRACKED, camera, detail))
+
+    def describe_cameras(self, report: Mapping[str, Mapping[str, Any]]) -> None:
+        """Show the numbers of each camera: those of the run, by camera, and what was drawn."""
+        rows = []
+        for camera in self.cameras:
+            run, check = report.get(camera, {}), self._checks[camera]
+            used = f"{run['used']} of {run['messages']}" if run.get("messages") else "-"
+            counts = [str(run.get(name, "-")) for name in ("flips", "outliers")]
+            rows.append((camera, used, *check.row(), *counts))
+        if rows and self.final:
+            self._entities.camera_table(rows)
 
     def stage(self, name: str, frame: Frame | Poses) -> None:
         """Draw a stage's people."""
@@ -280,7 +327,9 @@ class Scene:
             self._lane(person).add(stamp, "gone")
 
     def _lane(self, person: int) -> TextRows:
-        return self._texts[f"{self._prefix}/state/{person_part(person)}"]
+        path = f"{self._prefix}/state/{person_part(person)}"
+        self._lane_looks[path] = self._person_line(person)
+        return self._texts[path]
 
     def event(self, event: Event) -> None:
         """Write an event into the log."""
@@ -319,6 +368,10 @@ class Scene:
             for person_rows in stage.shown.values():
                 person_rows.hide(person_rows.last + GONE_NS)
         self._compare(_Reference(self._reference.stamp + 2 * GONE_NS))
+        for marks in self._marks.values():
+            marks.hide(marks.last + GONE_NS)
+        for camera, check in self._checks.items():
+            self._tell(camera, check.finish())
         final = self._stages.get(self.final)
         self._leave(self._alive, (final.last if final else 0) + GONE_NS)
         self.flush()
@@ -333,6 +386,10 @@ class Scene:
                 if not self.final:
                     self._extend_bounds(highest)
                 rows.sent()
+        for (camera, kind), marks in self._marks.items():
+            if marks.stamps:
+                self._entities.marks(camera, kind, marks)
+                marks.sent()
         for person, noted in self._true.items():
             stamps, poses = zip(*noted, strict=True)
             self._earlier["truth", person].add(np.array(stamps), np.stack(poses))
@@ -345,8 +402,10 @@ class Scene:
                 curve.sent()
         for path, lines in self._texts.items():
             if lines.stamps:
-                send = self._entities.log_lines if path.endswith("/log") else self._entities.lane
-                send(path, lines)
+                if path in self._lane_looks:
+                    self._entities.lane(path, lines, self._lane_looks[path])
+                else:
+                    self._entities.log_lines(path, lines)
                 lines.sent()
 
     def _send_stage(self, stage: str, rows: StageRows) -> None:
