@@ -605,3 +605,24 @@ def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Pa
     arguments = [str(processed), str(golden), "--stage", "filtered", "--time-range", "0:1"]
     assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
     assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)
+
+
+def test_a_calibration_shows_poses_before_and_after(tmp_path: Path) -> None:
+    with open_log(CROSSING) as log:
+        poses = {c.frames[0]: log.pose_of(c) for c in log.cameras}
+    file, target = tmp_path / "cameras.toml", tmp_path / "moved.rrd"
+    lines = []
+    for name, pose in poses.items():
+        assert pose is not None
+        moved = (pose.translation + [0.03 * (name == "camera_1"), 0, 0]).tolist()  # noqa: RUF005
+        lines += ["[[camera]]  # improved; standard error 0.08 degrees, 4 mm"]
+        lines += [f'frame = "{name}"', 'parent = "world"', f"translation = {moved}"]
+        lines += [f"quaternion_xyzw = {pose.xyzw.tolist()}"]
+    file.write_text("\n".join(lines))
+    arguments = ["view", str(CROSSING), "--calibration", str(file), "--save", str(target), "-q"]
+    assert run(arguments) == 0
+    (table,) = texts(target, "/calibration", "TextDocument:text")
+    assert "| camera_1 | 30 mm | 0.00° | improved; standard error 0.08 degrees, 4 mm |" in table
+    assert "| camera_0 | 0 mm |" in table
+    assert {"/world/before/camera_1/view", "/world/moved/camera_1"} <= entities(target)
+    assert run([*arguments, "--extrinsics", str(file)]) == 2

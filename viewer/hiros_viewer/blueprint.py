@@ -10,7 +10,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_viewer.columns import STAMP, TIMELINE
-from hiros_viewer.entities import CAMERA_TABLE, KEY, MAGNIFIED, person_part
+from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ class Content:
     """Of the logs that are overlaid."""
     has_error: bool = False
     """Whether the result was compared with a truth."""
+    has_moves: bool = False
+    """Whether the cameras' poses before and after a calibration are shown."""
 
     @property
     def final(self) -> str:
@@ -71,12 +73,17 @@ def overview(content: Content) -> rrb.Container:
     if content.is_raw:
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
-            _series("People per camera", ["/people/**"]),
+            rrb.Horizontal(
+                *([_moves()] if content.has_moves else []),
+                _series("People per camera", ["/people/**"]),
+            ),
             row_shares=[4, 1],
         )
     angles = rrb.Tabs(*(_angles(content, person) for person in content.people))
     speed = _series("Speed, m/s", _all(content, "/speed/**"))
     side = [angles, speed, _series("People per camera", ["/people/**"])]
+    if content.has_moves:
+        side.append(_moves())
     if len(content.prefixes) == 2:
         side.insert(1, _series("Joint distance between the logs, mm", ["/distance/**"]))
     if content.has_error:
@@ -325,6 +332,13 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
         for part in parts
     ]
     return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
+
+
+def _moves() -> Any:
+    """Return the table of cameras before and after a calibration."""
+    import rerun.blueprint as rrb
+
+    return rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after")
 
 
 def _error(content: Content, who: int | None = None) -> Any:

@@ -17,6 +17,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
+from hiros_viewer.camera_moves import CameraMove, move_table
 from hiros_viewer.columns import (
     HIDDEN,
     DetectionRows,
@@ -30,6 +31,7 @@ from hiros_viewer.columns import (
     times,
 )
 from hiros_viewer.palette import (
+    BEFORE,
     CAMERAS,
     CLASSES,
     DISPLACEMENT,
@@ -89,6 +91,7 @@ _CAMERA_NOTE = (
     "detections to the result. Flips: detections that the merger relabelled. Outliers: markers "
     "that it left out."
 )
+CALIBRATION = "/calibration"
 KEY = "/key"
 _KEY_TEXT = (
     "**Right**: bright limbs, thick blue curves. **Left**: dark limbs, thin grey curves. "
@@ -143,9 +146,29 @@ class Entities:
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
+        look = name, camera_colour(number), label_colour(curve_colour(number))
+        self._frustum(f"/world/cameras/{path_part(name)}", pose, look)
+
+    def moves(self, moves: Sequence[CameraMove]) -> None:
+        """Draw where cameras were before a calibration, lines to where they are, and a table."""
         import rerun as rr
 
-        path = f"/world/cameras/{path_part(name)}"
+        for move in moves:
+            if move.before is not None:
+                path = f"/world/before/{path_part(move.name)}"
+                look = "", BEFORE, BEFORE  # a name would cover that of the pose after
+                self._frustum(path, move.before, look)
+                way = [[move.before.translation, move.after.translation]]
+                line = rr.LineStrips3D(way, colors=[DISPLACEMENT], radii=_ERROR_PX)
+                self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
+        table = rr.TextDocument(move_table(moves), media_type="text/markdown")
+        self.recording.log(CALIBRATION, table, static=True)
+
+    def _frustum(self, path: str, pose: Rigid, look: tuple[str, RGB, RGB]) -> None:
+        """Draw a camera; ``look`` is its name or "", its colour, and that of the name."""
+        import rerun as rr
+
+        name, colour, text_colour = look
         place = rr.Transform3D(
             translation=pose.translation, quaternion=rr.Quaternion(xyzw=pose.xyzw)
         )
@@ -157,18 +180,19 @@ class Entities:
             height=float(2 * focal * half[1]),
             image_plane_distance=0.35,
             camera_xyz=rr.ViewCoordinates.RDF,
-            color=camera_colour(number),
+            color=colour,
             line_width=0.004,
-        )
-        label = rr.Points3D(
-            [[0.0, -0.3, 0.0]],
-            radii=0.001,
-            labels=[name],
-            colors=[label_colour(curve_colour(number))],
         )
         self.recording.log(path, place, static=True)
         self.recording.log(f"{path}/view", frustum, static=True)
-        self.recording.log(f"{path}/name", label, static=True)
+        if name:
+            label = rr.Points3D(
+                [[0.0, -0.3, 0.0]],
+                radii=0.001,
+                labels=[name],
+                colors=[text_colour],
+            )
+            self.recording.log(f"{path}/name", label, static=True)
 
     def _annotations(self, *, dim_detections: bool) -> Any:
         """Return the classes: people, people of a second log, and each camera's detections."""

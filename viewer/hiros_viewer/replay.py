@@ -27,6 +27,7 @@ from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
+from hiros_viewer.camera_moves import camera_moves
 from hiros_viewer.columns import Poses
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
@@ -60,6 +61,8 @@ class ViewOptions:
     """Stage whose curves are drawn and that two logs are compared by; "" = the last one."""
     truth: str | None = None
     """File with the true people, or a channel of the log; None = the log's own, if it has one."""
+    calibration: Path | None = None
+    """File with the cameras' poses that are compared with the log's, and used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +155,8 @@ class _Replay:
         scene.truth = self._truth(source)
         only_stages = first is not None and bool(first.cameras)
         scene.begin({} if only_stages else source.cameras)
+        if self.options.calibration is not None and not only_stages:
+            scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
         self._thin(whole)
         drawn = 0
         with self._open(self._topics(source, final)) as log:
@@ -195,7 +200,7 @@ class _Replay:
         scene.describe_cameras(source.report)
 
     def _open(self, topics: Sequence[str]) -> Log:
-        extrinsics = self.options.extrinsics
+        extrinsics = self.options.calibration or self.options.extrinsics
         return open_log(self.path, topics=topics, output_prefix="/none", extrinsics=extrinsics)
 
     def _final(self, source: Source) -> str:
@@ -344,6 +349,7 @@ def content_of(scenes: list[Scene]) -> Content:
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         prefixes=[scene.prefix for scene in scenes],
         has_error=any(scene.n_true for scene in scenes),
+        has_moves=any(scene.has_moves for scene in scenes),
     )
 
 

@@ -39,6 +39,7 @@ from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
+from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import (
     DetectionRows,
     Line,
@@ -118,6 +119,8 @@ class Scene:
         """By name, in the fixed frame."""
         self.truth: Truth | None = None
         """What to compare the last stage with, on the markers of the model."""
+        self.has_moves = False
+        """Whether poses before and after a calibration were drawn."""
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
         self._layer, self._prefix = layer, layer.prefix
@@ -177,6 +180,11 @@ class Scene:
         for number, (name, pose) in enumerate(cameras.items()):
             _ = self._detections[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
+
+    def moves(self, moves: Sequence[CameraMove]) -> None:
+        """Draw where cameras were before a calibration, and how far they moved."""
+        self.has_moves = True
+        self._entities.moves(moves)
 
     def explain(self, *lines: str) -> None:
         """Add lines to those that say what colours mean, Markdown."""

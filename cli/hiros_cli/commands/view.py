@@ -42,6 +42,12 @@ def view(
         Path | None,
         typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
     ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Camera poses of `hiros calibrate`, compared with the log's."
+        ),
+    ] = None,
     save: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write a Rerun recording (.rrd) instead."),
@@ -67,14 +73,18 @@ def view(
         raise ConfigError("view shows at most two logs")
     if sum((save is not None, web, connect is not None)) > 1:
         raise ConfigError("use only one of --save, --web and --connect")
+    if extrinsics is not None and calibration is not None:
+        raise ConfigError("use only one of --extrinsics and --calibration")
     window = None if time_range is None else seconds_range("--time-range", time_range)
     from hiros_viewer import destinations
 
-    check_outputs((save, "Rerun recording"), inputs=(*logs, extrinsics, truth), force=force)
+    check_outputs(
+        (save, "Rerun recording"), inputs=(*logs, extrinsics, truth, calibration), force=force
+    )
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
-    options = ViewOptions(layout, window, extrinsics, stage or "", truth)
+    options = ViewOptions(layout, window, extrinsics, stage or "", truth, calibration)
     name = recording_name(list(logs))
 
     def draw(recording: RecordingStream, is_open: Callable[[], bool] = lambda: True) -> None:
