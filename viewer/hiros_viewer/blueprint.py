@@ -45,6 +45,8 @@ class Content:
     """Of the logs that are overlaid."""
     has_error: bool = False
     """Whether the result was compared with a truth."""
+    shows_truth: bool = False
+    """Whether the truth is drawn in the room, where it makes the result thin."""
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
 
@@ -211,9 +213,9 @@ def _room(
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
         overrides = _compared_looks(content, *shown)
-    elif content.has_error:
+    elif content.shows_truth:
         overrides = _thin_looks(content, *shown)
-    if "truth" in content.stages and "truth" not in shown:
+    if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     trail = rrb.VisibleTimeRanges(
         [

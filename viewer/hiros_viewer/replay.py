@@ -153,6 +153,7 @@ class _Replay:
         scene = Scene(self.recording, source.model, final=final, layer=self.layer)
         scene.start = None if first is None else first.start
         scene.truth = self._truth(source)
+        scene.shows_truth = self.options.truth is not None
         only_stages = first is not None and bool(first.cameras)
         scene.begin({} if only_stages else source.cameras)
         if self.options.calibration is not None and not only_stages:
@@ -348,6 +349,7 @@ def content_of(scenes: list[Scene]) -> Content:
         reach=reach,
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         prefixes=[scene.prefix for scene in scenes],
+        shows_truth=any(scene.shows_truth for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
         has_moves=any(scene.has_moves for scene in scenes),
     )

@@ -68,6 +68,8 @@ if TYPE_CHECKING:
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 BATCH = 4000
 """Frames collected before they are sent."""
+_FIRST_BATCH = 400
+"""Before anybody was drawn: the first picture comes soon."""
 GONE_NS = 250_000_000
 """Somebody or something that was not seen for this long is hidden."""
 _ALONE = Layer()
@@ -119,6 +121,8 @@ class Scene:
         """By name, in the fixed frame."""
         self.truth: Truth | None = None
         """What to compare the last stage with, on the markers of the model."""
+        self.shows_truth = False
+        """Whether the truth is to be seen in the room; its error is plotted in any case."""
         self.has_moves = False
         """Whether poses before and after a calibration were drawn."""
         self.n_true = 0
@@ -365,7 +369,7 @@ class Scene:
         if self.start is None:
             self.start = stamp
         self._collected += 1
-        if self._collected >= self._batch:
+        if self._collected >= (self._batch if self.bounds else min(self._batch, _FIRST_BATCH)):
             self.flush()
 
     def finish(self) -> None:
