@@ -98,7 +98,7 @@ def overview(content: Content) -> rrb.Container:
     return rrb.Vertical(
         rrb.Horizontal(
             _room(content, "Room", shown=[content.final]),
-            rrb.Vertical(_key(), *side, row_shares=[0.6, 5, *([2] * (len(side) - 1))]),
+            rrb.Vertical(_key(), *side, row_shares=[0.8, 5, *([2] * (len(side) - 1))]),
             column_shares=[4, 3],
         ),
         rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
@@ -138,7 +138,7 @@ def person(content: Content) -> rrb.Container:
             _error(content, who)
             if content.has_error
             else _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
-            row_shares=[0.24, 2, 2, 1],
+            row_shares=[0.34, 2, 2, 1],
             name=f"Person {who}",
         )
         for who in content.people
