@@ -2,7 +2,7 @@
 
 ::
 
-    python docs/pictures.py          # writes docs/overview.png and docs/stages.png
+    python docs/pictures.py          # writes overview.png, stages.png and cameras.png
 
 It needs a Vulkan driver; Debian's packages are libvulkan1 and mesa-vulkan-drivers.
 """
@@ -29,11 +29,11 @@ MENU = 37
 
 
 def main() -> None:
-    """Process the sample log, and take a picture of it in two layouts."""
+    """Process the sample log, and take a picture of it in three layouts."""
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "crossing.hiros.mcap"
         process(LOG, result)
-        for layout, second in (("overview", 2.0), ("stages", 2.0)):
+        for layout, second in (("overview", 2.0), ("stages", 2.0), ("cameras", 2.0)):
             recording = Path(folder) / f"{layout}.rrd"
             options = ViewOptions(layout)
             save(recording, layout, lambda sink, o=options: replay([result], sink, o))

@@ -84,6 +84,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(folder / "lab.mcap", folder / "mocap.mcap")
     result = str(folder / "lab.hiros.mcap")
     assert run(["process", str(folder / "lab.mcap"), "--quiet"]) == 0
+    shutil.copy(result, folder / "other.mcap")
     assert run(["export", result, "-o", str(folder / "mocap.trc"), "--person", "0"]) == 0
     rows = open_result(result).joints()["WRIST_LEFT"].reset_index()
     rows.insert(2, "marker", "WRIST_LEFT")

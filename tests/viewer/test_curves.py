@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 from hiros_viewer import curves  # noqa: E402
 from hiros_viewer.figures import with_gaps  # noqa: E402
+from hiros_viewer.hover import curves_json  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +56,12 @@ def test_hips_swing_through_zero(processed: Path) -> None:
 
 
 def test_limbs_are_flat_and_errors_small(processed: Path) -> None:
-    limbs = curves.figure_of(collected(processed), "limbs").axes[0].lines
-    assert len(limbs) == 8
-    assert max(np.ptp(np.asarray(line.get_ydata())) for line in limbs) < 3
+    plots = curves.figure_of(collected(processed), "limbs").axes
+    assert [len(axes.lines) for axes in plots] == [2, 2, 2, 2]
+    for axes in plots:
+        assert all(np.ptp(np.asarray(line.get_ydata())) < 3 for line in axes.lines)
+        low, high = axes.get_ylim()
+        assert high - low == pytest.approx(120)
     largest, mean = curves.figure_of(collected(processed), "error").axes[0].lines
     assert 5 < np.nanmean(np.asarray(mean.get_ydata())) < 40
     assert np.nanmin(np.asarray(largest.get_ydata()) - np.asarray(mean.get_ydata())) >= 0
@@ -90,6 +96,34 @@ def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: P
     assert "Person 0" in text
     assert "Person 1" in text
     assert not re.findall(r"""(?:src|href)=["'](?!#)""", text)
+
+
+def test_a_page_says_of_what_it_is_and_how_good(processed: Path, tmp_path: Path) -> None:
+    page = tmp_path / "a.html"
+    assert run(["plot", str(processed), "-o", str(page), "-q"]) == 0
+    text = page.read_text(encoding="utf-8")
+    for fact in (
+        f"<h1>{processed}: /hiros/filtered</h1>",
+        "recorded 2023-11-14 22:13 UTC; hiros 0.1.0, system hiros",
+        "mean joint error ",
+        "no warnings</p>",
+    ):
+        assert fact in text
+
+
+def test_curves_have_their_values_under_the_pointer(processed: Path) -> None:
+    data = collected(processed)
+    figure = curves.figure_of(data, "angles", 1)
+    figure.savefig(BytesIO(), format="svg")
+    plots = json.loads(curves_json(figure))
+    assert len(plots) == 14
+    true, result = plots[0]["curves"]
+    assert (true["name"], result["name"]) == ("truth", "result")
+    drawn = np.asarray(figure.axes[0].lines[-1].get_ydata())
+    shown = np.array([np.nan if y is None else y for y in result["y"]])
+    assert np.allclose(shown, drawn, rtol=1e-4, equal_nan=True)
+    width = 72 * figure.get_figwidth()
+    assert all(0 < plot["left"] < plot["right"] <= width for plot in plots)
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,11 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.body.transforms import transform_to_fixed
 from hiros_mcap.errors import ConfigError, HirosError
-from hiros_mcap.evaluate.logs import read_channel
+from hiros_mcap.evaluate.logs import evaluate_log, read_channel
+from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -24,10 +25,12 @@ from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
+from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
-from hiros_viewer.columns import TIMELINE
+from hiros_viewer.columns import TIMELINE, Poses
 from hiros_viewer.displacement import EarlierPoses
 from hiros_viewer.palette import SIDES, shade
+from hiros_viewer.scene import Scene
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -62,6 +65,15 @@ def rows(recording: Path, entity: str, component: str, timeline: str = "stamp") 
         for stamp, value in zip(stamps, batch.column(component), strict=True):
             found[int(stamp)] = np.array(value.as_py(), float)
     return found
+
+
+def texts(recording: Path, entity: str, component: str = "TextLog:text") -> list[str]:
+    import rerun.chunk
+
+    chunks = rerun.chunk.RrdReader(str(recording)).stream().filter(content=entity).to_chunks()
+    batches: list[Any] = [chunk.to_record_batch() for chunk in chunks]
+    known = [batch.column(component) for batch in batches if component in batch.schema.names]
+    return [str(text) for column in known for row in column.to_pylist() for text in row]
 
 
 def entities(recording: Path) -> set[str]:
@@ -351,6 +363,39 @@ def test_the_tree(recording: Path) -> None:
         assert path in found
 
 
+def test_cameras_have_their_numbers(recording: Path) -> None:
+    (table,) = texts(recording, "/cameras", "TextDocument:text")
+    lines = [line.split(" | ") for line in table.splitlines() if "camera_" in line]
+    assert [line[0] for line in lines] == ["| camera_0", "| camera_1", "| camera_2"]
+    for line in lines:
+        used, of = map(int, line[1].split(" of "))
+        assert 0 < used <= of
+        assert 50 <= int(line[2].rstrip("%")) <= 100
+        assert 10 < int(line[3].removesuffix(" mm")) < 100
+
+
+def test_a_mirrored_view_is_marked_and_listed(
+    processed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of camera_1's detections, the viewer is shown mirrored ones for a second."""
+    target, shown = tmp_path / "mirrored.rrd", Scene.detections
+    with open_log(processed) as log:
+        start, mirror = log.span[0], symmetry_of(log.model).mirror
+
+    def mirrored(scene: Scene, camera: str, frame: Poses) -> None:
+        if camera == "camera_1" and 2e9 < frame.stamp - start < 3e9:
+            frame = replace(frame, positions=frame.positions[:, mirror])
+        shown(scene, camera, frame)
+
+    monkeypatch.setattr(Scene, "detections", mirrored)
+    assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
+    bones = rows(target, "/marked/camera_1/mirrored/bones", "LineStrips3D:strips")
+    wrong = [stamp - start for stamp, strips in bones.items() if len(strips)]
+    assert sum(2e9 < since < 3e9 for since in wrong) >= 25
+    assert any("view mirrored camera_1: for" in text for text in texts(target, "/log"))
+    assert "/views/camera_1/mirrored" in entities(target)
+
+
 def test_a_time_range(processed: Path, tmp_path: Path) -> None:
     target = tmp_path / "part.rrd"
     arguments = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q"]
@@ -380,19 +425,44 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("stage", [[], ["--stage", "merged"]])
-def test_a_result_is_overlaid_with_a_truth_and_its_distance(
-    tmp_path: Path, stage: list[str]
-) -> None:
+def test_a_result_is_overlaid_with_a_truth_and_its_error(tmp_path: Path, stage: list[str]) -> None:
     result, truth = tmp_path / "result.mcap", tmp_path / "truth.mcap"
     process(CROSSING, result, options=ProcessOptions(keep=()))
     cut_to_truth(CROSSING, truth)
+    scores = evaluate_log(result, load_truth(truth), [f"/hiros/{stage[1]}"] if stage else [])
+    expected = list(scores.values())[-1].scores.mean
     target = tmp_path / "both.rrd"
-    for logs in ([result, truth], [truth, result]):
-        arguments = [*map(str, logs), *stage, "--save", str(target), "-q"]
-        assert run(["view", *arguments]) == 0
-        mean = np.concatenate(list(rows(target, "/distance/mean", "Scalars:scalars").values()))
-        assert len(mean) > 100
-        assert 5 < np.mean(mean) < 40
+    for arguments in (
+        [str(result), str(truth)],
+        [str(truth), str(result)],
+        [str(result), "--truth", str(truth)],
+    ):
+        assert run(["view", *arguments, *stage, "--save", str(target), "-q"]) == 0
+        errors = [rows(target, f"/error/person_{p}", "Scalars:scalars") for p in (0, 1)]
+        mean = np.concatenate([value for person in errors for value in person.values()])
+        assert np.mean(mean) == pytest.approx(expected, rel=0.02)
+        assert {"/truth/person_0", "/error_lines/person_1"} <= entities(target)
+
+
+def test_two_results_are_each_compared_with_a_truth(processed: Path, tmp_path: Path) -> None:
+    truth, target = tmp_path / "truth.mcap", tmp_path / "both.rrd"
+    cut_to_truth(CROSSING, truth)
+    arguments = [str(processed), str(processed), "--truth", str(truth)]
+    assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
+    assert {"/a/error/person_0", "/b/error/person_0", "/a/truth/person_0"} <= entities(target)
+    assert "/b/truth/person_0" not in entities(target)
+
+
+def test_a_truth_of_another_time_is_refused(
+    processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = tmp_path / "truth.csv"
+    lines = [f"{100 + k / 30},0,PELVIS,0,0,1" for k in range(30)]
+    truth.write_text("\n".join(["time,person,marker,x,y,z", *lines]))
+    arguments = ["view", str(processed), "--truth", str(truth)]
+    assert run([*arguments, "--save", str(tmp_path / "a.rrd")]) == 2
+    assert "covers no frame of the result" in capsys.readouterr().err
+    assert not (tmp_path / "a.rrd").exists()
 
 
 def cut_to_truth(log: Path, target: Path) -> None:
@@ -442,6 +512,24 @@ def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
             bodies = [body for rows in scene._stages.values() for body in rows.people.values()]
             longest = max(longest, *(len(body.stamps) for body in bodies), 0)
     assert 0 < longest <= 50
+
+
+def test_a_long_log_is_drawn_with_fewer_frames(
+    processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replaying, "LONG_S", 3.0)
+    monkeypatch.setattr(replaying, "MOST_FRAMES", 50)
+    target = tmp_path / "long.rrd"
+    assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
+    stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
+    assert 0.09e9 < np.median(np.diff(stamps)) < 0.11e9
+    whole = rows(recording, "/filtered/person_0", "Points3D:positions")
+    assert set(stamps[:-1]) <= set(whole)  # the last row hides the person
+    assert "/merged/person_0" not in entities(target)
+    part = ["view", str(processed), "--time-range", "1:2", "--save", str(target), "-q", "-f"]
+    assert run(part) == 0
+    stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
+    assert np.median(np.diff(stamps)) < 0.04e9
 
 
 @pytest.mark.parametrize(
@@ -517,3 +605,24 @@ def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Pa
     arguments = [str(processed), str(golden), "--stage", "filtered", "--time-range", "0:1"]
     assert run(["view", *arguments, "--save", str(target), "-q"]) == 0
     assert {"/a/filtered/person_0", "/b/filtered/person_0"} <= entities(target)
+
+
+def test_a_calibration_shows_poses_before_and_after(tmp_path: Path) -> None:
+    with open_log(CROSSING) as log:
+        poses = {c.frames[0]: log.pose_of(c) for c in log.cameras}
+    file, target = tmp_path / "cameras.toml", tmp_path / "moved.rrd"
+    lines = []
+    for name, pose in poses.items():
+        assert pose is not None
+        moved = (pose.translation + [0.03 * (name == "camera_1"), 0, 0]).tolist()  # noqa: RUF005
+        lines += ["[[camera]]  # improved; standard error 0.08 degrees, 4 mm"]
+        lines += [f'frame = "{name}"', 'parent = "world"', f"translation = {moved}"]
+        lines += [f"quaternion_xyzw = {pose.xyzw.tolist()}"]
+    file.write_text("\n".join(lines))
+    arguments = ["view", str(CROSSING), "--calibration", str(file), "--save", str(target), "-q"]
+    assert run(arguments) == 0
+    (table,) = texts(target, "/calibration", "TextDocument:text")
+    assert "| camera_1 | 30 mm | 0.00° | improved; standard error 0.08 degrees, 4 mm |" in table
+    assert "| camera_0 | 0 mm |" in table
+    assert {"/world/before/camera_1/view", "/world/moved/camera_1"} <= entities(target)
+    assert run([*arguments, "--extrinsics", str(file)]) == 2

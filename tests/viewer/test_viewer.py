@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -113,7 +114,7 @@ def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
                 keep = [p == 0 or frame.stamp < cut for p in frame.ids.tolist()]
                 scene.stage("filtered", frame.select(np.array(keep)))
             scene.finish()
-            content = replay.content_of([scene], [""])
+            content = replay.content_of([scene])
         recording.send_blueprint(replay.blueprint(content))  # type: ignore[attr-defined]
 
     destinations.save(target, "left", draw)
@@ -250,13 +251,43 @@ def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None
 def test_the_window_ends_with_one_line_where_there_is_no_screen(
     processed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
+    without_screen(monkeypatch)
+    assert run(["view", str(processed), "-q"]) == 2
+    assert "there is no screen here; use --web" in capsys.readouterr().err
+    assert threading.active_count() < 20
+
+
+def without_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     if sys.platform != "linux":
         pytest.skip("elsewhere there is always a screen")
-    assert run(["view", str(processed), "-q"]) == 2
-    assert "without a screen" in capsys.readouterr().err
-    assert threading.active_count() < 20
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_a_run_without_a_screen_says_how_to_look_at_its_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without_screen(monkeypatch)
+    out = tmp_path / "out.mcap"
+    assert run(["process", str(CROSSING), "-o", str(out), "--view", "-q"]) == 0
+    assert f"hiros view {out} --web" in capsys.readouterr().err
+    assert out.exists()
+
+
+def test_a_run_without_a_screen_is_served_as_a_page(tmp_path: Path) -> None:
+    from hiros_viewer.live import live_page
+
+    pages: list[str] = []
+    with (
+        pytest.raises(KeyboardInterrupt),
+        live_page("live", lambda: None, pages.append) as view,
+    ):
+        process(CROSSING, tmp_path / "out.mcap", watcher=view)
+        with urlopen(pages[0], timeout=10) as page:
+            assert b"Rerun" in page.read()
+        raise KeyboardInterrupt
+    with pytest.raises(OSError):
+        urlopen(pages[0], timeout=1)
 
 
 def test_without_a_driver_there_is_a_reason_to_skip(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate
 from hiros_viewer.columns import STAMP, TIMELINE
-from hiros_viewer.entities import KEY, MAGNIFIED, person_part
+from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ TRAIL_S = 2.0
 JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
+_BONES = ("bones", "left_bones")
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 
 
@@ -42,6 +43,12 @@ class Content:
     """Of those cameras whose poses are known, in the fixed frame."""
     prefixes: Sequence[str] = ("",)
     """Of the logs that are overlaid."""
+    has_error: bool = False
+    """Whether the result was compared with a truth."""
+    shows_truth: bool = False
+    """Whether the truth is drawn in the room, where it makes the result thin."""
+    has_moves: bool = False
+    """Whether the cameras' poses before and after a calibration are shown."""
 
     @property
     def final(self) -> str:
@@ -68,25 +75,34 @@ def overview(content: Content) -> rrb.Container:
     if content.is_raw:
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
-            _series("People per camera", ["/people/**"]),
+            rrb.Horizontal(
+                *([_moves()] if content.has_moves else []),
+                _series("People per camera", ["/people/**"]),
+            ),
             row_shares=[4, 1],
         )
     angles = rrb.Tabs(*(_angles(content, person) for person in content.people))
     speed = _series("Speed, m/s", _all(content, "/speed/**"))
     side = [angles, speed, _series("People per camera", ["/people/**"])]
+    if content.has_moves:
+        side.append(_moves())
     if len(content.prefixes) == 2:
         side.insert(1, _series("Joint distance between the logs, mm", ["/distance/**"]))
+    if content.has_error:
+        side.insert(1, _error(content))
     lanes = rrb.StateTimelineView(
-        origin="/", contents=_all(content, "/state/**"), name="People in the result"
+        origin="/",
+        contents=[*_all(content, "/state/**"), "/views/**"],
+        name="People in the result, and when a camera's view is wrong",
     )
     return rrb.Vertical(
         rrb.Horizontal(
             _room(content, "Room", shown=[content.final]),
-            rrb.Vertical(_key(), *side, row_shares=[0.6, 5, *([2] * (len(side) - 1))]),
+            rrb.Vertical(_key(), *side, row_shares=[0.8, 5, *([2] * (len(side) - 1))]),
             column_shares=[4, 3],
         ),
         rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
-        row_shares=[4, 1],
+        row_shares=[3.3, 1],
     )
 
 
@@ -119,8 +135,10 @@ def person(content: Content) -> rrb.Container:
             _key(),
             _angles(content, who),
             _sides(content, "limbs", who, LIMBS, "m"),
-            _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
-            row_shares=[0.24, 2, 2, 1],
+            _error(content, who)
+            if content.has_error
+            else _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
+            row_shares=[0.34, 2, 2, 1],
             name=f"Person {who}",
         )
         for who in content.people
@@ -142,7 +160,11 @@ def cameras(content: Content) -> rrb.Container:
     ]
     below = [_series("People per camera", ["/people/**"])]
     if not content.is_raw:
-        below.insert(0, _series("Distance to the result, mm", ["/residual/**"]))
+        table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
+        wrong = rrb.StateTimelineView(
+            origin="/", contents=["/views/**"], name="When a camera's view is wrong"
+        )
+        below = [table, _series("Distance to the result, mm", ["/residual/**"]), wrong]
     return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
 
 
@@ -184,13 +206,17 @@ def _room(
 
     what = ["+ /world/**"]
     seen = content.cameras if cameras is None else cameras
-    what += [f"+ /detections/{camera}/**" for camera in seen]
+    what += [f"+ /{kind}/{camera}/**" for kind in ("detections", "marked") for camera in seen]
     shown = [stage for stage in shown if stage]
     what += [f"+ {prefix}/{stage}/**" for prefix in content.prefixes for stage in shown]
     overrides: dict[str, Any] = {}
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
         overrides = _compared_looks(content, *shown)
+    elif content.shows_truth:
+        overrides = _thin_looks(content, *shown)
+    if content.shows_truth and "truth" not in shown:
+        what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     trail = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
@@ -229,19 +255,26 @@ def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]
     """Return looks of two stages whose bones are millimetres apart: both thin, the first grey."""
     import rerun as rr
 
-    first = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
-    second = rr.LineStrips3D.from_fields(radii=0.006)
-    return {
-        f"{prefix}/{stage}/{person_part(who)}/{bones}": look
-        for prefix in content.prefixes
-        for stage, look in ((before, first), (after, second))
-        for who in content.people
-        for bones in ("bones", "left_bones")
-    } | {
-        f"{prefix}/{after}/{person_part(who)}": rr.Points3D.from_fields(radii=0.012)
-        for prefix in content.prefixes
-        for who in content.people
+    look = rr.LineStrips3D.from_fields(colors=[BEFORE], radii=0.004)
+    return _thin_looks(content, after) | {
+        f"{path}/{bones}": look for path in _paths(content, before) for bones in _BONES
     }
+
+
+def _thin_looks(content: Content, stage: str) -> dict[str, Any]:
+    """Return looks of a stage that lets see what is millimetres away from it."""
+    import rerun as rr
+
+    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=0.012)
+    paths = _paths(content, stage)
+    return {f"{path}/{part}": bones for path in paths for part in _BONES} | dict.fromkeys(
+        paths, joints
+    )
+
+
+def _paths(content: Content, stage: str) -> list[str]:
+    """Return the entities of everybody at a stage."""
+    return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
 
 
 def _eye(content: Content) -> Floats:
@@ -301,6 +334,19 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
         for part in parts
     ]
     return rrb.Grid(*views, grid_columns=2, name=f"Person {who}")
+
+
+def _moves() -> Any:
+    """Return the table of cameras before and after a calibration."""
+    import rerun.blueprint as rrb
+
+    return rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after")
+
+
+def _error(content: Content, who: int | None = None) -> Any:
+    """Return the curves of the error, of everybody or of one person."""
+    part = "**" if who is None else person_part(who)
+    return _series("Error, mm: mean over joints", _all(content, f"/error/{part}"))
 
 
 def _events(content: Content) -> Any:

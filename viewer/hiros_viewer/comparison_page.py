@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiros_mcap._version import __version__
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.comparison import Entry, Outcome, by_number_of_cameras
 from hiros_mcap.evaluate.comparison_tables import (
@@ -21,9 +22,11 @@ from hiros_mcap.evaluate.comparison_tables import (
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.summary import number
 from hiros_viewer.blueprint import blueprint
 from hiros_viewer.destinations import save
-from hiros_viewer.figures import SPREAD, TRUTH, new_axes, new_figure, tidy
+from hiros_viewer.entities import Layer
+from hiros_viewer.figures import name_ends, new_axes, new_figure, tidy, value_bars
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
 from hiros_viewer.scene import Scene
@@ -35,7 +38,7 @@ if TYPE_CHECKING:
 
 def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
     """Page with the systems on every log, or their errors by number of cameras."""
-    page = Page("Systems compared")
+    page = Page("Systems compared", [f"hiros {__version__}"])
     if study == "cameras":
         errors = by_number_of_cameras(outcomes)
         page.heading("Number of cameras")
@@ -46,6 +49,8 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
         own = [o for o in outcomes if o.log == log]
         page.heading(log)
         if has_truth(own):
+            best = best_first(own)[0]
+            page.text(f"Least error: {best.name}, {number(best.error, 1, ' mm')}.")
             page.table(*table_of(own), "Least error first; mm, degrees, ms")
             page.figure(_error_bars(own), "Mean joint error; the line is its standard deviation")
         else:
@@ -59,10 +64,8 @@ def _error_bars(outcomes: Sequence[Outcome]) -> Figure:
     ordered = best_first(outcomes)
     figure, axes = new_axes(8, 0.32 * len(ordered) + 0.9)
     deviations = [np.nan if o.scores is None else o.scores.deviation for o in ordered]
-    names, errors = [o.name for o in ordered], [o.error for o in ordered]
-    axes.barh(names, errors, xerr=deviations, color=TRUTH, ecolor=SPREAD)
-    axes.set(xlabel="mm", xlim=(0, None))
-    axes.invert_yaxis()
+    value_bars(axes, [o.name for o in ordered], [o.error for o in ordered], deviations)
+    axes.set_xlabel("mm")
     return figure
 
 
@@ -78,9 +81,8 @@ def _self_bars(outcomes: Sequence[Outcome]) -> Figure:
         figure.subplots(1, len(shown), sharey=True), shown.items(), strict=True
     ):
         tidy(axes)
-        axes.barh([o.name for o in outcomes], values, color=TRUTH)
-        axes.set(xlabel=label, xlim=(0, None))
-    axes.invert_yaxis()
+        value_bars(axes, [o.name for o in outcomes], values, None)
+        axes.set_xlabel(label)
     return figure
 
 
@@ -91,7 +93,7 @@ def _camera_figure(table: dict[str, dict[int, tuple[float, float]]]) -> Figure:
         axes.plot(sizes, [row[size][0] for size in sizes], marker="o", label=name)
     axes.set(xlabel="cameras", ylabel="mm", ylim=(0, None))
     axes.set_xticks(sorted({size for row in table.values() for size in row}))
-    axes.legend(frameon=False)
+    name_ends(axes)
     return figure
 
 
@@ -99,34 +101,32 @@ def save_overlay(target: Path, log: Path, entries: Sequence[Entry]) -> None:
     """Write a recording with the last stage of every system, each a tree of its own."""
 
     def draw(recording: rr.RecordingStream) -> None:
-        scenes, prefixes = [], []
+        scenes = []
         with tempfile.TemporaryDirectory() as folder:
             for k, entry in enumerate(entries):
                 out = Path(folder) / f"{k}.mcap"
                 config = load_config(None, entry.assignments, "default", entry.system)
                 options = ProcessOptions(system=entry.system, stages=entry.stages)
                 process(log, out, config=config, options=options)
-                prefixes.append("/" + "".join(c if c.isalnum() else "_" for c in entry.name))
-                scenes.append(_draw_one(recording, out, prefixes[-1], (k, entry.name)))
-        content = content_of(scenes, prefixes)
-        recording.send_blueprint(blueprint(content))
+                part = "".join(c if c.isalnum() else "_" for c in entry.name)
+                layer = Layer(f"/{part}", entry.name, k, one_colour=True)
+                scenes.append(_draw_one(recording, out, layer))
+        recording.send_blueprint(blueprint(content_of(scenes)))
 
     save(target, log.name, draw)
 
 
-def _draw_one(
-    recording: rr.RecordingStream, out: Path, prefix: str, team: tuple[int, str]
-) -> Scene:
+def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
     with open_log(out, topics=["*"], output_prefix="/none") as opened:
         source = describe(opened)
         final = source.stages[-1]
         # The layouts show "filtered", so the last stage goes by that name.
-        scene = Scene(recording, source.model, final="filtered", prefix=prefix, team=team)
+        scene = Scene(recording, source.model, final="filtered", layer=layer)
         scene.start = source.start
-        if team[0] == 0:
+        if not layer.number:
             scene.begin(source.cameras)
         for kind, frame in in_time_order(opened):
-            if kind == DETECTIONS and team[0] == 0:
+            if kind == DETECTIONS and not layer.number:
                 scene.detections(source.names[frame.source], frame)
             elif kind == final:
                 scene.stage("filtered", frame)

@@ -14,11 +14,20 @@ from hiros_mcap.evaluate.logs import consistency
 from hiros_mcap.evaluate.match import Matches, match
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.io.export.colours import PEOPLE
 from hiros_mcap.outputs import replacing
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.summary import number
-from hiros_viewer.figures import RESULT, angle_figure, angles_of, new_axes, with_gaps
+from hiros_viewer.figures import (
+    RESULT,
+    SPREAD,
+    angle_figure,
+    angles_of,
+    entitle,
+    limb_figure,
+    name_above,
+    new_axes,
+    with_gaps,
+)
 from hiros_viewer.page import Page
 from hiros_viewer.scene import limb_links
 
@@ -49,8 +58,11 @@ class Curves:
     """What there is to plot of a channel."""
 
     title: str
+    """The log and the channel."""
     model: SkeletonModel
     people: Mapping[int, Body]
+    about: Sequence[str] = ()
+    """When the log was recorded and how the result was made; the verdict."""
 
     def body(self, person: int | None) -> tuple[int, Body]:
         """Return a person, or the one who is there for longest.
@@ -105,31 +117,43 @@ def figure_of(curves: Curves, kind: str, person: int | None = None) -> Figure:
     Raises ConfigError if there is nobody, or nothing of this kind to plot.
     """
     who, body = curves.body(person)
+    title = (f"{curves.title}, person {who}", *curves.about)
     if kind == "angles":
-        return _angles(curves.model, body, f"{curves.title}, person {who}")
+        return _angles(curves.model, body, title)
     if kind == "limbs":
-        return _limbs(curves.model, body)
+        return _limbs(curves.model, body, title)
     if body.true_poses is None:
         raise ConfigError(f"{curves.title}: there is no truth to plot an error against")
-    return _error(body, body.true_poses)
+    return _error(body, body.true_poses, title)
 
 
 def page_of(curves: Curves) -> Page:
     """Everything of everybody on one page."""
-    page = Page(curves.title)
+    page = Page(curves.title, curves.about)
     for person, body in curves.people.items():
         span = f"{number(body.seconds[0], 1)} to {number(body.seconds[-1], 1)} s"
         page.heading(f"Person {person}, {span}")
-        note = "" if body.true_poses is None else ": blue truth, orange result"
         page.figure(
             _angles(curves.model, body),
-            f"Joint angles, degrees{note}. docs/angles.md defines their signs.",
+            "Joint angles, degrees. docs/angles.md defines their signs.",
         )
         if limb_links(curves.model):
             page.figure(_limbs(curves.model, body), "Limb lengths, mm")
         if body.true_poses is not None:
             page.figure(_error(body, body.true_poses), "Mean and largest joint error, mm")
     return page
+
+
+def verdict(curves: Curves) -> str:
+    """Return the mean joint error of everybody, "" without a truth."""
+    errors = [
+        1000 * np.linalg.norm(body.poses - body.true_poses, axis=-1).ravel()
+        for body in curves.people.values()
+        if body.true_poses is not None
+    ]
+    known = np.concatenate(errors) if errors else np.zeros(0)
+    known = known[~np.isnan(known)]
+    return f"mean joint error {number(float(known.mean()), 1)} mm" if known.size else ""
 
 
 def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
@@ -141,7 +165,7 @@ def summary_row(frames: Sequence[Frame], model: SkeletonModel) -> str:
     )
 
 
-def _angles(model: SkeletonModel, body: Body, title: str = "") -> Figure:
+def _angles(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:
     angles = angles_of(model, body.poses, body.orientations)
     true = None
     if body.true_poses is not None:
@@ -149,22 +173,15 @@ def _angles(model: SkeletonModel, body: Body, title: str = "") -> Figure:
     return angle_figure(body.seconds, angles, true, title)
 
 
-def _limbs(model: SkeletonModel, body: Body) -> Figure:
+def _limbs(model: SkeletonModel, body: Body, title: Sequence[str] = ()) -> Figure:
     limbs = limb_links(model)
     if not limbs:
         raise ConfigError("the marker names reveal no arms or legs")
-    lengths = 1000 * lengths_of(body.poses, model)[:, list(limbs.values())]
-    figure, axes = new_axes(11, 3.2)
-    for k, name in enumerate(limbs):
-        colour = tuple(0.8 * part / 255 for part in PEOPLE[k % len(PEOPLE)])
-        axes.plot(*with_gaps(body.seconds, lengths[:, k]), label=name, lw=1.2, color=colour)
-    axes.set(xlabel="s", ylabel="mm")
-    axes.legend(frameon=False, ncols=1, loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9)
-    axes.margins(x=0.01)
-    return figure
+    lengths = 1000 * lengths_of(body.poses, model)
+    return limb_figure(body.seconds, {name: lengths[:, k] for name, k in limbs.items()}, title)
 
 
-def _error(body: Body, true_poses: Floats) -> Figure:
+def _error(body: Body, true_poses: Floats, title: Sequence[str] = ()) -> Figure:
     errors = 1000 * np.linalg.norm(body.poses - true_poses, axis=-1)
     known = ~np.isnan(errors).all(axis=1)
     mean, largest = np.full(len(errors), np.nan), np.full(len(errors), np.nan)
@@ -173,11 +190,12 @@ def _error(body: Body, true_poses: Floats) -> Figure:
         np.nanmax(errors[known], axis=1),
     )
     figure, axes = new_axes(11, 2.6)
-    axes.plot(*with_gaps(body.seconds, largest), color="#b8c4d0", lw=1.0, label="largest")
+    entitle(figure, title)
+    axes.plot(*with_gaps(body.seconds, largest), color=SPREAD, lw=1.0, label="largest")
     axes.plot(*with_gaps(body.seconds, mean), color=RESULT, lw=1.2, label="mean")
     axes.set(xlabel="s", ylabel="mm", ylim=(0, None))
-    axes.legend(frameon=False, fontsize=9)
     axes.margins(x=0.01)
+    name_above(axes, {"largest": SPREAD, "mean": RESULT})
     return figure
 
 

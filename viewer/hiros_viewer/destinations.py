@@ -25,6 +25,9 @@ LOOPBACK = "127.0.0.1"
 MEMORY_LIMIT = "50%"
 
 Draw = Callable[["rr.RecordingStream"], object]
+"""Draws all of a log."""
+DrawWhile = Callable[["rr.RecordingStream", Callable[[], bool]], object]
+"""Draws a log as long as the function says that somebody looks."""
 
 
 def new_recording(name: str) -> rr.RecordingStream:
@@ -89,42 +92,75 @@ def _need_listener(url: str) -> None:
         raise ConfigError(f"--connect: no viewer at {url}: {error.strerror or error}") from None
 
 
-def window(name: str, draw: Draw) -> int:
-    """Open a viewer's window, wait until it is closed, return its exit code."""
-    return _with_file(name, draw, lambda path, env: subprocess.call(viewer_command(path), env=env))  # noqa: S603
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if not sys.platform.startswith("linux"):
+        return True
+    return any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")))
 
 
-def web(name: str, draw: Draw, announce: Callable[[str], None]) -> int:
+def window(name: str, draw: DrawWhile) -> int:
+    """Open a viewer's window, draw into it, wait until it is closed, return its exit code.
+
+    Raises HirosError if it does not open.
+    """
+    with running_viewer() as (url, process):
+        return _draw_into(url, process, name, draw)
+
+
+def web(name: str, draw: DrawWhile, announce: Callable[[str], None]) -> int:
     """Serve the web viewer on the loopback address until it is interrupted.
 
-    ``announce`` is told the address to open.
+    ``announce`` is told the address to open, where the picture grows while the log is read.
+
+    Raises HirosError if the server does not start.
     """
-
-    def serve(path: Path, env: dict[str, str]) -> int:
-        page, data = free_port(), free_port()
-        command = [
-            *(str(viewer_binary()), "--serve-web", "--bind", LOOPBACK),
-            *("--web-viewer-port", str(page), "--port", str(data), str(path)),
-        ]
-        # Its own words about the server would stand beside ours, with an address of its own.
-        with subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL) as server:  # noqa: S603
-            stream = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{data}%2Fproxy"
-            announce(f"http://{LOOPBACK}:{page}/?url={stream}")
-            try:
-                return server.wait()
-            except BaseException:
-                server.terminate()
-                server.wait()
-                raise
-
-    return _with_file(name, draw, serve)
+    with web_server() as (page, url, server):
+        announce(page)
+        return _draw_into(url, server, name, draw)
 
 
-def _with_file(name: str, draw: Draw, use: Callable[[Path, dict[str, str]], int]) -> int:
+def _draw_into(url: str, process: subprocess.Popen[bytes], name: str, draw: DrawWhile) -> int:
+    """Draw until all is drawn or the viewer ends; wait for its end. It ends if drawing fails."""
+    # When the viewer is closed, rerun would print a line per message that it cannot send.
+    os.environ.setdefault("RUST_LOG", "off")
+    recording = new_recording(name)
+    recording.connect_grpc(url)
+    try:
+        draw(recording, lambda: process.poll() is None)
+        if process.poll() is None:
+            recording.flush()
+            recording.disconnect()
+        return process.wait()
+    except BaseException:
+        process.terminate()
+        process.wait()
+        raise
+
+
+@contextmanager
+def web_server() -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
+    """Start the web viewer; yield the page's address, where to send to, and the server's process.
+
+    Raises HirosError if it does not start.
+    """
+    page, data = free_port(), free_port()
+    command = [
+        *(str(viewer_binary()), "--serve-web", "--bind", LOOPBACK),
+        *("--web-viewer-port", str(page), "--port", str(data)),
+    ]
     with tempfile.TemporaryDirectory(prefix="hiros-view-") as folder:
-        path = Path(folder) / "log.rrd"
-        save(path, name, draw)
-        return use(path, environment(Path(folder)))
+        # Its own words about the server would stand beside ours, with an address of its own.
+        server = subprocess.Popen(  # noqa: S603
+            command,
+            env=environment(Path(folder)),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        _wait_for(data, server)
+        stream = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{data}%2Fproxy"
+        address = f"http://{LOOPBACK}:{page}/?url={stream}"
+        yield address, f"rerun+http://{LOOPBACK}:{data}/proxy", server
 
 
 def viewer_binary() -> Path:
@@ -134,13 +170,13 @@ def viewer_binary() -> Path:
     return Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
-def viewer_command(*arguments: Path | str) -> list[str]:
+def viewer_command(*arguments: str) -> list[str]:
     """Command line of a viewer's window, whose server listens on the loopback address alone."""
     return [
         str(viewer_binary()),
         *("--bind", LOOPBACK, "--port", str(free_port())),
         *("--memory-limit", MEMORY_LIMIT),
-        *map(str, arguments),
+        *arguments,
     ]
 
 

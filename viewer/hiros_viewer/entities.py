@@ -6,7 +6,8 @@ hundred for a call of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +17,11 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
+from hiros_viewer.camera_moves import CameraMove, move_table
 from hiros_viewer.columns import (
     HIDDEN,
     DetectionRows,
+    Line,
     PersonRows,
     PoseBatch,
     ScalarRows,
@@ -28,9 +31,13 @@ from hiros_viewer.columns import (
     times,
 )
 from hiros_viewer.palette import (
+    BEFORE,
     CAMERAS,
     CLASSES,
     DISPLACEMENT,
+    ERROR,
+    FAULTY,
+    TRUTH,
     camera_colour,
     curve_colour,
     label_colour,
@@ -46,14 +53,45 @@ _JOINT_M = 0.03
 _BONE_M = 0.018
 _DETECTION_M = 0.006
 _THIN = -1.0  # rerun counts negative radii in points on the screen
-_LABEL_ABOVE_M = 0.18
+_LABEL_ABOVE_M, _LABEL_STEP_M = 0.18, 0.16  # above the head; above the label of another log
+_ERROR_PX = -2.0
 MAGNIFIED = 5.0
 """Displacements are millimetres; drawn to scale nobody would see them."""
 _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log does not tell it
 _SECOND_LOG, _LEFT = CLASSES, 2 * CLASSES  # offsets of people's classes
 _FIRST_CAMERA_CLASS = 4 * CLASSES
+_TRUE = 5 * CLASSES
 
 
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Which of several overlaid logs is drawn."""
+
+    prefix: str = ""
+    """Put before the log's entities."""
+    name: str = ""
+    """Put before people's names and the names of curves."""
+    number: int = 0
+    """0 = the first log; those after it are paler."""
+    one_colour: bool = False
+    """Whether everybody in it has one colour, that of its number."""
+
+    def named(self, text: str) -> str:
+        """Return what something is called in this log."""
+        return f"{self.name} {text}" if self.name else text
+
+
+CAMERA_TABLE = "/cameras"
+CAMERA_COLUMNS = (
+    *("camera", "messages used", "coverage", "distance"),
+    *("mirrored", "far off", "flips", "outliers"),
+)
+_CAMERA_NOTE = (
+    "Coverage: how many of the people in the result the camera reports. Distance: median of its "
+    "detections to the result. Flips: detections that the merger relabelled. Outliers: markers "
+    "that it left out."
+)
+CALIBRATION = "/calibration"
 KEY = "/key"
 _KEY_TEXT = (
     "**Right**: bright limbs, thick blue curves. **Left**: dark limbs, thin grey curves. "
@@ -67,10 +105,7 @@ class Entities:
     Parameters
     ----------
     recording : where to draw. model : of all skeletons.
-    root : marker whose path is a person's trail.
-    is_second : of two logs that are overlaid; people are drawn in paler colours.
-    team : number and name of the system that made the log, when several are overlaid: its people
-        share one colour, and its name stands beside each id.
+    root : marker whose path is a person's trail. layer : which of the overlaid logs this is.
     """
 
     def __init__(
@@ -78,17 +113,15 @@ class Entities:
         recording: rr.RecordingStream,
         model: SkeletonModel,
         root: int,
-        *,
-        is_second: bool = False,
-        team: tuple[int, str] | None = None,
+        layer: Layer,
     ) -> None:
         self.recording = recording
         self.model = model
         self.start = 0
         """ns; what seconds count from."""
         self._root = root
-        self._first_class = _SECOND_LOG if is_second else 0
-        self._team = team
+        self._layer = layer
+        self._first_class = _SECOND_LOG if layer.number and not layer.one_colour else 0
         bones = model.links[(model.links >= 0).all(axis=1)]
         sides = [split_side(name)[1] for name in model.marker_names]
         left = np.array([sides[child] == "left" for child in bones[:, 1]], bool)
@@ -102,13 +135,40 @@ class Entities:
 
         self.recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self.recording.log("/", self._annotations(dim_detections=dim_detections), static=True)
-        self.recording.log(KEY, rr.TextDocument(_KEY_TEXT, media_type="text/markdown"), static=True)
+        self.key()
+
+    def key(self, *more: str) -> None:
+        """Show what the colours mean, Markdown."""
+        import rerun as rr
+
+        text = "\n\n".join([_KEY_TEXT, *more])
+        self.recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
+        look = name, camera_colour(number), label_colour(curve_colour(number))
+        self._frustum(f"/world/cameras/{path_part(name)}", pose, look)
+
+    def moves(self, moves: Sequence[CameraMove]) -> None:
+        """Draw where cameras were before a calibration, lines to where they are, and a table."""
         import rerun as rr
 
-        path = f"/world/cameras/{path_part(name)}"
+        for move in moves:
+            if move.before is not None:
+                path = f"/world/before/{path_part(move.name)}"
+                look = "", BEFORE, BEFORE  # a name would cover that of the pose after
+                self._frustum(path, move.before, look)
+                way = [[move.before.translation, move.after.translation]]
+                line = rr.LineStrips3D(way, colors=[DISPLACEMENT], radii=_ERROR_PX)
+                self.recording.log(f"/world/moved/{path_part(move.name)}", line, static=True)
+        table = rr.TextDocument(move_table(moves), media_type="text/markdown")
+        self.recording.log(CALIBRATION, table, static=True)
+
+    def _frustum(self, path: str, pose: Rigid, look: tuple[str, RGB, RGB]) -> None:
+        """Draw a camera; ``look`` is its name or "", its colour, and that of the name."""
+        import rerun as rr
+
+        name, colour, text_colour = look
         place = rr.Transform3D(
             translation=pose.translation, quaternion=rr.Quaternion(xyzw=pose.xyzw)
         )
@@ -120,18 +180,19 @@ class Entities:
             height=float(2 * focal * half[1]),
             image_plane_distance=0.35,
             camera_xyz=rr.ViewCoordinates.RDF,
-            color=camera_colour(number),
+            color=colour,
             line_width=0.004,
-        )
-        label = rr.Points3D(
-            [[0.0, -0.3, 0.0]],
-            radii=0.001,
-            labels=[name],
-            colors=[label_colour(curve_colour(number))],
         )
         self.recording.log(path, place, static=True)
         self.recording.log(f"{path}/view", frustum, static=True)
-        self.recording.log(f"{path}/name", label, static=True)
+        if name:
+            label = rr.Points3D(
+                [[0.0, -0.3, 0.0]],
+                radii=0.001,
+                labels=[name],
+                colors=[text_colour],
+            )
+            self.recording.log(f"{path}/name", label, static=True)
 
     def _annotations(self, *, dim_detections: bool) -> Any:
         """Return the classes: people, people of a second log, and each camera's detections."""
@@ -150,7 +211,7 @@ class Entities:
                 rr.ClassDescription(info=(left, name, _packed(shade(colour)))),
             ]
 
-        classes = []
+        classes = looks(_TRUE, "truth", TRUTH, _TRUE + 1)
         for k in range(CLASSES):
             second = _SECOND_LOG + k
             classes += looks(k, f"person {k}", person_colour(k), _LEFT + k)
@@ -215,25 +276,71 @@ class Entities:
         size = _JOINT_M if is_strong else _DETECTION_M
         joints, radii = self._joints(poses, places[shown], size)
         highest = _highest(poses, places[shown])
-        for part, batches, per_pose in self._parts(joints, radii, highest):
+        for part, batches, per_pose in self._parts(joints, radii, highest, self._above(path)):
             counts = np.zeros(len(places), np.int32)
             counts[shown] = per_pose
             self.recording.send_columns(f"{path}{part}", when, columns(batches, counts))
         return shown, highest
+
+    def marks(self, camera: str, kind: str, rows: DetectionRows) -> None:
+        """Send detections of a camera that are wrong, in a colour that warns, and say how."""
+        import rerun as rr
+
+        path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
+        colour = FAULTY[kind]
+        if not rows.started:
+            rows.started = True
+            look = rr.LineStrips3D.from_fields(colors=[colour], radii=_DETECTION_M)
+            for part in self._bones:
+                self.recording.log(f"{path}{part}", look, static=True)
+            name = rr.Points3D.from_fields(
+                colors=[label_colour(colour)], radii=0.001, labels=[f"{camera} {kind}"],
+                show_labels=True,
+            )  # fmt: skip
+            self.recording.log(f"{path}/name", name, static=True)
+        when, counts = times(rows.stamps, self.start), np.array(rows.counts)
+        joints, _ = self._joints(rows.poses, np.arange(rows.poses.size), _DETECTION_M)
+        frames = np.repeat(np.arange(len(counts)), counts)
+        for part, batches, per_pose in self._bone_parts(joints):
+            per_row = np.bincount(frames, per_pose, len(counts)).astype(np.int32)
+            self.recording.send_columns(f"{path}{part}", when, columns(batches, per_row))
+        tops_ = _highest(rows.poses, np.arange(rows.poses.size)) - np.array([0, 0, _LABEL_ABOVE_M])
+        where = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(tops_)}
+        self.recording.send_columns(f"{path}/name", when, columns(where, counts))
+
+    def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
+        """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
+        import rerun as rr
+
+        lines = [CAMERA_COLUMNS, ["---"] * len(CAMERA_COLUMNS), *rows]
+        text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        document = rr.TextDocument(f"{text}\n\n{_CAMERA_NOTE}", media_type="text/markdown")
+        self.recording.log(CAMERA_TABLE, document, static=True)
 
     def displacements(self, path: str, stamps: list[int], result: Floats, before: Floats) -> None:
         """Send magnified lines from a person's joints (T, M, 3), m, to where they were before.
 
         An instant at which ``before`` is NaN shows no line.
         """
+        tips = result + MAGNIFIED * (before - result)
+        self._joint_lines(path, stamps, (result, tips), (DISPLACEMENT, _THIN))
+
+    def errors(self, path: str, stamps: list[int], result: Floats, true: Floats) -> None:
+        """Send lines, to scale, from a person's joints (T, M, 3), m, to the true ones."""
+        self._joint_lines(path, stamps, (result, true), (ERROR, _ERROR_PX))
+
+    def _joint_lines(
+        self, path: str, stamps: list[int], ends: tuple[Floats, Floats], look: tuple[RGB, float]
+    ) -> None:
+        """Send lines between two (T, M, 3), m, none where either is NaN; colour and radius."""
         import rerun as rr
 
-        look = rr.LineStrips3D.from_fields(colors=[DISPLACEMENT], radii=_THIN)
-        self.recording.log(path, look, static=True)
-        known = ~np.isnan(before - result).any(axis=2)
-        tips = result + MAGNIFIED * (before - result)
-        ends = np.stack([result[known], tips[known]], axis=1).astype(np.float32)
-        parts = {rr.LineStrips3D.descriptor_strips(): strips(ends)}
+        colour, radius = look
+        lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
+        self.recording.log(path, lines, static=True)
+        known = ~np.isnan(ends[0] - ends[1]).any(axis=2)
+        strokes = np.stack([end[known] for end in ends], axis=1).astype(np.float32)
+        parts = {rr.LineStrips3D.descriptor_strips(): strips(strokes)}
         when = times(stamps, self.start)
         self.recording.send_columns(path, when, columns(parts, known.sum(axis=1)))
 
@@ -245,7 +352,7 @@ class Entities:
         return joints, radii
 
     def _parts(
-        self, joints: Singles, radii: Singles, highest: Floats
+        self, joints: Singles, radii: Singles, highest: Floats, above: float
     ) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield a person's entities: path below theirs, batches, how many of it in each pose."""
         import rerun as rr
@@ -255,9 +362,14 @@ class Entities:
         yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
         yield from self._bone_parts(joints)
         there = ~np.isnan(highest[:, 0])
-        labels = highest[there] + np.array([0, 0, _LABEL_ABOVE_M])
+        labels = highest[there] + np.array([0, 0, above])
         yield "/name", {where: points(labels)}, there
         yield "/trail", {where: points(joints[there, self._root])}, there
+
+    def _above(self, path: str) -> float:
+        """Return how far above the head a name is, m: not on that in another log."""
+        is_truth = path.split("/")[-2] == "truth"
+        return _LABEL_ABOVE_M + _LABEL_STEP_M * (2 if is_truth else self._layer.number)
 
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""
@@ -282,20 +394,22 @@ class Entities:
         import rerun as rr
 
         stage, person = path.split("/")[-2], person_of(path)
-        which = person if self._team is None else self._team[0]
+        which = self._layer.number if self._layer.one_colour else person
         number = self._first_class + which % CLASSES
+        classes, label = (number, _LEFT + number), self._layer.named(f"person {person}")
+        label_like = person_colour(which)
+        if stage == "truth":
+            classes, label, label_like = (_TRUE, _TRUE + 1), f"truth {person}", TRUTH
         keypoints = list(range(self.model.n_markers))
-        label = f"truth {person}" if stage == "truth" else f"person {person}"
-        label = label if self._team is None else f"{self._team[1]} {person}"
-        self._send_bone_looks(path, (number, _LEFT + number), _BONE_M if is_strong else _THIN)
+        self._send_bone_looks(path, classes, _BONE_M if is_strong else _THIN)
         for part, look in (
             ("", rr.Points3D.from_fields(
-                class_ids=[number], keypoint_ids=keypoints, show_labels=False)),
+                class_ids=[classes[0]], keypoint_ids=keypoints, show_labels=False)),
             ("/name", rr.Points3D.from_fields(
-                colors=[label_colour(person_colour(which))], radii=0.001, labels=[label],
+                colors=[label_colour(label_like)], radii=0.001, labels=[label],
                 show_labels=True)),
             ("/trail", rr.Points3D.from_fields(
-                class_ids=[number], radii=0.005, show_labels=False)),
+                class_ids=[classes[0]], radii=0.005, show_labels=False)),
         ):  # fmt: skip
             self.recording.log(f"{path}{part}", look, static=True)
 
@@ -325,22 +439,27 @@ class Entities:
         when = times([self.start + elapsed for elapsed in since], self.start)
         self.recording.send_columns(path, when, parts)
 
-    def lane(self, path: str, rows: TextRows) -> None:
-        """Send when a person was tracked, as a lane with a gap where they are gone."""
+    def lane(self, path: str, rows: TextRows, look: Line) -> None:
+        """Send a lane: filled in the first of its states, with a gap where that is gone."""
         import rerun as rr
 
         if not rows.started:
             rows.started = True
-            person = person_of(path)
-            look = rr.StateConfiguration(
-                values=["tracked", "gone"],
-                labels=[f"person {person}", "gone"],
-                colors=[_packed(person_colour(person))] * 2,
+            states = rr.StateConfiguration(
+                values=[rows.texts[0], "gone"],
+                labels=[look.name, "gone"],
+                colors=[_packed(look.colour)] * 2,
                 visible=[True, False],
             )
-            self.recording.log(path, look, static=True)
+            self.recording.log(path, states, static=True)
         parts = rr.StateChange.columns(state=rows.texts)
         self.recording.send_columns(path, times(rows.stamps, self.start), parts)
+
+
+def person_hue(person: int, layer: Layer) -> RGB:
+    """Return a person's colour, as in the room."""
+    hue = person_colour(layer.number if layer.one_colour else person)
+    return pale(hue) if layer.number and not layer.one_colour else hue
 
 
 def path_part(name: str) -> str:
@@ -351,6 +470,11 @@ def path_part(name: str) -> str:
 def person_part(person: int) -> str:
     """Return a person as one part of an entity path; spaces would be shown with backslashes."""
     return f"person_{person}"
+
+
+def fault_part(kind: str) -> str:
+    """Return a fault of a camera's view as one part of an entity path."""
+    return kind.replace(" ", "_")
 
 
 def person_of(path: str) -> int:

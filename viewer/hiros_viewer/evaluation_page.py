@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,15 @@ from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.summary import number
-from hiros_viewer.figures import SPREAD, TRUTH, angle_figure, angles_of, new_axes, new_figure
+from hiros_viewer.figures import (
+    angle_figure,
+    angles_of,
+    name_ends,
+    new_axes,
+    new_figure,
+    value_bars,
+)
+from hiros_viewer.headline import headline
 from hiros_viewer.page import Page
 
 if TYPE_CHECKING:
@@ -22,10 +31,13 @@ _MOST_PEOPLE = 6
 
 
 def truth_page(
-    title: str, truth: Truth, results: Mapping[str, ChannelResult], remarks: Sequence[str] = ()
+    log: Path, truth: Truth, results: Mapping[str, ChannelResult], remarks: Sequence[str] = ()
 ) -> Page:
     """Page of a result against the truth: scores, PCK curves, joints, angles over time."""
-    page = Page(f"Evaluation of {title}")
+    last, result = list(results.items())[-1]
+    error = number(result.scores.mean, 1, " mm")
+    about = headline(log).lines(f"{last}: mean joint error {error}")
+    page = Page(f"Evaluation of {log}", about)
     scores = {topic: result.scores for topic, result in results.items()}
     page.heading("Scores")
     page.table(*score_tables.error_table(scores), "Joint error, mm")
@@ -35,7 +47,6 @@ def truth_page(
     for text in remarks:
         page.text(text)
     page.figure(_pck(scores), "Share of true joints within a distance of the truth")
-    last, result = list(results.items())[-1]
     page.heading(f"Joints of {last}")
     page.figure(_joint_bars(result.scores.joints), "Mean error of each joint; the line is its SD")
     page.heading(f"{score_tables.BENDING} of {last}")
@@ -46,7 +57,7 @@ def truth_page(
     people = sorted(set(result.matches.people))
     for person in people[:_MOST_PEOPLE]:
         caption = f"Person {truth.people[person] if truth.people else person}"
-        page.figure(_angle_curves(result, person), f"{caption}: blue truth, orange result")
+        page.figure(_angle_curves(result, person), f"{caption}, degrees")
     if len(people) > _MOST_PEOPLE:
         page.text(f"{len(people) - _MOST_PEOPLE} more people are only in the tables.")
     return page
@@ -56,23 +67,16 @@ def _pck(scores: Mapping[str, Scores]) -> Figure:
     figure, axes = new_axes(7, 3.4)
     for topic, s in scores.items():
         axes.plot(PCK_MM, 100 * np.array(s.pck["all"]), label=topic)
-    axes.set(xlabel="distance, mm", ylabel="joints, %", xlim=(0, PCK_MM[-1]), ylim=(0, 101))
-    axes.legend(frameon=False)
+    axes.set(xlabel="mm", ylabel="joints, %", xlim=(0, PCK_MM[-1]), ylim=(0, 101))
+    name_ends(axes)
     return figure
 
 
 def _joint_bars(joints: Mapping[str, ErrorStats]) -> Figure:
     figure, axes = new_axes(8, 0.22 * len(joints) + 0.8)
-    names = list(joints)[::-1]
-    axes.barh(
-        names,
-        [joints[n].mean for n in names],
-        xerr=[joints[n].deviation for n in names],
-        color=TRUTH,
-        ecolor=SPREAD,
-    )
-    axes.set(xlabel="mm", xlim=(0, None))
-    axes.margins(y=0.01)
+    each = joints.values()
+    value_bars(axes, list(joints), [e.mean for e in each], [e.deviation for e in each])
+    axes.set_xlabel("mm")
     return figure
 
 
@@ -91,9 +95,12 @@ def _angle_curves(result: ChannelResult, person: int) -> Figure:
     return angle_figure((times - times[0]) / 1e9, angles, true_angles)
 
 
-def self_page(title: str, scores: SelfScores) -> Page:
+def self_page(log: Path, scores: SelfScores) -> Page:
     """Page of a log without truth."""
-    page = Page(f"{title} without truth")
+    own = scores.consistency
+    limbs = f"limb lengths vary by {number(100 * own.limb_variation, 1, ' %')}"
+    about = headline(log).lines(limbs, f"jitter {number(own.jitter, 1, ' mm')}")
+    page = Page(f"{log} without truth", about)
     page.heading("Each camera against the result of the others")
     title = "Joint distance, mm, including the camera's own noise"
     page.table(*score_tables.left_out_table(scores.cameras), title)
@@ -106,7 +113,6 @@ def self_page(title: str, scores: SelfScores) -> Page:
         ["camera", "camera", "median, mm"],
         [[a, b, number(mm, 1)] for (a, b), mm in scores.disagreement.items()],
     )
-    own = scores.consistency
     page.heading("Result of all cameras")
     page.table(
         ["person", "s", "frames"],
@@ -127,4 +133,11 @@ def _camera_joints(cameras: Mapping[str, Mapping[str, ErrorStats]]) -> Figure:
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
     axes.set_yticks(range(len(cameras)), list(cameras), fontsize=8)
     figure.colorbar(image, label="mm")
+    bright = np.nanmax(table, initial=0.0) / 2
+    for (row, column), value in np.ndenumerate(table):
+        if not np.isnan(value):
+            colour = "black" if value > bright else "white"
+            axes.text(
+                column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour
+            )
     return figure

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TRUTH, RESULT, SPREAD = "#1f5fa8", "#e07b1a", "#9aa4af"
+LEFT, RIGHT = "#8a8f98", "#3c56d8"
+"""Of the limbs on each side, as in the viewer: pale and strong."""
+_LIMB_RANGE_MM = 60.0
 _PAUSE_S = 0.25
 
 
@@ -47,6 +51,93 @@ def with_gaps(seconds: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.insert(seconds, pauses, np.nan), np.insert(values, pauses, np.nan, axis=0)
 
 
+def entitle(figure: Figure, lines: Sequence[str]) -> None:
+    """Write a title above all plots: the first line large, what follows small and grey."""
+    if lines:
+        figure.suptitle("\n".join(filter(None, lines)), fontsize=9, x=0.01, ha="left")
+
+
+def name_above(axes: Axes, colours: Mapping[str, str]) -> None:
+    """Name curves in their colours above the right end of a plot, where no curve is."""
+    x = 1.0
+    look: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
+    for name, colour in reversed(list(colours.items())):
+        axes.text(x, 1.01, name, color=colour, fontsize=9, **look)
+        x -= 0.022 * (len(name) + 1)
+
+
+def name_ends(axes: Axes) -> None:
+    """Name every curve at its right end; names keep apart."""
+    low, high = axes.get_ylim()
+    ends = []
+    for line in axes.lines:
+        known = np.asarray(line.get_ydata(), float)
+        known = known[~np.isnan(known)]
+        if len(known):
+            ends.append(((known[-1] - low) / (high - low), line))
+    height = axes.get_figure(root=True).get_figheight() * axes.get_position().height  # type: ignore[union-attr]
+    apart, below = 0.16 / height, -np.inf
+    for end, line in sorted(ends, key=lambda pair: pair[0]):
+        below = max(end, below + apart)
+        axes.annotate(
+            str(line.get_label()), (1.01, below), xycoords="axes fraction", va="center", fontsize=9,
+            color=line.get_color(), annotation_clip=False,
+        )  # fmt: skip
+
+
+def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread: Any) -> None:
+    """Draw horizontal bars, the first one on top, each with its value."""
+    axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
+    wide = np.nanmax(values, initial=0.0) / 8
+    for row, value in enumerate(values):
+        text, colour = f" {value:.1f}", "white" if value > wide else "black"
+        if not np.isnan(value):
+            axes.text(0, row, text, va="center", fontsize=8, color=colour)
+    axes.set_xlim(0, None)
+    axes.invert_yaxis()
+    axes.margins(y=0.01)
+
+
+def limb_figure(
+    seconds: Floats, lengths: Mapping[str, Floats], title: Sequence[str] = ()
+) -> Figure:
+    """Draw limb lengths, a plot per limb with left and right, of the same range each.
+
+    Parameters
+    ----------
+    seconds : (T,). lengths : "left shin" -> (T,) mm. title : lines above all plots.
+    """
+    limbs = list(dict.fromkeys(name.split(" ", 1)[1] for name in lengths))
+    figure = new_figure(11, 1.7 * ((len(limbs) + 1) // 2) + 0.5)
+    entitle(figure, title)
+    grid = figure.subplots((len(limbs) + 1) // 2, 2, sharex=True, squeeze=False)
+    for axes in grid.ravel()[len(limbs) :]:
+        axes.set_visible(False)
+    for limb, axes in zip(limbs, grid.ravel(), strict=False):
+        sides = {side: lengths[f"{side} {limb}"] for side in SIDES if f"{side} {limb}" in lengths}
+        both = np.concatenate(list(sides.values()))
+        for side, values in sides.items():
+            colour, width = (LEFT, 1.2) if side == "left" else (RIGHT, 1.8)
+            axes.plot(*with_gaps(seconds, values), color=colour, lw=width, label=side)
+        axes.set_title(f"{limb}, mm", loc="left", fontsize=9)
+        axes.set_ylim(*_limb_range(both))
+        axes.margins(x=0.01)
+        name_above(axes, {"left": LEFT, "right": RIGHT})
+        tidy(axes)
+    for axes in grid[-1]:
+        axes.set_xlabel("s")
+    return figure
+
+
+def _limb_range(lengths: Floats) -> tuple[float, float]:
+    """Return a range around the median: the usual one, or that of all but a few lengths."""
+    if np.isnan(lengths).all():
+        return 0.0, _LIMB_RANGE_MM
+    middle = float(np.nanmedian(lengths))
+    half = max(_LIMB_RANGE_MM, 1.2 * float(np.nanpercentile(np.abs(lengths - middle), 99)))
+    return middle - half, middle + half
+
+
 SHOWN_ANGLES = (
     *("hip flexion", "hip abduction", "knee flexion", "ankle dorsiflexion"),
     *("shoulder flexion", "shoulder abduction", "elbow flexion"),
@@ -55,7 +146,7 @@ SHOWN_ANGLES = (
 
 
 def angle_figure(
-    seconds: Floats, angles: Floats, true_angles: Floats | None, title: str = ""
+    seconds: Floats, angles: Floats, true_angles: Floats | None, title: Sequence[str] = ()
 ) -> Figure:
     """Signed joint angles, left beside right, truth and result, as in Fig. 5 of the Hi-ROS paper.
 
@@ -63,7 +154,7 @@ def angle_figure(
     ----------
     seconds : (T,). angles, true_angles : (T, A) degrees, of
         :data:`hiros_mcap.body.anatomy.ANGLE_NAMES`; None without a truth.
-    title : above all plots.
+    title : lines above all plots.
 
     Raises
     ------
@@ -79,16 +170,17 @@ def angle_figure(
     if not shown:
         raise ConfigError("the marker names reveal no joint with an angle")
     figure = new_figure(11, 1.6 * len(shown) + 0.5)
-    if title:
-        figure.suptitle(title, fontsize=11)
+    entitle(figure, title)
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
     for joint, row in zip(shown, grid, strict=True):
         for side, axes in zip(SIDES, row, strict=True):
             k = column[f"{side} {joint}"]
             axes.axhline(0, color=SPREAD, lw=0.8)
             if true_angles is not None:
-                axes.plot(*with_gaps(seconds, true_angles[:, k]), color=TRUTH, lw=1.2)
-            axes.plot(*with_gaps(seconds, angles[:, k]), color=RESULT, lw=1.2)
+                true = with_gaps(seconds, true_angles[:, k])
+                axes.plot(*true, color=TRUTH, lw=1.2, label="truth")
+                name_above(axes, {"truth": TRUTH, "result": RESULT})
+            axes.plot(*with_gaps(seconds, angles[:, k]), color=RESULT, lw=1.2, label="result")
             axes.set_title(f"{side} {joint}, degrees", loc="left", fontsize=9)
             axes.margins(x=0.01)
             tidy(axes)

@@ -14,7 +14,7 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
-from hiros_viewer.destinations import new_recording, running_viewer
+from hiros_viewer.destinations import new_recording, running_viewer, web_server
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
 
@@ -50,7 +50,7 @@ class LiveView:
         self._scene = Scene(self._recording, source.model, final=chain[-1], batch=BATCH)
         self._scene.start = source.start
         self._scene.begin(source.cameras)
-        content = content_of([self._scene], [""])
+        content = content_of([self._scene])
         self._lay_out(replace(content, stages=list(chain)))
 
     def frame(self, channel: str, frame: Frame) -> None:
@@ -73,7 +73,7 @@ class LiveView:
             self._closed()
         elif not self._laid_out and scene.bounds:
             self._laid_out = True
-            self._lay_out(content_of([scene], [""]))
+            self._lay_out(content_of([scene]))
 
     def _lay_out(self, content: Content) -> None:
         self._recording.send_blueprint(blueprint(content, self._layout))
@@ -84,32 +84,57 @@ class LiveView:
             for event in sorted(events.log, key=lambda event: event.stamp):
                 self._scene.event(event)
             self._scene.finish()
-            self._lay_out(content_of([self._scene], [""]))
+            self._lay_out(content_of([self._scene]))
             self._recording.flush()
         self._scene = None
 
 
 @contextmanager
-def live_view(
-    name: str, closed: Callable[[], None], layout: str = "overview", *arguments: str
-) -> Iterator[LiveView]:
-    """Open a viewer and yield what draws into it; the viewer stays open.
+def live_view(name: str, closed: Callable[[], None]) -> Iterator[LiveView]:
+    """Open a viewer's window and yield what draws into it; the window stays open.
 
-    ``closed`` is called if the user closes it while the run goes on. ``arguments`` are passed on
-    to the viewer.
+    ``closed`` is called if the user closes it while the run goes on.
 
     Raises HirosError if the viewer does not start.
     """
-    # When the window is closed, rerun would print a line per message that it cannot send.
-    os.environ.setdefault("RUST_LOG", "off")
-    with running_viewer(*arguments) as (url, process):
-        recording = new_recording(name)
-        recording.connect_grpc(url)
+    with running_viewer() as (url, process), _drawing_into(url, process, name, closed) as view:
+        yield view
+
+
+@contextmanager
+def live_page(
+    name: str, closed: Callable[[], None], announce: Callable[[str], None]
+) -> Iterator[LiveView]:
+    """Serve the web viewer and yield what draws into it; serve until it is interrupted.
+
+    ``announce`` is told the address to open. ``closed`` is called if the server ends too early.
+
+    Raises HirosError if the server does not start.
+    """
+    with web_server() as (page, url, server):
+        announce(page)
         try:
-            yield LiveView(recording, lambda: _runs(process), closed, layout)
+            with _drawing_into(url, server, name, closed) as view:
+                yield view
+            server.wait()
         finally:
-            if _runs(process):
-                recording.disconnect()
+            server.terminate()
+            server.wait()
+
+
+@contextmanager
+def _drawing_into(
+    url: str, process: subprocess.Popen[bytes], name: str, closed: Callable[[], None]
+) -> Iterator[LiveView]:
+    # When the viewer is closed, rerun would print a line per message that it cannot send.
+    os.environ.setdefault("RUST_LOG", "off")
+    recording = new_recording(name)
+    recording.connect_grpc(url)
+    try:
+        yield LiveView(recording, lambda: _runs(process), closed)
+    finally:
+        if _runs(process):
+            recording.disconnect()
 
 
 def _runs(process: subprocess.Popen[bytes]) -> bool:

@@ -103,7 +103,7 @@ def plot(result: Result, person: int | None = None) -> Picture:
     one = result.select(person)
     seconds = one.motions[person].times
     title = f"{result.path.name}, person {person}"
-    figure = angle_figure(seconds, one.angles().to_numpy(), None, title)
+    figure = angle_figure(seconds, one.angles().to_numpy(), None, [title])
     return Picture(figure, f"of the joint angles of {title}")
 
 

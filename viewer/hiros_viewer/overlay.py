@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.channels import OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
 from hiros_viewer.scene import Scene
 
-TRUTH = "truth"
 SIMULTANEOUS_NS = 17_000_000
 """Frames of two logs at most half a period of 30 Hz apart are compared."""
 SAME_PERSON = 1.0
@@ -24,24 +23,24 @@ SAME_PERSON = 1.0
 def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -> None:
     """Draw the mean and the largest joint distance over time into the first scene.
 
-    ``stage`` is the one to compare; "" = the last one that both logs have. A log without results is
-    compared by its truth.
+    ``stage`` is the one to compare; "" = the last one that both logs have.
 
     Raises ConfigError if the logs cannot be compared, or the skeletons share no marker.
     """
-    stages = _compared_stages(scenes[0].stages, scenes[1].stages, stage)
-    if stages is None:
+    common = [s for s in scenes[0].stages if s in scenes[1].stages and s == (stage or s)]
+    if not common:
         what = f"the stage {stage!r}" if stage else "a stage"
         raise ConfigError(
             f"{first} and {second} do not both hold {what}; view overlays two results, or a "
             "result and a truth"
         )
     names = [scene.model.marker_names for scene in scenes]
-    common = [name for name in names[0] if name in names[1]]
-    if not common:
+    shared = [name for name in names[0] if name in names[1]]
+    if not shared:
         raise ConfigError(f"{first} and {second} share no marker")
-    rows = [[own.index(name) for name in common] for own in names]
-    for a, b in paired(_frames(first, stages[0], rows[0]), _frames(second, stages[1], rows[1])):
+    rows = [[own.index(name) for name in shared] for own in names]
+    last = common[-1]
+    for a, b in paired(_frames(first, last, rows[0]), _frames(second, last, rows[1])):
         distance = joint_distances(a, b)
         if distance.size:
             scenes[0].distance(a.stamp, "mean", 1000 * float(distance.mean()))
@@ -49,27 +48,9 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
     scenes[0].flush()
 
 
-def _compared_stages(
-    first: Iterable[str], second: Iterable[str], stage: str
-) -> tuple[str, str] | None:
-    """Return the stage of each log that is compared, None if there is none."""
-    each = [[s for s in stages if not stage or s in (stage, TRUTH)] for stages in (first, second)]
-    own = [[s for s in stages if s != TRUTH] for stages in each]
-    common = [s for s in own[0] if s in own[1]]
-    if common:
-        return common[-1], common[-1]
-    # One log has results, the other one a truth alone.
-    if own[0] and TRUTH in each[1] and not own[1]:
-        return own[0][-1], TRUTH
-    if own[1] and TRUTH in each[0] and not own[0]:
-        return TRUTH, own[1][-1]
-    return None
-
-
 def _frames(path: Path, stage: str, markers: list[int]) -> Iterator[Frame]:
     """Yield the frames of a stage with some of the markers."""
-    topic = f"{TRUTH_PREFIX}/*" if stage == TRUTH else f"{OUTPUT_PREFIX}/{stage}"
-    with open_log(path, topics=[topic], output_prefix="/none") as log:
+    with open_log(path, topics=[f"{OUTPUT_PREFIX}/{stage}"], output_prefix="/none") as log:
         for frame in log.frames():
             yield frame.replace(markers=frame.markers[:, markers])
 

@@ -18,11 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_mcap.outputs import HTML_MARK, write_text
+from hiros_viewer.hover import SCRIPT, STYLE, curves_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STYLE = """
+:root { color-scheme: light; } .about { color: #57606a; margin: .2rem 0; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
        color: #1b1f24; background: #fff; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
@@ -39,8 +41,10 @@ figure { margin: 1rem 0; } figure svg { max-width: 100%; height: auto; }
 class Page:
     """Collects sections in order; :meth:`write` makes the file."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, about: Sequence[str] = ()) -> None:
         self.title = title
+        self.about = about
+        """Lines below the title: of which log, when, how, and the verdict."""
         self._parts: list[str] = []
         self._figures = 0
 
@@ -67,19 +71,27 @@ class Page:
         )
 
     def figure(self, figure: Figure, caption: str = "") -> None:
-        """Add a matplotlib figure as inline SVG; the same figure gives the same bytes."""
+        """Add a matplotlib figure as inline SVG; the same figure gives the same bytes.
+
+        Where curves have names, their values are shown under the pointer.
+        """
         self._figures += 1
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-        self._parts.append(f"<figure>{_svg(figure, f'f{self._figures}')}{below}</figure>")
+        svg = _svg(figure, f"f{self._figures}")
+        curves = curves_json(figure)
+        data = f' data-curves="{escape(curves)}"' if curves else ""
+        self._parts.append(f"<figure{data}>{svg}{below}</figure>")
 
     def html(self) -> str:
         """Return the page."""
         parts = "\n".join(self._parts)
+        about = "".join(f'<p class="about">{escape(line)}</p>\n' for line in self.about if line)
+        script = f"<script>{SCRIPT}</script>\n" if "data-curves=" in parts else ""
         return (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}</style></head>\n"
-            f"<body><h1>{escape(self.title)}</h1>\n{parts}\n</body></html>\n"
+            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}{STYLE}</style>"
+            f"</head>\n<body><h1>{escape(self.title)}</h1>\n{about}{parts}\n{script}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
@@ -97,7 +109,7 @@ def _svg(figure: Figure, prefix: str) -> str:
     buffer = io.StringIO()
     # Without a date and with a fixed salt the bytes depend on the figure alone.
     with mpl.rc_context({"svg.hashsalt": "hiros", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches="tight")
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)

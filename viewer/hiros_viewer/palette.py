@@ -25,6 +25,12 @@ CURVES: tuple[RGB, ...] = (
 SIDES: dict[str, RGB] = {"right": (112, 132, 255), "left": (168, 163, 154), "": (140, 150, 205)}
 """Of curves of one person's limbs: strong and pale, and of nobody's hue."""
 DISPLACEMENT: RGB = (240, 240, 240)
+TRUTH: RGB = (235, 240, 235)
+"""Of true people, beside a result in hues."""
+FAULTY: dict[str, RGB] = {"mirrored": (255, 0, 255), "far off": (255, 60, 60)}
+"""Of a camera's view while it is wrong, in the room and in its lane."""
+ERROR: RGB = (255, 70, 70)
+"""Of lines from a result's joints to the true ones."""
 BEFORE: RGB = (150, 150, 150)
 """Of a stage that is compared with the result."""
 _LEFT = 0.55

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import heapq
+import json
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
+from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event, events_from_json
-from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_PREFIX, TRUTH_PREFIX
+from hiros_mcap.io.channels import (
+    EVENTS_ATTACHMENT,
+    OUTPUT_PREFIX,
+    REPORT_ATTACHMENT,
+    TRUTH_PREFIX,
+)
 from hiros_mcap.io.log import CameraChannel, Log, open_log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
+from hiros_viewer.camera_moves import camera_moves
 from hiros_viewer.columns import Poses
-from hiros_viewer.entities import path_part
+from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.scene import STAGES, Scene
 
@@ -29,6 +38,13 @@ if TYPE_CHECKING:
 
 HORIZON_NS = 3_000_000_000
 """Frames are put in the order of their own time; most are at most this much later in a log."""
+LONG_S = 600.0
+"""Of a longer log not all frames are drawn."""
+MOST_FRAMES = 18_000
+"""Of a channel of a long log: ten minutes at 30 Hz, an hour at 5 Hz."""
+LONGEST_STEP_S = 0.2
+"""Between frames that are drawn: people who were not seen for longer are hidden."""
+_NAMES = "AB"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +59,10 @@ class ViewOptions:
     """File with the cameras' poses, instead of the log's transforms."""
     stage: str = ""
     """Stage whose curves are drawn and that two logs are compared by; "" = the last one."""
+    truth: str | None = None
+    """File with the true people, or a channel of the log; None = the log's own, if it has one."""
+    calibration: Path | None = None
+    """File with the cameras' poses that are compared with the log's, and used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +78,20 @@ class Source:
     events: tuple[Event, ...]
     start: int
     """ns; what seconds count from."""
+    topics: tuple[str, ...]
+    report: Mapping[str, Mapping[str, Any]]
+    """By camera: what the run that made the result counted."""
 
 
 def replay(
-    logs: list[Path], recording: rr.RecordingStream, options: ViewOptions | None = None
+    logs: list[Path],
+    recording: rr.RecordingStream,
+    options: ViewOptions | None = None,
+    is_open: Callable[[], bool] = lambda: True,
 ) -> Content:
     """Draw logs into a recording, layout included; several are overlaid.
+
+    It ends early when nobody looks any more: when ``is_open`` returns False.
 
     Raises LogError or ConfigError if a log cannot be read, lacks a transform or holds no skeletons
     in the time range.
@@ -71,57 +99,166 @@ def replay(
     options = options or ViewOptions()
     if options.layout not in LAYOUTS:
         raise ConfigError(f"no layout {options.layout!r} (there are: {', '.join(LAYOUTS)})")
+    logs, options = _truth_apart(logs, options)
+    layers = [Layer(f"/{name.lower()}", name, k) for k, name in enumerate(_NAMES[: len(logs)])]
     scenes: list[Scene] = []
-    for k, path in enumerate(logs):
-        prefix = f"/{'ab'[k]}" if len(logs) > 1 else ""
-        start = scenes[0].start if scenes else None
-        scenes.append(_replay_one(path, recording, options, prefix, start))
-    if len(logs) > 1:
+    for path, layer in zip(logs, layers if logs[1:] else [Layer()], strict=True):
+        first = scenes[0] if scenes else None
+        scenes.append(_Replay(path, recording, options, layer).draw(first, is_open))
+    if logs[1:]:
         draw_distances(logs[0], logs[1], scenes, options.stage)
-    content = content_of(scenes, [f"/{'ab'[k]}" for k in range(len(logs))] if logs[1:] else [""])
+        looks = ("strong colours", "pale colours")
+        names = [
+            f"**{layer.name}** is {path.name}: {look}."
+            for layer, path, look in zip(layers, logs, looks, strict=True)
+        ]
+        scenes[0].explain(" ".join(names))
+    content = content_of(scenes)
     recording.send_blueprint(blueprint(content, options.layout))
     return content
 
 
-def _replay_one(
-    path: Path,
-    recording: rr.RecordingStream,
-    options: ViewOptions,
-    prefix: str,
-    start: int | None,
-) -> Scene:
-    """Draw one log; seconds count from ``start``, that of the first log when two are overlaid."""
-    with open_log(path, topics=["*"], output_prefix="/none", extrinsics=options.extrinsics) as log:
-        source = describe(log)
-        final = options.stage or (source.stages[-1] if source.stages else "")
-        only_truth = not (source.stages or source.names)
-        if options.stage and not only_truth and options.stage not in (*source.stages, "truth"):
-            raise LogError(f"holds no stage {options.stage!r}", path=path)
-        scene = Scene(
-            recording, source.model, final=final, prefix=prefix, is_second=start is not None
-        )
-        scene.start = start
-        scene.begin(source.cameras)
-        window, drawn = (0, 0), 0
-        for kind, frame in in_time_order(log):
-            if not window[1]:
-                # Outputs alone are logged later than they are stamped: whichever is first.
-                first = min(source.start, frame.stamp)
-                window = _window(first, options.time_range)
-                scene.start = first if start is None else start
-            if window[0] <= frame.stamp <= window[1]:
+def _truth_apart(logs: list[Path], options: ViewOptions) -> tuple[list[Path], ViewOptions]:
+    """Return one log and its truth if the other one of two holds nothing but a truth."""
+    if len(logs) == 2 and options.truth is None:
+        for log, other in (logs, logs[::-1]):
+            if not (has_outputs(other) or has_cameras(other)):
+                return [log], replace(options, truth=str(other))
+    return logs, options
+
+
+class _Replay:
+    """Draws one log.
+
+    Parameters
+    ----------
+    path, recording, options, layer : as in :func:`replay`.
+    """
+
+    def __init__(
+        self, path: Path, recording: rr.RecordingStream, options: ViewOptions, layer: Layer
+    ) -> None:
+        self.path, self.recording, self.options, self.layer = path, recording, options, layer
+        self._window = (0, 2**63 - 1)
+        self._step = 0
+        self._cells: dict[tuple[str, str], int] = {}
+        self._laid_out = False
+
+    def draw(self, first: Scene | None, is_open: Callable[[], bool]) -> Scene:
+        """Draw it; seconds count from the start of the first log when two are overlaid."""
+        with self._open(["*"]) as log:
+            source = describe(log)
+            final = self._final(source)
+            whole = (log.span[1] - log.span[0]) / 1e9
+        scene = Scene(self.recording, source.model, final=final, layer=self.layer)
+        scene.start = None if first is None else first.start
+        scene.truth = self._truth(source)
+        scene.shows_truth = self.options.truth is not None
+        only_stages = first is not None and bool(first.cameras)
+        scene.begin({} if only_stages else source.cameras)
+        if self.options.calibration is not None and not only_stages:
+            scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
+        self._thin(whole)
+        drawn = 0
+        with self._open(self._topics(source, final)) as log:
+            names = describe(log).names  # a source's name depends on what else is read
+            for count, (kind, frame) in enumerate(in_time_order(log)):
+                if not count:
+                    # Outputs alone are logged later than they are stamped: whichever is first.
+                    start = min(source.start, frame.stamp)
+                    self._window = _window(start, self.options.time_range)
+                    scene.start = start if first is None else scene.start
+                if frame.stamp > self._window[1] + HORIZON_NS or not is_open():
+                    break
+                skipped = kind == "truth" or (only_stages and kind == DETECTIONS)
+                if skipped or not self._is_shown(kind, frame):
+                    continue
                 drawn += 1
                 if kind == DETECTIONS:
-                    scene.detections(source.names[frame.source], frame)
+                    scene.detections(names[frame.source], frame)
                 else:
                     scene.stage(kind, frame)
+                if not self._laid_out and scene.bounds:
+                    self._laid_out = True
+                    content = content_of([scene])
+                    self.recording.send_blueprint(blueprint(content, self.options.layout))
+        self._finish(scene, source, drawn)
+        return scene
+
+    def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
+        """Draw what is known of the whole log: the truth and the events."""
+        if scene.truth is not None:
+            drawn += self._draw_truth(scene, scene.truth)
         if not drawn:
-            raise LogError("holds no skeletons in this time range", path=path)
+            raise LogError("holds no skeletons in this time range", path=self.path)
+        if self.options.truth is not None and scene.final and not scene.n_true:
+            fault = f"the truth {self.options.truth} covers no frame of the result; check its times"
+            raise ConfigError(f"{self.path}: {fault}")
         for event in source.events:
-            if window[0] <= event.stamp <= window[1]:
+            if self._window[0] <= event.stamp <= self._window[1]:
                 scene.event(event)
         scene.finish()
-        return scene
+        scene.describe_cameras(source.report)
+
+    def _open(self, topics: Sequence[str]) -> Log:
+        extrinsics = self.options.calibration or self.options.extrinsics
+        return open_log(self.path, topics=topics, output_prefix="/none", extrinsics=extrinsics)
+
+    def _final(self, source: Source) -> str:
+        """Return the stage that curves are taken from; "" = there is none."""
+        asked = self.options.stage
+        only_truth = not (source.stages or source.names)
+        if asked and not only_truth and asked not in (*source.stages, "truth"):
+            raise LogError(f"holds no stage {asked!r}", path=self.path)
+        return asked or (source.stages[-1] if source.stages else "")
+
+    def _truth(self, source: Source) -> Truth | None:
+        """Return the truth on the log's markers, at the log's time."""
+        found = find_truth(self.path, self.options.truth)
+        if found is None:
+            return None
+        return found.moved(start=start_of(self.path)).seen_by(source.model)
+
+    def _draw_truth(self, scene: Scene, truth: Truth) -> int:
+        """Draw the true people, once if logs are overlaid; return the number of instants."""
+        drawn = 0
+        if self.layer.number:
+            return drawn
+        for stamp, positions in zip(truth.stamps.tolist(), truth.positions, strict=True):
+            there = ~np.isnan(positions[..., 0]).all(axis=1)
+            ids = np.array(truth.people or range(len(there)), np.int64)[there]
+            certain = np.ones((len(ids), positions.shape[1]))
+            frame = Poses(stamp, "", ids, positions[there], certain)
+            if self._is_shown("truth", frame):
+                scene.stage("truth", frame)
+                drawn += 1
+        return drawn
+
+    def _thin(self, whole: float) -> None:
+        """Leave frames out of a long log: a viewer has no room for an hour at 30 Hz."""
+        begin, end = self.options.time_range or (0.0, whole)
+        seconds = min(end, whole) - begin
+        if seconds > LONG_S:
+            self._step = round(min(seconds / MOST_FRAMES, LONGEST_STEP_S) * 1e9)
+
+    def _topics(self, source: Source, final: str) -> list[str]:
+        """Return what to read: of a long log, what its layout shows."""
+        if not self._step:
+            return ["*"]
+        shown = {final, *(source.stages if self.options.layout == "stages" else ())}
+        left_out = {f"{OUTPUT_PREFIX}/{stage}" for stage in source.stages if stage not in shown}
+        return [topic for topic in source.topics if topic not in left_out]
+
+    def _is_shown(self, kind: str, frame: Poses) -> bool:
+        """Whether a frame is in the time range, and not left out."""
+        if not self._window[0] <= frame.stamp <= self._window[1]:
+            return False
+        if not self._step:
+            return True
+        cell, key = frame.stamp // self._step, (kind, frame.source)
+        is_new = self._cells.get(key) != cell
+        self._cells[key] = cell
+        return is_new
 
 
 def _window(start: int, seconds: tuple[float, float] | None) -> tuple[int, int]:
@@ -141,7 +278,9 @@ def describe(log: Log) -> Source:
         if (pose := log.pose_of(camera)) is not None:
             poses.update({names[source]: pose for source in camera.sources.values()})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
-    return Source(log.model, poses, names, stages, _events(log), log.span[0])
+    topics = tuple(dict.fromkeys(camera.channel.topic for camera in log.cameras))
+    report = {names.get(c["name"], c["name"]): c for c in _report(log).get("cameras", ())}
+    return Source(log.model, poses, names, stages, _events(log), log.span[0], topics, report)
 
 
 def _camera_name(camera: CameraChannel, source: str, cameras: list[CameraChannel]) -> str:
@@ -156,6 +295,15 @@ def kind_of(topic: str) -> str:
         return "truth"
     stage = topic.removeprefix(f"{OUTPUT_PREFIX}/")
     return stage if stage != topic and stage in STAGES else DETECTIONS
+
+
+def _report(log: Log) -> Mapping[str, Any]:
+    """Return the summary of the run that made the result; nothing if there is none."""
+    try:
+        return dict(json.loads(log.reader.attachment(REPORT_ATTACHMENT) or b"{}"))
+    except (ValueError, TypeError):
+        fault = f"attachment {REPORT_ATTACHMENT} is damaged"
+        raise LogError(fault, path=log.path) from None
 
 
 def _events(log: Log) -> tuple[Event, ...]:
@@ -182,7 +330,7 @@ def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
         yield heapq.heappop(waiting)[2:]
 
 
-def content_of(scenes: list[Scene], prefixes: list[str]) -> Content:
+def content_of(scenes: list[Scene]) -> Content:
     """Sum up what was drawn, for the layout."""
     spots = [spot for scene in scenes for spot in scene.bounds]
     if spots:
@@ -200,7 +348,10 @@ def content_of(scenes: list[Scene], prefixes: list[str]) -> Content:
         centre=centre,
         reach=reach,
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
-        prefixes=prefixes,
+        prefixes=[scene.prefix for scene in scenes],
+        shows_truth=any(scene.shows_truth for scene in scenes),
+        has_error=any(scene.n_true for scene in scenes),
+        has_moves=any(scene.has_moves for scene in scenes),
     )
 
 

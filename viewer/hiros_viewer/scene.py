@@ -11,7 +11,10 @@
     /speed/<person>             of the last stage
     /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
+    /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
     /state/<person>             while somebody is tracked;  /log   events
+    /marked/<camera>/<fault>    detections that are mirrored or far off;  /views/...   when
+    /cameras                    numbers of each camera
 
 A person's part of a path is person_<id>. Time is in seconds from the start, and as a date.
 Rows are collected and sent in columns, a batch at a time, so that memory stays bounded.
@@ -21,20 +24,22 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, anatomical_angles, continued
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.body.symmetry import split_side, symmetry_of
+from hiros_mcap.evaluate.match import MATCH_DISTANCE
+from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.evaluate.smoothness import lengths_of
+from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.io.export.colours import RGB, person_colour
-from hiros_mcap.kernels.distance import nearest
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
+from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import (
     DetectionRows,
     Line,
@@ -46,8 +51,16 @@ from hiros_viewer.columns import (
     TextRows,
 )
 from hiros_viewer.displacement import EarlierPoses, mean_distances
-from hiros_viewer.entities import Entities, path_part, person_part
-from hiros_viewer.palette import SIDES, curve_colour, pale
+from hiros_viewer.entities import (
+    Entities,
+    Layer,
+    fault_part,
+    path_part,
+    person_hue,
+    person_part,
+)
+from hiros_viewer.palette import FAULTY, SIDES, curve_colour, pale
+from hiros_viewer.view_check import FaultySpan, ViewCheck
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -55,9 +68,11 @@ if TYPE_CHECKING:
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 BATCH = 4000
 """Frames collected before they are sent."""
+_FIRST_BATCH = 400
+"""Before anybody was drawn: the first picture comes soon."""
 GONE_NS = 250_000_000
 """Somebody or something that was not seen for this long is hidden."""
-_SAME_PERSON_M = 1.0
+_ALONE = Layer()
 _MOST_BOUNDS = 2000
 _MOST_WAITING = 10_000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
@@ -84,10 +99,7 @@ class Scene:
     ----------
     recording : where to draw. model : of all frames.
     final : the stage that curves and residuals are taken from.
-    prefix : put before every entity of this log when two logs are overlaid.
-    is_second : of two logs that are overlaid; drawn in paler colours.
-    team : number and name of the system that made this, when several are overlaid: everybody of
-        it has one colour, and its name beside the id.
+    layer : which of several logs this is, when they are overlaid.
     """
 
     def __init__(
@@ -96,9 +108,7 @@ class Scene:
         model: SkeletonModel,
         *,
         final: str = "filtered",
-        prefix: str = "",
-        is_second: bool = False,
-        team: tuple[int, str] | None = None,
+        layer: Layer = _ALONE,
         batch: int = BATCH,
     ) -> None:
         self.model = model
@@ -109,8 +119,15 @@ class Scene:
         self.bounds: list[Floats] = []
         self.camera_poses: Mapping[str, Rigid] = {}
         """By name, in the fixed frame."""
-        self._prefix = prefix
-        self._is_second = is_second
+        self.truth: Truth | None = None
+        """What to compare the last stage with, on the markers of the model."""
+        self.shows_truth = False
+        """Whether the truth is to be seen in the room; its error is plotted in any case."""
+        self.has_moves = False
+        """Whether poses before and after a calibration were drawn."""
+        self.n_true = 0
+        """Frames of the last stage whose instant the truth covers."""
+        self._layer, self._prefix = layer, layer.prefix
         self._batch = batch
         self._collected = 0
         self._n_detections = 0
@@ -122,13 +139,29 @@ class Scene:
         self._texts = defaultdict[str, TextRows](TextRows)
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
         """By stage and person."""
+        mirror = symmetry_of(model).mirror
+        self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))
+        """By camera."""
+        self._marks = defaultdict[tuple[str, str], DetectionRows](
+            lambda: DetectionRows(PoseBatch(n))
+        )
+        """By camera and kind of fault: its detections that have it."""
+        self._lane_looks: dict[str, Line] = {}
+        """By path."""
+        self._true = defaultdict[int, list[tuple[int, Floats]]](list)
+        """By person: stamps and true poses that are not among the earlier ones yet."""
         self._reference = _Reference()
         self._waiting: list[tuple[int, int, str, Floats]] = []
         """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
         self._alive: set[int] = set()
         self._root = _root_slot(model)
-        self._entities = Entities(recording, model, self._root, is_second=is_second, team=team)
+        self._entities = Entities(recording, model, self._root, layer)
         self._limbs = limb_links(model)
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the entities of this log."""
+        return self._layer.prefix
 
     @property
     def cameras(self) -> list[str]:
@@ -144,12 +177,22 @@ class Scene:
 
     def begin(self, cameras: Mapping[str, Rigid]) -> None:
         """Draw what stands still: axes, colours, and the cameras at their poses in the room."""
-        # Dim behind a result; without one, detections are all there is to see.
-        self._entities.room(dim_detections=bool(self.final))
+        if not self._layer.number:
+            # Dim behind a result; without one, detections are all there is to see.
+            self._entities.room(dim_detections=bool(self.final))
         self.camera_poses = cameras
         for number, (name, pose) in enumerate(cameras.items()):
             _ = self._detections[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
+
+    def moves(self, moves: Sequence[CameraMove]) -> None:
+        """Draw where cameras were before a calibration, and how far they moved."""
+        self.has_moves = True
+        self._entities.moves(moves)
+
+    def explain(self, *lines: str) -> None:
+        """Add lines to those that say what colours mean, Markdown."""
+        self._entities.key(*lines)
 
     # -- frames --------------------------------------------------------------------------------
 
@@ -182,12 +225,42 @@ class Scene:
         self._reference = newest
 
     def _residual(self, camera: str, stamp: int, positions: Floats, people: Floats) -> None:
-        """Draw the mean joint distance of detections to the nearest person each."""
-        distances = np.empty(len(positions))
-        nearest(positions, people, distances)
-        same = [distance for distance in distances.tolist() if distance < _SAME_PERSON_M]
-        if same:
-            self._curve("/residual", camera).add(stamp, 1000 * sum(same) / len(same))
+        """Draw how far detections are from the nearest person each, and mark wrong ones."""
+        check = self._checks[camera]
+        known = len(check.distances)
+        faults = check.compare(positions, people)
+        if len(check.distances) > known:
+            self._curve("/residual", camera).add(stamp, check.distances[-1])
+        for kind, rows in faults.items():
+            if rows.any():
+                wrong = positions[rows]
+                certain = np.ones(wrong.shape[:2])
+                ids = np.full(len(wrong), UNTRACKED)
+                self._marks[camera, kind].add(Poses(stamp, camera, ids, wrong, certain))
+            elif (camera, kind) in self._marks:
+                self._marks[camera, kind].hide(stamp)
+        self._tell(camera, check.spans(stamp, faults))
+
+    def _tell(self, camera: str, spans: Iterable[FaultySpan]) -> None:
+        """Show when a camera's view was wrong: a lane, and a line in the list of events."""
+        for span in spans:
+            path = f"/views/{path_part(camera)}/{fault_part(span.kind)}"
+            self._lane_looks[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
+            self._texts[path].add(span.start, span.kind)
+            self._texts[path].add(span.end, "gone")
+            detail = f"for {(span.end - span.start) / 1e9:.2f} s"
+            self.event(Event(span.start, f"view {span.kind}", UNTRACKED, camera, detail))
+
+    def describe_cameras(self, report: Mapping[str, Mapping[str, Any]]) -> None:
+        """Show the numbers of each camera: those of the run, by camera, and what was drawn."""
+        rows = []
+        for camera in self.cameras:
+            run, check = report.get(camera, {}), self._checks[camera]
+            used = f"{run['used']} of {run['messages']}" if run.get("messages") else "-"
+            counts = [str(run.get(name, "-")) for name in ("flips", "outliers")]
+            rows.append((camera, used, *check.row(), *counts))
+        if rows and self.final:
+            self._entities.camera_table(rows)
 
     def stage(self, name: str, frame: Frame | Poses) -> None:
         """Draw a stage's people."""
@@ -201,7 +274,8 @@ class Scene:
                 person_rows = rows.people.get(person)
                 if person_rows is None:
                     person_rows = rows.people[person] = PersonRows()
-                    self.people.add(person)
+                    if name != "truth" or not self.final:
+                        self.people.add(person)
                 self._hide_after_pause(person_rows, frame.stamp)
                 person_rows.add(frame.stamp, place)
                 rows.shown[person] = person_rows
@@ -211,7 +285,18 @@ class Scene:
         if name == self.final:
             self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
             self._states(ids, frame.stamp)
+            if self.truth is not None and self.truth.covers(frame.stamp):
+                self._match(frame, self.truth)
         self._count(frame.stamp)
+
+    def _match(self, frame: Frame | Poses, truth: Truth) -> None:
+        """Note the true pose of everybody in a frame who is near a true person."""
+        self.n_true += 1
+        true = truth.at(frame.stamp)[0]
+        distances = skeleton_distances(true, frame.positions)
+        distances[:, frame.ids == UNTRACKED] = np.inf
+        for row, column in best_pairs(np.where(distances < MATCH_DISTANCE, distances, np.inf)):
+            self._true[int(frame.ids[column])].append((frame.stamp, true[row]))
 
     def _hide_gone(self, rows: StageRows, ids: list[int], stamp: int, patience: int) -> None:
         """Hide people whom this frame lacks."""
@@ -254,12 +339,14 @@ class Scene:
             self._lane(person).add(stamp, "gone")
 
     def _lane(self, person: int) -> TextRows:
-        return self._texts[f"{self._prefix}/state/{person_part(person)}"]
+        path = f"{self._prefix}/state/{person_part(person)}"
+        self._lane_looks[path] = self._person_line(person)
+        return self._texts[path]
 
     def event(self, event: Event) -> None:
         """Write an event into the log."""
         level = "WARN" if event.is_warning else "INFO"
-        self._texts[f"{self._prefix}/log"].add(event.stamp, event.text, level)
+        self._texts[f"{self._prefix}/log"].add(event.stamp, self._layer.named(event.text), level)
 
     def distance(self, stamp: int, name: str, millimetres: float) -> None:
         """Add to the curve of joint distances between two logs, mm."""
@@ -282,7 +369,7 @@ class Scene:
         if self.start is None:
             self.start = stamp
         self._collected += 1
-        if self._collected >= self._batch:
+        if self._collected >= (self._batch if self.bounds else min(self._batch, _FIRST_BATCH)):
             self.flush()
 
     def finish(self) -> None:
@@ -293,6 +380,10 @@ class Scene:
             for person_rows in stage.shown.values():
                 person_rows.hide(person_rows.last + GONE_NS)
         self._compare(_Reference(self._reference.stamp + 2 * GONE_NS))
+        for marks in self._marks.values():
+            marks.hide(marks.last + GONE_NS)
+        for camera, check in self._checks.items():
+            self._tell(camera, check.finish())
         final = self._stages.get(self.final)
         self._leave(self._alive, (final.last if final else 0) + GONE_NS)
         self.flush()
@@ -307,6 +398,14 @@ class Scene:
                 if not self.final:
                     self._extend_bounds(highest)
                 rows.sent()
+        for (camera, kind), marks in self._marks.items():
+            if marks.stamps:
+                self._entities.marks(camera, kind, marks)
+                marks.sent()
+        for person, noted in self._true.items():
+            stamps, poses = zip(*noted, strict=True)
+            self._earlier["truth", person].add(np.array(stamps), np.stack(poses))
+        self._true.clear()
         for name in sorted(self._stages, key=lambda name: name == self.final):
             self._send_stage(name, self._stages[name])
         for path, curve in self._scalars.items():
@@ -315,8 +414,10 @@ class Scene:
                 curve.sent()
         for path, lines in self._texts.items():
             if lines.stamps:
-                send = self._entities.log_lines if path.endswith("/log") else self._entities.lane
-                send(path, lines)
+                if path in self._lane_looks:
+                    self._entities.lane(path, lines, self._lane_looks[path])
+                else:
+                    self._entities.log_lines(path, lines)
                 lines.sent()
 
     def _send_stage(self, stage: str, rows: StageRows) -> None:
@@ -325,7 +426,7 @@ class Scene:
             if person_rows.stamps:
                 path = f"{self._prefix}/{stage}/{person_part(person)}"
                 shown, highest = self._entities.person(
-                    path, person_rows, rows.poses, is_strong=stage in (self.final, "truth")
+                    path, person_rows, rows.poses, is_strong=stage == (self.final or "truth")
                 )
                 self._extend_bounds(highest)
                 poses = rows.poses.positions[np.array(person_rows.places)[shown]]
@@ -362,20 +463,32 @@ class Scene:
                 )
             apart = 1000 * mean_distances(before, result)
             known = ~np.isnan(apart)
-            lines = [Line(f"person {person}", self._hue(person))]
+            lines = [self._person_line(person)]
             self._extend(f"{self._prefix}/moved/{path}", lines, stamps[known], apart[known])
+        if self.truth is not None:
+            self._show_errors(person, stamps, result)
 
-    def _hue(self, person: int) -> RGB:
-        """Return a person's colour, as in the room."""
-        return pale(person_colour(person)) if self._is_second else person_colour(person)
+    def _show_errors(self, person: int, stamps: Stamps, result: Floats) -> None:
+        """Draw how far the result, (T, M, 3) m, is from the truth."""
+        true = self._earlier["truth", person].at(stamps, self.model.n_markers)
+        part = person_part(person)
+        self._entities.errors(f"{self._prefix}/error_lines/{part}", stamps.tolist(), result, true)
+        mean = 1000 * mean_distances(result, true)
+        known = ~np.isnan(mean)
+        lines = [self._person_line(person)]
+        self._extend(f"{self._prefix}/error/{part}", lines, stamps[known], mean[known])
+
+    def _person_line(self, person: int) -> Line:
+        """Return the curve of a person, in its colour."""
+        return Line(self._layer.named(f"person {person}"), person_hue(person, self._layer))
 
     def _side_lines(self, names: Sequence[str]) -> list[Line]:
         """Return curves of which the left ones are pale and thin, the right ones strong."""
         lines = []
         for name in names:
             side = split_side(name)[1]
-            colour = pale(SIDES[side]) if self._is_second else SIDES[side]
-            lines.append(Line(name, colour, 2.5 if side == "right" else 1.5))
+            colour = pale(SIDES[side]) if self._layer.number else SIDES[side]
+            lines.append(Line(self._layer.named(name), colour, 2.5 if side == "right" else 1.5))
         return lines
 
     def _extend_sides(
@@ -407,7 +520,7 @@ class Scene:
         steps = np.diff(moments)
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        lines = [Line(f"person {person}", self._hue(person))]
+        lines = [self._person_line(person)]
         self._extend(f"{self._prefix}/speed/{path}", lines, moments[1:][steady], speeds)
 
     def _extend(self, path: str, lines: Sequence[Line], stamps: Stamps, values: Floats) -> None:

@@ -200,7 +200,7 @@ def _show_truth(
     if output.html is not None:
         from hiros_viewer.evaluation_page import truth_page
 
-        truth_page(str(output.log), truth, results, [*warnings, *notes]).write(output.html)
+        truth_page(output.log, truth, results, [*warnings, *notes]).write(output.html)
     if output.json:
         from hiros_mcap.summary import plain
 
@@ -229,7 +229,7 @@ def _show_self(output: _Output, config: Config) -> None:
     if output.html is not None:
         from hiros_viewer.evaluation_page import self_page
 
-        self_page(str(output.log), scores).write(output.html)
+        self_page(output.log, scores).write(output.html)
     if output.json:
         from hiros_cli.output import print_json
         from hiros_mcap.summary import plain, plain_value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,6 +63,7 @@ def plot(
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
     from hiros_viewer import curves
+    from hiros_viewer.headline import headline
 
     if what not in curves.KINDS:
         raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
@@ -71,10 +73,10 @@ def plot(
     start = frames[0].stamp if frames else 0
     true = None if found is None else found.moved(start=start)
     collected = curves.collect(f"{log}: {topic}", frames, model, true)
+    about = headline(log).lines(curves.verdict(collected), curves.summary_row(frames, model))
+    collected = replace(collected, about=about)
     if target.suffix == ".html":
-        page = curves.page_of(collected)
-        page.text(curves.summary_row(frames, model))
-        page.write(target)
+        curves.page_of(collected).write(target)
     else:
         curves.save_png(curves.figure_of(collected, what, person), target)
     if not quiet:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,7 +37,7 @@ from hiros_cli.options import (
     Table,
     seconds_range,
 )
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.errors import ConfigError, HirosError
 
 if TYPE_CHECKING:
     from hiros_mcap.config import Table as Parameters
@@ -311,23 +311,23 @@ def process(
 
         raise typer.Exit(run_many(ProcessJob(effective, options), many))
     with ExitStack() as stack:
-        watcher = stack.enter_context(_live(source)) if view else None
+        watcher = _live(source, wanted, stack) if view else None
         if live:
             stack.enter_context(stdout_free(wanted))
             summary = run_live(logs[0], wanted, effective, options, watcher, quiet=quiet)
             _show(summary, json=json, quiet=quiet)
             return
-        progress = stack.enter_context(bar(source.name, quiet=quiet))
-        summary = run(
-            source,
-            wanted,
-            config=effective,
-            options=options,
-            progress=progress,
-            watcher=watcher,
-            force=force,
-        )
-    _show(summary, json=json, quiet=quiet)
+        with bar(source.name, quiet=quiet) as progress:
+            summary = run(
+                source,
+                wanted,
+                config=effective,
+                options=options,
+                progress=progress,
+                watcher=watcher,
+                force=force,
+            )
+        _show(summary, json=json, quiet=quiet)
     if summary.losses:
         raise typer.Exit(LOSSES)
 
@@ -378,13 +378,33 @@ def _refuse_other_formats(target: Path) -> None:
         raise ConfigError(f"{target}: process writes MCAP; name it {target.with_suffix('.mcap')}")
 
 
-def _live(source: Path) -> AbstractContextManager[Watcher]:
-    from hiros_viewer.live import live_view
+def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
+    """Open a viewer to watch the run; without a screen, a page that somebody may open.
+
+    None if there is nobody to look or nothing to look with: the result matters more.
+    """
+    from hiros_cli.output import warn
+    from hiros_viewer.destinations import has_display
+    from hiros_viewer.live import live_page, live_view
+
+    def tell(text: str) -> None:
+        print(f"hiros: {text}", file=sys.stderr, flush=True)
 
     def closed() -> None:
-        print("hiros: the viewer was closed; processing goes on", file=sys.stderr, flush=True)
+        tell("the viewer was closed; processing goes on")
 
-    return live_view(source.name, closed)
+    later = f"look at the result with: hiros view {target} --web"
+    try:
+        if has_display():
+            return stack.enter_context(live_view(source.name, closed))
+        if sys.stderr.isatty():
+            announce = f"no screen here; open {{}} and stop with Ctrl-C, or {later}"
+            page = live_page(source.name, closed, lambda url: tell(announce.format(url)))
+            return stack.enter_context(page)
+        warn(f"--view: there is no screen here; {later}")
+    except HirosError:
+        warn(f"--view: the Rerun viewer does not start; {later}")
+    return None
 
 
 def _shortcuts(

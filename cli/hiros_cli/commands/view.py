@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hiros_cli.options import Force, Quiet
 from hiros_mcap.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
 
 
 def view(
@@ -27,9 +31,22 @@ def view(
         str | None,
         typer.Option(metavar="NAME", help="Stage to plot. Default: the last."),
     ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|TOPIC",
+            help="Truth to overlay, with errors. Default: LOG's /truth channel.",
+        ),
+    ] = None,
     extrinsics: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Camera poses of `hiros calibrate`, compared with the log's."
+        ),
     ] = None,
     save: Annotated[
         Path | None,
@@ -56,18 +73,22 @@ def view(
         raise ConfigError("view shows at most two logs")
     if sum((save is not None, web, connect is not None)) > 1:
         raise ConfigError("use only one of --save, --web and --connect")
+    if extrinsics is not None and calibration is not None:
+        raise ConfigError("use only one of --extrinsics and --calibration")
     window = None if time_range is None else seconds_range("--time-range", time_range)
     from hiros_viewer import destinations
 
-    check_outputs((save, "Rerun recording"), inputs=(*logs, extrinsics), force=force)
+    check_outputs(
+        (save, "Rerun recording"), inputs=(*logs, extrinsics, truth, calibration), force=force
+    )
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
-    options = ViewOptions(layout, window, extrinsics, stage or "")
+    options = ViewOptions(layout, window, extrinsics, stage or "", truth, calibration)
     name = recording_name(list(logs))
 
-    def draw(recording: object) -> None:
-        replay(logs, recording, options)  # type: ignore[arg-type]
+    def draw(recording: RecordingStream, is_open: Callable[[], bool] = lambda: True) -> None:
+        replay(logs, recording, options, is_open)
 
     if save is not None:
         destinations.save(save, name, draw)
@@ -78,9 +99,9 @@ def view(
         destinations.connect(connect, name, draw)
         return 0
     if web:
-        return destinations.web(
-            name, draw, lambda url: print(f"open {url}\nstop with Ctrl-C", flush=True)
-        )
+        return destinations.web(name, draw, _announce)
+    if not destinations.has_display():
+        raise ConfigError("there is no screen here; use --web (browser) or --save FILE")
     code = destinations.window(name, draw)
     if code:
         raise ConfigError(
