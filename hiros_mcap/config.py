@@ -28,6 +28,7 @@ from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.moving_average import MovingAverageParams
 from hiros_mcap.stages.optimize import OptimizeParams
 from hiros_mcap.stages.predict import PredictParams
+from hiros_mcap.stages.sides import SidesParams
 from hiros_mcap.stages.straighten import StraightenParams
 from hiros_mcap.stages.track import TrackParams
 
@@ -112,6 +113,9 @@ class Config(Params):
     )
     output: OutputParams = Field(OutputParams(), description="Writing the results.")
     track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
+    sides: SidesParams = Field(
+        SidesParams(), description="Left and right of each view, before merging."
+    )
     merge: MergeParams = Field(
         MergeParams(), description="Merging: one skeleton per person (Hi-ROS 3.2)."
     )
@@ -164,6 +168,7 @@ _PAPER: Table = {
         "lookahead": 0.0,
         "reorder": 0.1,
     },
+    "sides": {"over_time": False},
     # Equation 12 as printed, on the views as they are; turned-round views are dropped.
     "merge": {
         "facing": "pelvis",
@@ -195,6 +200,7 @@ PRESETS: Mapping[str, Table] = {
     "realtime": {
         "input": {"clocks": "causal"},
         "track": {"lookahead": 0.0, "reorder": 0.1, "reidentify": 0.0},
+        "sides": {"lookahead": 0.0},
         "optimize": {"lookahead": 0.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0},
     },

@@ -59,5 +59,6 @@ def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:
         f"jitter: {number(own.jitter, 1, ' mm')}",
     ):
         say(out, line)
+    show_table(out, "Left and right of this result", score_tables.side_table(scores.sides))
     for camera in scores.cameras if joints else ():
         show_table(out, f"Joints of {camera.topic}, mm", score_tables.joint_table(camera.joints))

@@ -34,17 +34,17 @@ LARGEST_FOREARM_DEG = 45.0
 
 SIDES = ("left", "right")
 _PELVIS = ("pelvis", "spinebase", "midhip", "hips", "spine_base")
-_NECK = ("neck", "spineshoulder", "spine_shoulder", "spine_chest")
+NECK = ("neck", "spineshoulder", "spine_shoulder", "spine_chest")
 _LOWER_SPINE = ("spine_naval", "spinemid", "spine_mid", "spine", "naval")
 HEAD = ("head", "nose")
 _FACE = ("ear", "eye")
-_TOE = ("foot", "toe", "bigtoe", "big_toe", "toebase")
+TOE = ("foot", "toe", "bigtoe", "big_toe", "toebase")
 
 # Segment -> names of the markers at both ends of the link that turns with it.
 _LINKS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "pelvis": (_PELVIS, (*_LOWER_SPINE, *_NECK)),
-    "thorax": ((), _NECK),
-    "head": (_NECK, HEAD),
+    "pelvis": (_PELVIS, (*_LOWER_SPINE, *NECK)),
+    "thorax": ((), NECK),
+    "head": (NECK, HEAD),
     "thigh": (("hip",), ("knee",)),
     "shank": (("knee",), ("ankle",)),
     "upper arm": (("shoulder",), ("elbow",)),
@@ -74,12 +74,12 @@ def finder(model: SkeletonModel, positions: Floats) -> Finder:
 
 def toes(at: Finder, side: str) -> Floats:
     """(T, 3) direction from the ankle to the toes."""
-    return unit(at(*_TOE, side=side) - at("ankle", side=side))
+    return unit(at(*TOE, side=side) - at("ankle", side=side))
 
 
 def long_axis_of_head(at: Finder) -> Floats:
     """(T, 3) direction from the neck to the head."""
-    return unit(at(*HEAD) - at(*_NECK))
+    return unit(at(*HEAD) - at(*NECK))
 
 
 def marker_segments(model: SkeletonModel, positions: Floats) -> dict[str, Floats]:
@@ -90,8 +90,8 @@ def marker_segments(model: SkeletonModel, positions: Floats) -> dict[str, Floats
     shoulders = at("shoulder", side="right") - at("shoulder", side="left")
     face = at(*_FACE, side="right") - at(*_FACE, side="left")
     found = {
-        "pelvis": frame(z=right - left, y=at(*_LOWER_SPINE, *_NECK) - middle),
-        "thorax": frame(y=at(*_NECK) - at(*_PELVIS), z=shoulders, keep="y"),
+        "pelvis": frame(z=right - left, y=at(*_LOWER_SPINE, *NECK) - middle),
+        "thorax": frame(y=at(*NECK) - at(*_PELVIS), z=shoulders, keep="y"),
         "head": frame(y=long_axis_of_head(at), z=face, keep="y"),
     }
     for side in SIDES:

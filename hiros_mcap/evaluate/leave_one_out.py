@@ -23,6 +23,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency, output_channels, read_channel
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.parts import parts_of
+from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.pipeline import ProcessOptions, open_input, process
@@ -63,6 +64,8 @@ class SelfScores:
     disagreement: Mapping[tuple[str, str], float]
     """Median distance between the same joint in two cameras at one time, mm. Both are compared
     with the result of all, so the motion between their exposures does not count."""
+    sides: SideScores
+    """Left and right of the result of all cameras."""
 
 
 @dataclass(slots=True)
@@ -112,6 +115,9 @@ def leave_one_out(
             (a, b): _disagreement(residuals[a], residuals[b])
             for a, b in combinations(detections, 2)
         },
+        sides=side_scores(
+            everybody, model, {topic: int(r.mirrored.sum()) for topic, r in residuals.items()}
+        ),
     )
 
 

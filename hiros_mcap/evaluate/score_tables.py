@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from hiros_mcap.evaluate.leave_one_out import LeftOut
 from hiros_mcap.evaluate.parts import PARTS
 from hiros_mcap.evaluate.scores import Scores
+from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.summary import number
 
@@ -120,6 +121,24 @@ def left_out_table(cameras: Sequence[LeftOut]) -> Table:
         for c in cameras
     ]
     return (*header, "Offset", "Detections", "Of nobody", "Mirrored"), rows
+
+
+def side_table(sides: SideScores) -> Table:
+    """Signs that left and right of a result are wrong, a row each."""
+    walking = max(sides.walking, 1)
+    rows: Rows = [
+        (f"{camera}: mirrored detections", str(n), "") for camera, n in sides.mirrored.items()
+    ]
+    share = number(100 * sides.backwards / walking, 1, " %")
+    rows += [
+        ("frames that walk backwards", str(sides.backwards), f"{share} of {sides.walking}"),
+        ("turns by more than 100 degrees between frames", str(sides.jumps), ""),
+    ]
+    rows += [
+        (f"{cue} against the facing", "", number(100 * value, 1, " %"))
+        for cue, value in sides.contradicting.items()
+    ]
+    return ("Sign", "Number", "Share"), rows
 
 
 def pair(rmse: float, deviation: float) -> str:

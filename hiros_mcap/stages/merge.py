@@ -3,7 +3,8 @@
 1. A buffer collects one message per camera; it is full when a camera comes again, when it spans
    too long a time, or when all cameras are there (:class:`~hiros_mcap.stages.instants.Instants`).
 2. The views of a person are carried to the mean time of the messages.
-3. Views that face another way than the largest group are flipped (eq 10).
+3. Views that face another way than the largest group are flipped (eq 10), unless stages.sides has
+   brought them to their right sides before.
 4. Markers and links that are not in the largest group of views are outliers.
 5. The rest is averaged, weighted by confidence (eq 12): the marker's or link's own, that of the
    skeleton where the detector gives no other, 1 where it gives none.
@@ -40,9 +41,9 @@ class MergeParams(Params):
 
     flips: Literal["relabel", "drop"] = Field(
         "relabel",
-        description="What happens to a view that faces the wrong way. relabel: its left and right "
-        "are swapped if this brings it near the others, otherwise it is dropped. drop: it is "
-        "dropped (paper).",
+        description="With sides.over_time = false: what happens to a view that faces the wrong "
+        "way. relabel: its left and right are swapped if this brings it near the others, otherwise "
+        "it is dropped. drop: it is dropped (paper).",
     )
     max_delta_time: float = Field(
         0.07,
@@ -68,8 +69,8 @@ class MergeParams(Params):
     )
     max_facing_delta: float = advanced(
         np.pi / 2,
-        description="Views agree if their facing directions differ by less than this, rad (section "
-        "3.2); <= 0 turns the search for flips off.",
+        description="With sides.over_time = false: views agree if their facing directions differ "
+        "by less than this, rad (section 3.2); <= 0 turns the search for flips off.",
     )
     facing: Literal["auto", "pelvis", "sides"] = advanced(
         "auto",

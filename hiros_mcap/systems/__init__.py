@@ -18,7 +18,7 @@ LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _LEE = ("T", "TM", "TMF")
 
-_HIROS_SECTIONS = ("track", "merge", "optimize", "filter")
+_HIROS_SECTIONS = ("track", "sides", "merge", "optimize", "filter")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(

@@ -11,14 +11,17 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.filter import filter_blocks
     from hiros_mcap.stages.merge import merge_blocks
     from hiros_mcap.stages.optimize import optimize_blocks
+    from hiros_mcap.stages.sides import decide_sides, knows_sides
     from hiros_mcap.stages.track import track_blocks
 
-    config = run.config
+    config, merging = run.config, run.config.merge
+    if config.sides.over_time and knows_sides(run.model):  # instead of the vote of section 3.2
+        merging = merging.model_copy(update={"max_facing_delta": 0.0})
+    sides = run.stage(decide_sides, config.sides)
+    merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
-        "merged": run.stage(
-            merge_blocks, config.merge, fixed_frame=run.fixed_frame, cameras=run.cameras
-        ),  # 3.2
+        "merged": lambda blocks: merge(sides(blocks)),  # 3.2
         "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
         "filtered": run.stage(filter_blocks, config.filter),  # 3.4
     }

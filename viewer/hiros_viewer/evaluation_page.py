@@ -119,6 +119,8 @@ def self_page(log: Path, scores: SelfScores) -> Page:
         [[str(p.id), f"{p.seconds:.1f}", str(p.frames)] for p in own.people],
     )
     page.text(f"Limb lengths vary by {own.limb_variation:.4f} (CV); jitter {own.jitter:.1f} mm.")
+    page.heading("Left and right of this result")
+    page.table(*score_tables.side_table(scores.sides))
     return page
 
 

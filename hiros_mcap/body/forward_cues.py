@@ -1,0 +1,68 @@
+"""What of a skeleton shows which way a person faces, whatever its left and right are called.
+
+Heads and toes point forwards, elbows bend backwards and knees forwards. A detector that confuses
+the sides of a person cannot confuse these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.body.segments import HEAD, NECK, SIDES, TOE
+from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.skeletons import Ints, SkeletonModel
+
+CUES = ("head", "elbow", "knee", "toe")
+"""Vectors that point forwards: from the neck to the head, from the elbow to the line between
+shoulder and wrist, from the line between hip and ankle to the knee, from the ankle to the toes."""
+
+_TO_HEAD, _AT_ELBOW, _AT_KNEE, _TO_TOES = range(len(CUES))
+_NONE = -1
+_SHOULDER, _ELBOW, _WRIST = ("shoulder", "upperarm"), ("elbow", "forearm"), ("wrist", "hand")
+_HIP, _KNEE, _ANKLE = ("hip", "upleg"), ("knee", "leg"), ("ankle",)
+
+
+@dataclass(frozen=True)
+class ForwardCues:
+    """Slots of the markers that the cues need."""
+
+    vectors: Ints
+    """(V, 4): cue, slot where the vector begins, slot where it ends, -1. Or: cue, ends of a line,
+    slot of the joint that leaves the line forwards (knee) or backwards (elbow)."""
+    feet: Ints
+    """(F, 2) ankle and toes."""
+    trunk: Ints
+    """(T, 2) a hip and the shoulder above it: which way is up."""
+
+    @classmethod
+    def of(cls, model: SkeletonModel) -> ForwardCues:
+        """Find the markers by their names; a cue whose markers are missing is left out."""
+        slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
+
+        def find(*chain: tuple[str, ...], side: str) -> tuple[int, ...] | None:
+            found = [
+                next((slots[n, side] for n in names if (n, side) in slots), None) for names in chain
+            ]
+            return None if None in found else tuple(slot for slot in found if slot is not None)
+
+        def rows() -> Iterator[tuple[int, ...]]:
+            if head := find(NECK, HEAD, side=""):
+                yield (_TO_HEAD, *head, _NONE)
+            for side in SIDES:
+                if arm := find(_SHOULDER, _WRIST, _ELBOW, side=side):
+                    yield (_AT_ELBOW, *arm)
+                if leg := find(_HIP, _ANKLE, _KNEE, side=side):
+                    yield (_AT_KNEE, *leg)
+                if foot := find(_ANKLE, TOE, side=side):
+                    yield (_TO_TOES, *foot, _NONE)
+
+        vectors = np.array(list(rows()), np.int32).reshape(-1, 4)
+        trunk = [find(_HIP, _SHOULDER, side=side) for side in SIDES]
+        return cls(
+            vectors=vectors,
+            feet=np.ascontiguousarray(vectors[vectors[:, 0] == _TO_TOES, 1:3]),
+            trunk=np.array([pair for pair in trunk if pair], np.int32).reshape(-1, 2),
+        )

@@ -1,0 +1,120 @@
+"""What a result says of left and right without any truth: people seldom walk backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hiros_mcap.body.forward_cues import CUES, ForwardCues
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.body.vertical import Vertical
+from hiros_mcap.frames import Block, join
+from hiros_mcap.kernels import facing as kernels
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+
+WALKING = 0.5
+"""m/s: somebody who is faster walks."""
+ALONG = 0.5
+"""Cosine: a facing within 60 degrees of a direction lies along it."""
+_SPAN = 250_000_000  # ns before and after an instant in which the velocity is measured
+_GAP = 100_000_000  # ns: a longer step interrupts a track
+_FEWEST = 5  # frames that show a velocity
+_CLEAR = 0.01  # m: a shorter cue says nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FacingTrack:
+    """Where one person was and faced at T instants."""
+
+    stamps: Stamps
+    """(T,) ns, increasing."""
+    facing: Floats
+    """(T, 2) unit vectors in the horizontal plane; NaN = not known."""
+    velocity: Floats
+    """(T, 2) m/s; NaN = not known."""
+    cues: Floats
+    """(T, CUES, 2) m, in the order of body.forward_cues.CUES; 0 = not known."""
+
+    def along(self) -> tuple[Floats, Floats]:
+        """(T,) Speed, m/s, and cosine between facing and walking direction."""
+        speed = np.linalg.norm(self.velocity, axis=1)
+        dots = (self.facing * self.velocity).sum(axis=1)
+        return speed, dots / np.where(speed > 0, speed, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class SideScores:
+    """Signs that left and right of a result are wrong."""
+
+    walking: int
+    """Frames, summed over people, in which somebody is faster than WALKING."""
+    backwards: int
+    """Those of them in which he faces away from where he goes."""
+    jumps: int
+    """How often the facing turns by more than 100 degrees from one frame to the next."""
+    contradicting: Mapping[str, float]
+    """Cue -> share of the frames that show it in which it points backwards."""
+    mirrored: Mapping[str, int]
+    """Camera -> detections that fit the result better with left and right exchanged."""
+
+
+def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingTrack]:
+    """Measure where everybody with an id goes and faces."""
+    blocks = [Block.of(frame) for frame in frames]
+    if not blocks:
+        return []
+    block = join([(one, 0) for one in blocks])
+    people, stamps = block.people, np.repeat(block.stamps, np.diff(block.rows, axis=1)[:, 0])
+    looks = kernels.Looks.allocate(len(people.ids))
+    symmetry, cues = symmetry_of(model), ForwardCues.of(model)
+    rows = np.arange(len(people.ids))
+    axes = Vertical(cues.trunk).axes(people, rows)
+    markers = kernels.FacingMarkers(symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet)
+    kernels.measure(people, rows, axes, markers, looks)
+    tracks = []
+    for person in np.unique(people.ids[people.ids != UNTRACKED]).tolist():
+        own = np.flatnonzero(people.ids == person)
+        own = own[np.argsort(stamps[own], kind="stable")]
+        own = own[np.diff(stamps[own], prepend=stamps[own[0]] - 1) > 0]
+        velocity = _velocities(stamps[own], looks.centres[own])
+        vectors = looks.cues[own].reshape(-1, len(CUES), 2)
+        tracks.append(FacingTrack(stamps[own], looks.facing[own], velocity, vectors))
+    return tracks
+
+
+def side_scores(
+    frames: Iterable[Frame], model: SkeletonModel, mirrored: Mapping[str, int] | None = None
+) -> SideScores:
+    """Count what speaks against left and right of a result; ``mirrored`` is passed on."""
+    walking = backwards = jumps = 0
+    against, shown = np.zeros(len(CUES)), np.zeros(len(CUES))
+    for track in facing_tracks(frames, model):
+        speed, along = track.along()
+        walks = (speed > WALKING) & ~np.isnan(along)
+        walking += int(walks.sum())
+        backwards += int((walks & (along < -ALONG)).sum())
+        turns = (track.facing[1:] * track.facing[:-1]).sum(axis=1)
+        steps = np.diff(track.stamps) < _GAP
+        jumps += int((steps & (turns < np.cos(np.radians(100)))).sum())
+        known = ~np.isnan(track.facing[:, 0])
+        forwards = np.einsum("tkc,tc->tk", track.cues[known], track.facing[known])
+        shown += (np.abs(forwards) > _CLEAR).sum(axis=0)
+        against += (forwards < -_CLEAR).sum(axis=0)
+    shares = zip(CUES, against.tolist(), shown.tolist(), strict=True)
+    contradicting = {cue: a / n for cue, a, n in shares if n}
+    return SideScores(walking, backwards, jumps, contradicting, mirrored or {})
+
+
+def _velocities(stamps: Stamps, centres: Floats) -> Floats:
+    """(T, 2) Slope of a line through the centres of half a second round each instant, m/s."""
+    out = np.full((len(stamps), 2), np.nan)
+    firsts = np.searchsorted(stamps, stamps - _SPAN)
+    ends = np.searchsorted(stamps, stamps + _SPAN, side="right")
+    for k, (first, end) in enumerate(zip(firsts.tolist(), ends.tolist(), strict=True)):
+        x, t = centres[first:end], (stamps[first:end] - stamps[k]) * 1e-9
+        if end - first >= _FEWEST and np.ptp(t) * 1e9 > _SPAN:
+            t = t - t.mean()
+            out[k] = t @ x / (t @ t)
+    return out

@@ -1,0 +1,830 @@
+"""Kernels that decide which way a person faces: evidence of each view, and a hidden Markov model.
+
+The hidden state is the facing: BINS directions in the horizontal plane. Time goes in cells of
+1/30 s. What a cell's views show is summed as logarithms of likelihoods. Weights and scales were
+fitted to recordings of two cameras at 30 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.averaging import POSITION, VELOCITY, blank, copy_row, exchange
+from hiros_mcap.kernels.compile import (
+    B1,
+    F1,
+    F2,
+    F3,
+    I1,
+    I2,
+    J1,
+    J2,
+    PEOPLE,
+    inlined,
+    kernel,
+    named_tuple,
+)
+from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
+
+CELL = 33_333_333  # ns
+BINS = 36
+CUES = 4
+"""Rows of body.forward_cues.CUES."""
+VIEWS = 16  # of a person that are remembered
+CELLS = 16  # of a person's way that are remembered
+_HALF = BINS // 2
+TOES = 3
+
+_VIEW = 0.1  # weight of a view's label and cues: neighbours in time err together
+_LINE_SHARPNESS, _LINE_OUTLIERS = 3.0, 0.05
+_LABEL_SHARPNESS = 2.0
+_CUE_WEIGHTS = (2.0, 1.7, 1.7, 3.0)
+_CUE_SCALES = (0.05, 0.05, 0.05, 0.06)  # m
+_CUE_SIGNS = (1.0, -1.0, 1.0, 1.0)  # of what is measured: elbows bend backwards
+_WALK_SPEED, _WALK_SLOPE = 0.4, 0.08  # m/s
+_WALK_SHARPNESS, _WALK_BACKWARDS = 2.5, 0.06
+_TURN = math.radians(8.0)  # SD of the change of the facing from one cell to the next
+_LONGEST_GAP = 30  # cells
+_TELEPORT = 1e-10  # probability of any other facing
+_WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
+_OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
+_UNCLEAR = 0.5  # cosine of a view's facing with the decided one, below which another view decides
+_PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
+
+PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
+"""Share of contradicting labels in which a cue points the same way in both views, by cue."""
+
+
+class FacingMarkers(NamedTuple):
+    """Slots of markers, as in body.symmetry and body.forward_cues."""
+
+    mirror: Ints
+    """(M,)."""
+    lateral: Ints
+    """(K, 2)."""
+    vectors: Ints
+    """(V, 4)."""
+    feet: Ints
+    """(F, 2)."""
+
+
+class Looks(NamedTuple):
+    """What N views of anybody show, in the horizontal plane."""
+
+    cells: Stamps
+    """(N,) number of the cell of time."""
+    stamps: Stamps
+    """(N,) ns."""
+    cameras: Stamps
+    """(N,) index of the camera."""
+    rows: Stamps
+    """(N,) row of the person in what is remembered."""
+    facing: Floats
+    """(N, 2) unit vector: the facing by the labels left and right; NaN = not known."""
+    widths: Floats
+    """(N,) length of the line that it was measured on, m."""
+    centres: Floats
+    """(N, 2) mean position of the markers, m."""
+    cues: Floats
+    """(N, CUES * 2) vectors that point forwards, m; 0 = not known."""
+
+    @classmethod
+    def allocate(cls, n: int) -> Looks:
+        """Make room."""
+        cells, stamps, cameras, rows = np.zeros((4, n), np.int64)
+        facing, centres, cues = np.empty((n, 2)), np.empty((n, 2)), np.zeros((n, CUES * 2))
+        return cls(cells, stamps, cameras, rows, facing, np.empty(n), centres, cues)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Looks]) -> Looks:
+        """Return the views of several in one."""
+        return cls._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+
+    def at(self, views: slice) -> Looks:
+        """Return some of the views; the arrays are shared."""
+        return Looks._make(array[views] for array in self)
+
+
+class FacingPast(NamedTuple):
+    """What is remembered of S people, a row each."""
+
+    cells: Stamps
+    """(S,) number of the current cell; 0 = never seen."""
+    beliefs: Floats
+    """(S, BINS) probabilities before the current cell's views."""
+    evidence: Floats
+    """(S, BINS) logarithm of the likelihood of the current cell's views so far."""
+    widths: Floats
+    """(S,) 80 % quantile of Looks.widths, m."""
+    view_stamps: Stamps
+    view_cameras: Stamps
+    """(S, VIEWS) the last views, a ring; stamp 0 = none."""
+    view_looks: Floats
+    """(S, VIEWS, 2 + CUES * 2) their facing and cues."""
+    next_view: Stamps
+    """(S,) place of the next one in the ring."""
+    way_cells: Stamps
+    """(S, CELLS) the last cells, a ring."""
+    way: Floats
+    """(S, CELLS, 3) sum of the centres of their views, m, and the number of these."""
+    next_cell: Stamps
+    """(S,) place of the next one in the ring."""
+
+    @classmethod
+    def empty(cls) -> FacingPast:
+        """Return arrays with no rows."""
+        n = np.zeros(0, np.int64)
+        views, cells = np.zeros((0, VIEWS), np.int64), np.zeros((0, CELLS), np.int64)
+        return cls(
+            n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
+            np.zeros((0, VIEWS, 2 + CUES * 2)), n, cells, np.zeros((0, CELLS, 3)), n,
+        )  # fmt: skip
+
+
+class FacingTables(NamedTuple):
+    """What the kernels share."""
+
+    directions: Floats
+    """(BINS, 2) unit vectors."""
+    turns: Floats
+    """(_LONGEST_GAP + 1, _HALF + 1) probability of a turn by so many bins in so many cells."""
+    agreement: Floats
+    """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
+    other, and how often it was asked. It tells physical cues from those that follow the label."""
+
+    @classmethod
+    def make(cls) -> FacingTables:
+        """Return the tables, with nothing learned yet."""
+        angles = np.arange(BINS) * (2 * np.pi / BINS)
+        steps = np.arange(_HALF + 1) * (2 * np.pi / BINS)
+        turns = np.exp(-0.5 * (steps / (_TURN * np.arange(1, _LONGEST_GAP + 2)[:, None])) ** 2)
+        # Every turn but that by 0 and by half a circle has two directions.
+        turns /= 2 * turns.sum(axis=1, keepdims=True) - turns[:, :1] - turns[:, -1:]
+        return cls(
+            np.stack([np.cos(angles), np.sin(angles)], axis=1),
+            turns + _TELEPORT,
+            np.array([[p * _PRIOR_SAMPLES, _PRIOR_SAMPLES] for p in PRIOR_AGREEMENT]),
+        )
+
+    def reliability(self, cue: int) -> float:
+        """Share of contradicting labels in which a cue points the same way in both views."""
+        same, asked = self.agreement[cue].tolist()
+        return float(same / asked)
+
+
+class Facings(NamedTuple):
+    """What was decided on N views."""
+
+    facing: Floats
+    """(N, 2) unit vector: the way the person faces."""
+    swapped: Flags
+    """(N,) whether the view's left and right are exchanged."""
+
+    @classmethod
+    def allocate(cls, n: int) -> Facings:
+        """Make room."""
+        return cls(np.empty((n, 2)), np.zeros(n, np.bool_))
+
+    def at(self, views: slice) -> Facings:
+        """Return what was decided on some of the views; the arrays are shared."""
+        return Facings(self.facing[views], self.swapped[views])
+
+
+_MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2)
+_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2)
+_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1)
+_TABLES = named_tuple(FacingTables, F2, F2, F2)
+_FACINGS = named_tuple(Facings, F2, B1)
+
+
+# What a view shows.
+
+
+@inlined
+def _flat(x: float, y: float, z: float, axes: Floats, k: int) -> float:
+    """Component of a vector along an axis of the horizontal plane."""
+    component: float = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
+    return component
+
+
+@kernel
+def _left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, float]:
+    """Sum of the horizontal vectors from left to right shoulders and hips, m."""
+    x = y = 0.0
+    for i in range(len(pairs)):
+        a, b = pairs[i, 0], pairs[i, 1]
+        dx = positions[b, 0] - positions[a, 0]
+        dy = positions[b, 1] - positions[a, 1]
+        dz = positions[b, 2] - positions[a, 2]
+        if not math.isnan(dx + dy + dz):
+            x, y = x + _flat(dx, dy, dz, axes, 0), y + _flat(dx, dy, dz, axes, 1)
+    return x, y
+
+
+@kernel
+def _centre(positions: Floats, axes: Floats, out: Floats) -> None:
+    """Mean of the markers in the horizontal plane."""
+    x = y = z = 0.0
+    n = 0
+    for m in range(len(positions)):
+        if not math.isnan(positions[m, 0]):
+            x, y, z = x + positions[m, 0], y + positions[m, 1], z + positions[m, 2]
+            n += 1
+    for k in range(2):
+        out[k] = _flat(x, y, z, axes, k) / n if n > 0 else np.nan
+
+
+@kernel
+def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -> None:
+    """Mean of each cue over the sides that show it."""
+    for k in range(CUES):
+        n = 0
+        sx = sy = 0.0
+        for v in range(len(vectors)):
+            if vectors[v, 0] != k:
+                continue
+            x, y, z = _cue(positions, vectors[v, 1], vectors[v, 2], vectors[v, 3])
+            if not math.isnan(x):
+                n += 1
+                sx, sy = sx + _flat(x, y, z, axes, 0), sy + _flat(x, y, z, axes, 1)
+        scale = _CUE_SIGNS[k] / n if n > 0 else 0.0
+        out[2 * k], out[2 * k + 1] = scale * sx, scale * sy
+
+
+@kernel
+def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, float]:
+    """Vector from a to b, or from the line between them to a joint, m; NaN if not known."""
+    x = positions[b, 0] - positions[a, 0]
+    y = positions[b, 1] - positions[a, 1]
+    z = positions[b, 2] - positions[a, 2]
+    if joint < 0:
+        return x, y, z
+    jx = positions[joint, 0] - positions[a, 0]
+    jy = positions[joint, 1] - positions[a, 1]
+    jz = positions[joint, 2] - positions[a, 2]
+    length2 = x * x + y * y + z * z
+    if not length2 > 1e-6:
+        return np.nan, np.nan, np.nan
+    share = (x * jx + y * jy + z * jz) / length2
+    return jx - share * x, jy - share * y, jz - share * z
+
+
+@kernel(types.void(PEOPLE, I1, F2, _MARKERS, _LOOKS))
+def measure(
+    people: People, rows: Stamps, axes: Floats, markers: FacingMarkers, looks: Looks
+) -> None:
+    """Measure facing, width, centre and cues of the ``rows`` of ``people``.
+
+    ``axes`` (2, 3) span the horizontal plane; a positive turn leads from the first to the second.
+    """
+    for i in range(len(rows)):
+        positions = people.markers[rows[i]]
+        x, y = _left_to_right(positions, markers.lateral, axes)
+        width = math.sqrt(x * x + y * y)
+        looks.widths[i] = width
+        looks.facing[i, 0] = -y / width if width > 1e-6 else np.nan
+        looks.facing[i, 1] = x / width if width > 1e-6 else np.nan
+        _centre(positions, axes, looks.centres[i])
+        _measure_cues(positions, axes, markers.vectors, looks.cues[i])
+
+
+# What is learned from one view after the other.
+
+
+@kernel
+def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> float:
+    """Learn from view ``i``; return its weight, which is 1 for a camera of 30 Hz or slower."""
+    row, stamp, camera = looks.rows[i], looks.stamps[i], looks.cameras[i]
+    weight: float = _rate_weight(stamp, camera, past, row)
+    if not math.isnan(looks.facing[i, 0]):
+        _learn_width(looks.widths[i], past, row)
+        for v in range(VIEWS):
+            if (
+                past.view_cameras[row, v] != camera
+                and past.view_stamps[row, v] > 0
+                and abs(stamp - past.view_stamps[row, v]) < CELL
+            ):
+                _compare(looks, i, past.view_looks[row, v], weight, tables.agreement)
+    place = past.next_view[row]
+    past.view_stamps[row, place], past.view_cameras[row, place] = stamp, camera
+    for c in range(2):
+        past.view_looks[row, place, c] = looks.facing[i, c]
+    for c in range(2 * CUES):
+        past.view_looks[row, place, 2 + c] = looks.cues[i, c]
+    past.next_view[row] = (place + 1) % VIEWS
+    return weight
+
+
+@kernel
+def _rate_weight(stamp: int, camera: int, past: FacingPast, row: int) -> float:
+    """Time since the camera's last view of the person, in cells, at most 1."""
+    last = 0
+    for v in range(VIEWS):
+        if past.view_cameras[row, v] == camera:
+            last = max(last, past.view_stamps[row, v])
+    # A camera of 30 Hz whose stamps jitter counts as one of 30 Hz.
+    weight: float = min(1.0, 1.25 * max(stamp - last, 0) / CELL)
+    return weight
+
+
+@kernel
+def _learn_width(width: float, past: FacingPast, row: int) -> None:
+    """Move the quantile of a person's widths."""
+    if past.widths[row] == 0.0:
+        past.widths[row] = width
+    elif width > past.widths[row]:
+        past.widths[row] += _WIDTH_STEP * _WIDTH_QUANTILE * past.widths[row]
+    else:
+        past.widths[row] -= _WIDTH_STEP * (1.0 - _WIDTH_QUANTILE) * past.widths[row]
+
+
+@kernel
+def _compare(looks: Looks, i: int, other: Floats, weight: float, agreement: Floats) -> None:
+    """Count which cues point the same way in two views whose labels contradict each other."""
+    x, y = looks.facing[i, 0], looks.facing[i, 1]
+    if not x * other[0] + y * other[1] < _OPPOSITE:
+        return
+    for k in range(CUES):
+        mine = x * looks.cues[i, 2 * k] + y * looks.cues[i, 2 * k + 1]
+        theirs = x * other[2 + 2 * k] + y * other[3 + 2 * k]
+        if mine * theirs != 0.0:
+            agreement[k, 0] += _SAMPLE * weight * (1.0 if mine * theirs > 0.0 else 0.0)
+            agreement[k, 1] += _SAMPLE * weight
+
+
+@inlined
+def _gate(k: int, agreement: Floats) -> float:
+    """How far a cue is trusted: 0 if it follows the label, 1 if it is physical."""
+    gate: float = min(max((agreement[k, 0] / agreement[k, 1] - 0.5) / 0.3, 0.0), 1.0)
+    return gate
+
+
+@inlined
+def _doubt(agreement: Floats) -> float:
+    """Probability that a label is wrong: 0.5 for a detector whose toes follow its label."""
+    toes = agreement[TOES, 0] / agreement[TOES, 1]
+    doubt: float = 0.1 + 0.4 * min(max((0.5 - toes) / 0.3, 0.0), 1.0)
+    return doubt
+
+
+@inlined
+def _squash(x: float) -> float:
+    """Hyperbolic tangent within 0.025, in a tenth of its time."""
+    x = min(max(x, -3.0), 3.0)
+    squashed: float = x * (27.0 + x * x) / (27.0 + 9.0 * x * x)
+    return squashed
+
+
+@kernel
+def _weigh(
+    looks: Looks, i: int, weight: float, past: FacingPast, tables: FacingTables, out: Floats
+) -> None:
+    """Write the logarithm of the likelihood of view ``i`` for every facing."""
+    row, cues = looks.rows[i], looks.cues[i]
+    x, y, reliable = looks.facing[i, 0], looks.facing[i, 1], 0.0
+    if not math.isnan(x):
+        reliable = min(max((looks.widths[i] / past.widths[row] - 0.25) / 0.5, 0.0), 1.0)
+    doubt, sharpness = _doubt(tables.agreement), 2.0 * _LINE_SHARPNESS * reliable
+    for b in range(_HALF if reliable > 0.0 else 0):
+        cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
+        # cos(2 a) - 1 = 2 (cos(a)^2 - 1). The line has twice the weight of the label: a square.
+        line = (1.0 - _LINE_OUTLIERS) * math.exp(sharpness * (cosine * cosine - 1.0))
+        line = (line + _LINE_OUTLIERS) ** 2
+        p = 0.5 + 0.5 * _squash(_LABEL_SHARPNESS * cosine)
+        p = p * (1.0 - doubt) + (1.0 - p) * doubt
+        shared = _VIEW * math.log(line)
+        out[b] = weight * (shared + _VIEW * reliable * math.log(p))
+        out[b + _HALF] = weight * (shared + _VIEW * reliable * math.log(1.0 - p))
+    if not reliable > 0.0:
+        out[:] = 0.0
+    for k in range(CUES):
+        cx, cy = cues[2 * k] / _CUE_SCALES[k], cues[2 * k + 1] / _CUE_SCALES[k]
+        trust = weight * _VIEW * _CUE_WEIGHTS[k] * _gate(k, tables.agreement)
+        if trust > 0.0 and (cx != 0.0 or cy != 0.0):
+            for b in range(_HALF):
+                along = _squash(cx * tables.directions[b, 0] + cy * tables.directions[b, 1])
+                out[b] += trust * along
+                out[b + _HALF] -= trust * along
+
+
+# The way of a person.
+
+
+@kernel
+def _step(looks: Looks, i: int, past: FacingPast) -> None:
+    """Add the centre of view ``i`` to the person's way."""
+    if math.isnan(looks.centres[i, 0]):
+        return
+    row, cell = looks.rows[i], looks.cells[i]
+    place = (past.next_cell[row] - 1) % CELLS
+    if past.way_cells[row, place] != cell:
+        place = past.next_cell[row]
+        past.next_cell[row] = (place + 1) % CELLS
+        past.way_cells[row, place] = cell
+        for c in range(3):
+            past.way[row, place, c] = 0.0
+    past.way[row, place, 0] += looks.centres[i, 0]
+    past.way[row, place, 1] += looks.centres[i, 1]
+    past.way[row, place, 2] += 1.0
+
+
+@kernel
+def _velocity(cells: Stamps, way: Floats, first: int, last: int) -> tuple[float, float]:
+    """Slope of a line through the way from cell ``first`` to cell ``last``, m/s; 0 = not known."""
+    n = st = sx = sy = 0.0
+    for j in range(len(cells)):
+        if first <= cells[j] <= last and way[j, 2] > 0.0:
+            n, st = n + 1.0, st + (cells[j] - first)
+            sx, sy = sx + way[j, 0] / way[j, 2], sy + way[j, 1] / way[j, 2]
+    if n < 3.0:
+        return 0.0, 0.0
+    st, sx, sy = st / n, sx / n, sy / n
+    tt = tx = ty = 0.0
+    for j in range(len(cells)):
+        if first <= cells[j] <= last and way[j, 2] > 0.0:
+            t = cells[j] - first - st
+            tt += t * t
+            tx += t * (way[j, 0] / way[j, 2] - sx)
+            ty += t * (way[j, 1] / way[j, 2] - sy)
+    if tt < 1.0:
+        return 0.0, 0.0
+    rate = 1e9 / CELL
+    return rate * tx / tt, rate * ty / tt
+
+
+@inlined
+def _forwards(along: float, against: float) -> float:
+    """Likelihood of a facing that lies along and against the walking direction to such a degree."""
+    return (1.0 - _WALK_BACKWARDS) * along + _WALK_BACKWARDS * against + 0.01
+
+
+@kernel
+def _walk(vx: float, vy: float, tables: FacingTables, out: Floats) -> None:
+    """Add what the walking direction says of the facing: seldom do people walk backwards."""
+    speed = math.sqrt(vx * vx + vy * vy)
+    weight = _VIEW / (1.0 + math.exp(-(speed - _WALK_SPEED) / _WALK_SLOPE))
+    if weight < 0.01 * _VIEW:
+        return
+    for b in range(_HALF):
+        cosine = (vx * tables.directions[b, 0] + vy * tables.directions[b, 1]) / speed
+        along = math.exp(_WALK_SHARPNESS * (cosine - 1.0))
+        against = math.exp(_WALK_SHARPNESS * (-cosine - 1.0))
+        out[b] += weight * math.log(_forwards(along, against))
+        out[b + _HALF] += weight * math.log(_forwards(against, along))
+
+
+# The hidden Markov model.
+
+
+@kernel
+def _turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
+    """Predict a belief ``gap`` cells later."""
+    gap = min(max(gap, 1), _LONGEST_GAP)
+    reach = min(_HALF - 1, 6 * gap)
+    total = 0.0
+    for b in range(BINS):
+        total += belief[b]
+    for b in range(BINS):
+        p = belief[b] * tables.turns[gap - 1, 0] + _TELEPORT * total
+        for k in range(1, reach + 1):
+            low, high = b - k, b + k
+            if low < 0:
+                low += BINS
+            if high >= BINS:
+                high -= BINS
+            p += (belief[low] + belief[high]) * tables.turns[gap - 1, k]
+        out[b] = p / total
+
+
+@kernel
+def _multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
+    """Multiply probabilities by likelihoods that are given as logarithms; the sum becomes 1."""
+    most, total = -np.inf, 0.0
+    for b in range(BINS):
+        most = max(most, evidence[b])
+    for b in range(BINS):
+        out[b] = belief[b] * math.exp(evidence[b] - most)
+        total += out[b]
+    for b in range(BINS):
+        out[b] /= total
+
+
+@kernel
+def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
+    """Circular mean, a unit vector."""
+    x = y = 0.0
+    for b in range(BINS):
+        x += belief[b] * tables.directions[b, 0]
+        y += belief[b] * tables.directions[b, 1]
+    length = max(math.sqrt(x * x + y * y), 1e-12)
+    out[0], out[1] = x / length, y / length
+
+
+@kernel
+def _open_cell(cell: int, past: FacingPast, row: int, tables: FacingTables, work: Floats) -> bool:
+    """Start a person's next cell, unless the current one is as late; whether it did."""
+    if past.cells[row] == 0:
+        past.beliefs[row, :] = 1.0 / BINS
+    elif cell > past.cells[row]:
+        _multiply(past.beliefs[row], past.evidence[row], work)
+        _turn(work, cell - past.cells[row], tables, past.beliefs[row])
+    else:
+        return False
+    past.cells[row] = cell
+    past.evidence[row, :] = 0.0
+    return True
+
+
+# Which views are mirrored.
+
+
+@inlined
+def _is_swapped(own: float, other: float, between: float) -> bool:
+    """Whether a view is mirrored.
+
+    Parameters
+    ----------
+    own, other : cosine of the view's facing with the decided one, and of the surest view beside it.
+    between : cosine of the angle between the two views' facings.
+    """
+    if abs(own) < _UNCLEAR and abs(other) >= _UNCLEAR:
+        return between * other < 0.0
+    return own < 0.0
+
+
+@kernel
+def _decide_now(looks: Looks, i: int, past: FacingPast, out: Facings) -> None:
+    """Decide on view ``i`` beside those that came before it."""
+    row, x, y = looks.rows[i], looks.facing[i, 0], looks.facing[i, 1]
+    fx, fy = out.facing[i, 0], out.facing[i, 1]
+    surest = between = 0.0
+    for v in range(VIEWS):
+        if (
+            past.view_cameras[row, v] == looks.cameras[i]
+            or past.view_stamps[row, v] == 0
+            or abs(looks.stamps[i] - past.view_stamps[row, v]) >= CELL
+        ):
+            continue
+        ox, oy = past.view_looks[row, v, 0], past.view_looks[row, v, 1]
+        cosine = ox * fx + oy * fy
+        if abs(cosine) > abs(surest):
+            surest, between = cosine, ox * x + oy * y
+    out.swapped[i] = _is_swapped(x * fx + y * fy, surest, between)
+
+
+@kernel
+def _decide_among(looks: Looks, order: Stamps, j: int, out: Facings) -> None:
+    """Decide on a view beside its neighbours in time; ``order`` holds one person's views."""
+    i = order[j]
+    x, y = looks.facing[i, 0], looks.facing[i, 1]
+    fx, fy = out.facing[i, 0], out.facing[i, 1]
+    surest = between = 0.0
+    for k in range(max(j - VIEWS, 0), min(j + VIEWS, len(order))):
+        o = order[k]
+        if looks.cameras[o] == looks.cameras[i] or abs(looks.stamps[o] - looks.stamps[i]) >= CELL:
+            continue
+        ox, oy = looks.facing[o, 0], looks.facing[o, 1]
+        cosine = ox * fx + oy * fy
+        if abs(cosine) > abs(surest):
+            surest, between = cosine, ox * x + oy * y
+    out.swapped[i] = _is_swapped(x * fx + y * fy, surest, between)
+
+
+@kernel(types.void(_LOOKS, _PAST, _TABLES, F1, _FACINGS))
+def follow(
+    looks: Looks, past: FacingPast, tables: FacingTables, work: Floats, out: Facings
+) -> None:
+    """Decide on one view after the other, by the past alone: the forward pass.
+
+    Parameters
+    ----------
+    looks : views of anybody, in order.
+    past : brought to the last view.
+    work : (2 * BINS,) scratch.
+    """
+    here, belief = work[:BINS], work[BINS:]
+    for i in range(len(looks.cells)):
+        row = looks.rows[i]
+        weight = _learn(looks, i, past, tables)
+        _step(looks, i, past)
+        if _open_cell(looks.cells[i], past, row, tables, here):
+            cell = looks.cells[i]
+            vx, vy = _velocity(past.way_cells[row], past.way[row], cell - 12, cell)
+            _walk(vx, vy, tables, past.evidence[row])
+        _weigh(looks, i, weight, past, tables, here)
+        for b in range(BINS):
+            past.evidence[row, b] += here[b]
+        _multiply(past.beliefs[row], past.evidence[row], belief)
+        _mean_direction(belief, tables, out.facing[i])
+        _decide_now(looks, i, past, out)
+
+
+@kernel(types.void(_LOOKS, _PAST, _TABLES, F2))
+def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: Floats) -> None:
+    """Learn from all views, then write the evidence (N, BINS) of each."""
+    for i in range(len(looks.cells)):
+        out[i, 0] = _learn(looks, i, past, tables)
+    for i in range(len(looks.cells)):
+        _weigh(looks, i, out[i, 0], past, tables, out[i])
+
+
+class SmoothWork(NamedTuple):
+    """Scratch for up to N cells of one person, of which the first ones lie in the past."""
+
+    places: Stamps
+    """(N,) place of each view's cell among the cells."""
+    cells: Stamps
+    """(N,) numbers of the cells."""
+    way: Floats
+    """(N, 3) as FacingPast.way."""
+    beliefs: Floats
+    evidence: Floats
+    """(N, BINS) before the cell's views; of them."""
+    facing: Floats
+    """(N, 2) unit vectors."""
+    bins: Floats
+    """(3, BINS)."""
+
+    @classmethod
+    def of(cls, views: int) -> SmoothWork:
+        """Make room for so many views."""
+        n = views + CELLS
+        sizes = (n, 3), (n, BINS), (n, BINS), (n, 2), (3, BINS)
+        whole = np.zeros(n, np.int64)
+        return cls(whole, whole.copy(), *[np.zeros(size) for size in sizes])
+
+
+_WORK = named_tuple(SmoothWork, I1, I1, F2, F2, F2, F2, F2)
+
+
+@kernel
+def _past_way(past: FacingPast, row: int, work: SmoothWork) -> int:
+    """Lay out the last cells that were decided, the oldest first; return how many they are."""
+    n = 0
+    for k in range(CELLS):
+        place = (past.next_cell[row] + k) % CELLS
+        if past.way_cells[row, place] > 0:
+            work.cells[n] = past.way_cells[row, place]
+            for c in range(3):
+                work.way[n, c] = past.way[row, place, c]
+            n += 1
+    return n
+
+
+@kernel
+def _lay_out(
+    looks: Looks, order: Stamps, evidence: Floats, past: FacingPast, n: int, work: SmoothWork
+) -> int:
+    """Add up one person's views by cells behind the first ``n``; return how many cells there are.
+
+    A view that is late counts as one of the first cell that is not decided yet.
+    """
+    first, cell = n, past.cells[looks.rows[order[0]]]
+    for j in range(len(order)):
+        i = order[j]
+        if n == first or looks.cells[i] > cell:
+            cell = max(looks.cells[i], cell + 1)
+            work.cells[n], work.way[n, :], work.evidence[n, :] = cell, 0.0, 0.0
+            n += 1
+        work.places[j] = n - 1
+        if not math.isnan(looks.centres[i, 0]):
+            work.way[n - 1, 0] += looks.centres[i, 0]
+            work.way[n - 1, 1] += looks.centres[i, 1]
+            work.way[n - 1, 2] += 1.0
+        for b in range(BINS):
+            work.evidence[n - 1, b] += evidence[i, b]
+    return n
+
+
+@kernel
+def _go_forwards(
+    past: FacingPast, row: int, first: int, n: int, tables: FacingTables, work: SmoothWork
+) -> None:
+    """Write the belief before each cell, after what its walking direction says is added."""
+    belief = work.bins[0]
+    for j in range(first, n):
+        vx, vy = _velocity(
+            work.cells[max(j - 8, 0) : min(j + 9, n)], work.way[max(j - 8, 0) : min(j + 9, n)],
+            work.cells[j] - 8, work.cells[j] + 8,
+        )  # fmt: skip
+        _walk(vx, vy, tables, work.evidence[j])
+        if j > first:
+            _multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
+            _turn(belief, work.cells[j] - work.cells[j - 1], tables, work.beliefs[j])
+        elif past.cells[row] > 0:
+            _multiply(past.beliefs[row], past.evidence[row], belief)
+            _turn(belief, work.cells[j] - past.cells[row], tables, work.beliefs[j])
+        else:
+            work.beliefs[j, :] = 1.0 / BINS
+
+
+@kernel
+def _go_backwards(first: int, n: int, tables: FacingTables, work: SmoothWork) -> None:
+    """Write the facing in each cell, by what comes before and after it."""
+    later, belief, both = work.bins[0], work.bins[1], work.bins[2]
+    later[:] = 1.0
+    for j in range(n - 1, first - 1, -1):
+        _multiply(later, work.evidence[j], belief)
+        for b in range(BINS):
+            both[b] = work.beliefs[j, b] * belief[b]
+        _mean_direction(both, tables, work.facing[j])
+        if j > first:
+            _turn(belief, work.cells[j] - work.cells[j - 1], tables, later)
+
+
+@kernel
+def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: SmoothWork) -> None:
+    """Remember the cells before cell ``until``."""
+    for j in range(first, n):
+        if work.cells[j] >= until:
+            return
+        past.cells[row] = work.cells[j]
+        copy_row(past.beliefs, row, work.beliefs, j)
+        copy_row(past.evidence, row, work.evidence, j)
+        place = past.next_cell[row]
+        past.way_cells[row, place] = work.cells[j]
+        for c in range(3):
+            past.way[row, place, c] = work.way[j, c]
+        past.next_cell[row] = (place + 1) % CELLS
+
+
+class FacingWindow(NamedTuple):
+    """Views of a stretch of time, for :func:`smooth`."""
+
+    order: Stamps
+    """(N,) the views, person by person, each person's by time."""
+    ends: Stamps
+    """(P + 1,) where each person's views begin in ``order``; the last number is N."""
+    evidence: Floats
+    """(N, BINS) of the views, from :func:`weigh`."""
+
+
+_WINDOW = named_tuple(FacingWindow, I1, I1, F2)
+
+
+@kernel(types.void(_LOOKS, _WINDOW, types.int64, _PAST, _TABLES, _WORK, _FACINGS))
+def smooth(
+    looks: Looks, window: FacingWindow, until: int, past: FacingPast, tables: FacingTables,
+    work: SmoothWork, out: Facings,
+) -> None:  # fmt: skip
+    """Decide on the views of a window by past and future: the forward and the backward pass.
+
+    ``past`` is brought to the last cell before cell ``until``; later views come again.
+    """
+    for p in range(len(window.ends) - 1):
+        order = window.order[window.ends[p] : window.ends[p + 1]]
+        row = looks.rows[order[0]]
+        first = _past_way(past, row, work)
+        n = _lay_out(looks, order, window.evidence, past, first, work)
+        _go_forwards(past, row, first, n, tables, work)
+        _go_backwards(first, n, tables, work)
+        _keep(past, row, first, n, until, work)
+        for j in range(len(order)):
+            copy_row(out.facing, order[j], work.facing, work.places[j])
+        for j in range(len(order)):
+            _decide_among(looks, order, j, out)
+
+
+# Exchanging the sides.
+
+
+@kernel
+def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floats) -> None:
+    """Mirror the toes at the plane through the ankle that is normal to the facing."""
+    x = facing[0] * axes[0, 0] + facing[1] * axes[1, 0]
+    y = facing[0] * axes[0, 1] + facing[1] * axes[1, 1]
+    z = facing[0] * axes[0, 2] + facing[1] * axes[1, 2]
+    for first in (POSITION, VELOCITY):
+        along = x * (states[toes, first] - states[ankle, first])
+        along += y * (states[toes, first + 1] - states[ankle, first + 1])
+        along += z * (states[toes, first + 2] - states[ankle, first + 2])
+        states[toes, first] -= 2.0 * along * x
+        states[toes, first + 1] -= 2.0 * along * y
+        states[toes, first + 2] -= 2.0 * along * z
+
+
+@kernel(types.void(PEOPLE, I1, F2, F2, _MARKERS))
+def exchange_sides(
+    people: People, rows: Stamps, facing: Floats, axes: Floats, markers: FacingMarkers
+) -> None:
+    """Exchange left and right of the ``rows`` of ``people``, in place.
+
+    A detector that mirrors a person turns the links by a convention of its own, so they become
+    unknown. Where ``facing`` (N, 2) is known, the detector turns the toes, too: what of them points
+    along the facing is turned round.
+    """
+    mirror = markers.mirror
+    for i in range(len(rows)):
+        states, confidences = people.markers[rows[i]], people.marker_confidences[rows[i]]
+        for m in range(len(mirror)):
+            if mirror[m] > m:
+                exchange(states, confidences, m, mirror[m])
+        blank(people.links[rows[i]], people.link_confidences[rows[i]])
+        if not math.isnan(facing[i, 0]):
+            for f in range(len(markers.feet)):
+                _turn_toes(states, markers.feet[f, 0], markers.feet[f, 1], facing[i], axes)

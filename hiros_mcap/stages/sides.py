@@ -1,0 +1,267 @@
+"""Left and right, decided over time: views of a person are brought to their right sides.
+
+Detectors mirror people, some whenever these turn their backs. A vote of the cameras cannot mend
+that where most of them are wrong. So the facing of each person is the state of a hidden Markov
+model (kernels.facing), and every view tells of it:
+
+- the line through shoulders and hips: the facing is at a right angle to it;
+- the labels left and right: which of the two sides of the line is in front;
+- physical cues, whatever the labels are: head, elbows, knees, toes (body.forward_cues);
+- the walking direction.
+
+The log itself says how far each of them is trusted. Where two cameras contradict each other in
+left and right, a physical cue still points the same way in both views; one that follows the label
+does not, and is left out. A detector whose toes follow its labels assumes that everybody faces it:
+its labels count for nothing.
+
+With ``lookahead``, the facing at each moment follows from what comes before and after it: the
+forward-backward algorithm, in windows that overlap. Without, it follows from the past alone. A view
+that contradicts the facing is mirrored: its left and right are exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from hiros_mcap.body.forward_cues import ForwardCues
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.body.vertical import Vertical
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
+from hiros_mcap.kernels import facing as kernels
+from hiros_mcap.params import Params
+from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
+
+_SLAVED = 0.3  # toes that point the same way less often than this follow the label
+
+
+class SidesParams(Params):
+    """Parameters of left and right."""
+
+    over_time: bool = Field(
+        True,
+        description="Decide over time which way each person faces, by labels, body cues and "
+        "walking direction, and exchange left and right of views that contradict it. false: the "
+        "views of each instant vote (Hi-ROS 2023, section 3.2; see merge.flips).",
+    )
+    lookahead: float = Field(
+        2.0,
+        ge=0,
+        le=600,
+        description="Time, s, that the decision looks ahead at least; at most twice as long. "
+        "On real recordings 1 s and 10 s give the same sides. 0 = a live system without delay.",
+    )
+
+
+def knows_sides(model: SkeletonModel) -> bool:
+    """Whether the names of the markers tell left from right shoulders or hips."""
+    return bool(len(symmetry_of(model).lateral))
+
+
+def decide_sides(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: SidesParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Block]:
+    """Bring the views of every person to their right sides.
+
+    Parameters
+    ----------
+    blocks : tracked frames of all cameras in the fixed frame, roughly in time order.
+    model : names and hierarchy of the skeleton. Without names of left and right nothing is done.
+    params : see :class:`SidesParams`.
+    events : counts "flip" by camera: views whose left and right were exchanged.
+
+    Yields
+    ------
+    The same frames in the same order. Of a mirrored view, left and right are exchanged, and its
+    links are unknown; people without an id stay as they are.
+    """
+    params = params or SidesParams()
+    if not (params.over_time and knows_sides(model)):
+        yield from blocks
+        return
+    decide = _Sides(model, params, events or Events())
+    for block in blocks:
+        yield from decide.take(block)
+    yield from decide.rest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Piece:
+    """Neighbouring frames of a block, and what their views show."""
+
+    block: Block
+    views: Stamps
+    """(N,) rows of the people with an id in the block's arrays."""
+    owners: Stamps
+    """(N,) the frame of each view."""
+    looks: kernels.Looks
+    evidence: Floats
+    """(N, BINS), or (0, BINS) before they were weighed."""
+
+    def cut(self, k: int) -> tuple[_Piece, _Piece]:
+        """Return the first ``k`` frames, and the others."""
+        n = int(np.searchsorted(self.owners, k))
+        return self._part(slice(0, k), slice(0, n)), self._part(slice(k, None), slice(n, None))
+
+    def _part(self, frames: slice, views: slice) -> _Piece:
+        places = range(len(self.block))[frames]
+        block = self.block.select(places, self.block.log_times[frames].tolist())
+        own, owners = self.looks.at(views), self.owners[views] - places.start
+        return _Piece(block, self.views[views], owners, own, self.evidence[views])
+
+    def logged_from(self, log_time: int) -> _Piece:
+        """Return the same frames, known at ``log_time``, ns, or later."""
+        times = np.maximum(self.block.log_times, log_time)
+        return replace(self, block=replace(self.block, log_times=times))
+
+
+class _Sides:
+    """What is known of the people, and the frames that are not decided yet."""
+
+    def __init__(self, model: SkeletonModel, params: SidesParams, events: Events) -> None:
+        symmetry, cues = symmetry_of(model), ForwardCues.of(model)
+        self._markers = kernels.FacingMarkers(
+            symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet
+        )
+        self._ahead = round(params.lookahead * 1e9 / kernels.CELL)
+        self._events, self._vertical = events, Vertical(cues.trunk)
+        self._bank = Bank(kernels.FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
+        self._tables = kernels.FacingTables.make()
+        self._cameras: dict[str, int] = {}
+        self._held: list[_Piece] = []
+        self._decided = 0
+        """Cell before which everything is decided; 0 = nothing was seen yet."""
+        self._copy: tuple[People, People] | None = None
+        """Arrays of people that came last, and their copy with other sides."""
+
+    def take(self, block: Block) -> Iterator[Block]:
+        """Take frames; yield those that are decided."""
+        piece = self._look(block)
+        if not self._ahead:
+            yield self._mirrored(piece, self._follow(piece.looks))
+            return
+        while len(piece.block):
+            cells = piece.block.stamps // kernels.CELL
+            self._decided = self._decided or int(cells[0])
+            due = cells >= self._decided + 2 * self._ahead
+            if not due.any():
+                self._held.append(piece)
+                return
+            last = int(due.argmax())
+            first, piece = piece.cut(last + 1)
+            self._held.append(first)
+            yield from self._decide(int(cells[last]) - self._ahead)
+
+    def rest(self) -> Iterator[Block]:
+        """Yield the frames that are still held, now that nothing more comes."""
+        if self._held:
+            yield from self._decide(np.iinfo(np.int64).max)
+
+    def _look(self, block: Block) -> _Piece:
+        """Measure what the views of a block show."""
+        rows = block.rows
+        none = np.zeros(0, np.int64)
+        views = np.concatenate([none, *(np.arange(*pair) for pair in rows.tolist())])
+        owners = np.repeat(np.arange(len(block)), rows[:, 1] - rows[:, 0])
+        tracked = block.people.ids[views] != UNTRACKED
+        views, owners = views[tracked], owners[tracked]
+        looks = kernels.Looks.allocate(len(views))
+        looks.stamps[:] = block.stamps[owners]
+        looks.cells[:] = looks.stamps // kernels.CELL
+        cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
+        looks.cameras[:] = np.array(cameras, np.int64)[owners]
+        looks.rows[:] = self._rows_of(block.people.ids[views], looks.stamps)
+        axes = self._vertical.axes(block.people, views)
+        kernels.measure(block.people, views, axes, self._markers, looks)
+        return _Piece(block, views, owners, looks, np.empty((0, kernels.BINS)))
+
+    def _rows_of(self, ids: Ints, stamps: Stamps) -> Stamps:
+        """Rows of people in what is remembered."""
+        people, places = np.unique(ids, return_inverse=True)
+        if len(stamps):
+            newest = int(stamps.max())
+            self._bank.expire(newest)
+            rows = [self._bank.row(person, newest) for person in people.tolist()]
+            return np.array(rows, np.int64)[places]
+        return np.zeros(0, np.int64)
+
+    # Decisions
+
+    def _follow(self, looks: kernels.Looks) -> kernels.Facings:
+        """Decide by the past alone."""
+        out = kernels.Facings.allocate(len(looks.cells))
+        work = np.empty(2 * kernels.BINS)
+        kernels.follow(looks, self._bank.past, self._tables, work, out)
+        return out
+
+    def _decide(self, until: int) -> Iterator[Block]:
+        """Decide on everything that is held; yield the frames before the cell ``until``."""
+        self._weigh()
+        held, self._held = self._held, []
+        looks = kernels.Looks.joined([piece.looks for piece in held])
+        out = kernels.Facings.allocate(len(looks.cells))
+        window = _window(looks, np.concatenate([piece.evidence for piece in held]))
+        work = kernels.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
+        kernels.smooth(looks, window, until, self._bank.past, self._tables, work, out)
+        self._decided = until
+        now = int(held[-1].block.log_times.max())
+        first = 0
+        for k, piece in enumerate(held):
+            n = len(piece.views)
+            facings = out.at(slice(first, first + n))
+            first += n
+            late = piece.block.stamps // kernels.CELL >= until
+            if late.any():
+                done, kept = piece.cut(int(late.argmax()))
+                self._held = [kept, *held[k + 1 :]]
+                yield self._mirrored(done.logged_from(now), facings)
+                return
+            yield self._mirrored(piece.logged_from(now), facings)
+
+    def _weigh(self) -> None:
+        """Learn from the views that are new, and weigh them."""
+        new = [k for k, piece in enumerate(self._held) if len(piece.evidence) < len(piece.views)]
+        if not new:
+            return
+        parts = [self._held[k] for k in new]
+        looks = kernels.Looks.joined([part.looks for part in parts])
+        evidence = np.empty((len(looks.cells), kernels.BINS))
+        kernels.weigh(looks, self._bank.past, self._tables, evidence)
+        ends = np.cumsum([len(part.views) for part in parts])
+        for k, own in zip(new, np.split(evidence, ends[:-1]), strict=True):
+            self._held[k] = replace(self._held[k], evidence=own)
+
+    # The result
+
+    def _mirrored(self, piece: _Piece, facings: kernels.Facings) -> Block:
+        """Return the frames with the sides of swapped views exchanged."""
+        swapped = np.flatnonzero(facings.swapped[: len(piece.views)])
+        if not len(swapped):
+            return piece.block
+        if self._copy is None or self._copy[0] is not piece.block.people:
+            self._copy = piece.block.people, piece.block.people.copy()
+        people = self._copy[1]
+        facing = facings.facing[swapped]
+        if self._tables.reliability(kernels.TOES) >= _SLAVED:
+            facing[:] = np.nan
+        axes = self._vertical.last
+        kernels.exchange_sides(people, piece.views[swapped], facing, axes, self._markers)
+        by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
+        for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
+            self._events.count("flip", source, n)
+        return replace(piece.block, people=people)
+
+
+def _window(looks: kernels.Looks, evidence: Floats) -> kernels.FacingWindow:
+    """Put views in order: person by person, each person's by time."""
+    order = np.lexsort((looks.stamps, looks.rows))
+    starts = np.flatnonzero(np.diff(looks.rows[order], prepend=-1))
+    return kernels.FacingWindow(order, np.append(starts, len(order)), evidence)

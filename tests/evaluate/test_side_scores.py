@@ -1,0 +1,54 @@
+"""Signs of wrong sides in a result without truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from builders import FAULTLESS
+
+from hiros_mcap.evaluate.score_tables import side_table
+from hiros_mcap.evaluate.side_scores import side_scores
+from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate.body_model import MODEL, SYMMETRY
+from hiros_mcap.skeletons import Frame
+
+
+def walk(*, backwards: bool = False) -> list[Frame]:
+    """4 s of somebody who walks; ``backwards`` in reversed time."""
+    simulation = simulate(SimulateParams.model_validate({**FAULTLESS, "seed": 3}))
+    stamps = simulation.params.start + (np.arange(30, 150) / 30 * 1e9).astype(np.int64)
+    frames = simulation.truth_at(stamps)
+    shown = frames[::-1] if backwards else frames
+    return [replace(f, stamp=t) for f, t in zip(shown, stamps.tolist(), strict=True)]
+
+
+def mirror(frame: Frame) -> Frame:
+    return frame.replace(markers=frame.markers[:, SYMMETRY.mirror].copy())
+
+
+def test_right_sides_show_no_sign() -> None:
+    scores = side_scores(walk(), MODEL)
+    assert scores.walking > 60 and scores.backwards == scores.jumps == 0
+    assert scores.contradicting["toe"] == 0 and max(scores.contradicting.values()) < 0.2
+
+
+def test_swapped_sides_walk_backwards_and_contradict_every_cue() -> None:
+    scores = side_scores(map(mirror, walk()), MODEL)
+    assert scores.backwards == scores.walking > 60
+    assert scores.contradicting["toe"] == 1 and min(scores.contradicting.values()) > 0.8
+
+
+def test_real_backward_walking_contradicts_no_toe() -> None:
+    scores = side_scores(walk(backwards=True), MODEL)
+    assert scores.backwards == scores.walking > 60 and scores.contradicting["toe"] == 0
+
+
+def test_a_swap_in_the_middle_is_two_jumps() -> None:
+    frames = [mirror(f) if 40 <= k < 80 else f for k, f in enumerate(walk())]
+    assert side_scores(frames, MODEL).jumps == 2
+
+
+def test_an_empty_result_has_no_share() -> None:
+    _, rows = side_table(side_scores([], MODEL, {"/a": 3}))
+    assert rows[0] == ("/a: mirrored detections", "3", "")

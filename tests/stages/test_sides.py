@@ -1,0 +1,258 @@
+"""Left and right decided over time: mirrored views come right, honest ones stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from builders import FAULTLESS, moved, same
+from scipy.spatial.transform import Rotation
+
+from hiros_mcap.body.forward_cues import CUES, ForwardCues
+from hiros_mcap.config import PRESETS, load_config
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.sides import SidesParams, decide_sides
+from hiros_mcap.systems import Run, system
+
+LIVE = SidesParams(lookahead=0.0)
+PERIOD = 1 / 30
+Change = Callable[[Frame, int, float], Frame]
+"""(frame, camera, time in s) -> what the camera reports."""
+
+
+@cache
+def truth(seconds: float, warp: str = "") -> tuple[Frame, ...]:
+    """Somebody walks about the room; ``warp`` "backwards" lets time run back from 3 s on."""
+    simulation = simulate(SimulateParams.model_validate({**FAULTLESS, "seed": 3}))
+    t = np.arange(round(seconds / PERIOD)) * PERIOD
+    shown = np.where(t < 3, t, 6 - t) if warp == "backwards" else t
+    start = simulation.params.start
+    stamps = [start + round(k * PERIOD * 1e9) for k in range(len(t))]
+    frames = simulation.truth_at(start + (shown * 1e9).astype(np.int64) + 10**9)
+    return tuple(
+        replace(frame, stamp=stamp, log_time=stamp)
+        for stamp, frame in zip(stamps, frames, strict=True)
+    )
+
+
+def views(
+    seconds: float, change: Change | None = None, *, cameras: int = 2, warp: str = ""
+) -> list[Frame]:
+    """What the cameras report of person 0, one message after the other, 3 ms apart."""
+    frames = []
+    for k, frame in enumerate(truth(seconds, warp)):
+        for camera in range(cameras):
+            stamp = frame.stamp + 3_000_000 * camera
+            own = replace(frame, stamp=stamp, log_time=stamp, source=f"c{camera}")
+            own = own.replace(markers=frame.markers.copy(), links=frame.links.copy())
+            frames.append(change(own, camera, k * PERIOD) if change else own)
+    return frames
+
+
+def mirror(frame: Frame) -> Frame:
+    return frame.replace(markers=frame.markers[:, SYMMETRY.mirror].copy())
+
+
+def turned_toes(frame: Frame) -> Frame:
+    """Mirror the labels, and let the toes point backwards."""
+    out = mirror(frame)
+    for side in ("LEFT", "RIGHT"):
+        ankle, foot = out.markers[:, SLOT[f"ANKLE_{side}"]], out.markers[:, SLOT[f"FOOT_{side}"]]
+        foot[:, :2] = 2 * ankle[:, :2] - foot[:, :2]
+    return out
+
+
+def faces_away(frame: Frame, camera: int) -> bool:
+    """Whether the person turns the back to a camera far away on the x axis or the y axis."""
+    hips = frame.positions[0, [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]], :2]
+    x, y = hips[1] - hips[0]
+    return bool(((-y, x)[camera]) < 0)
+
+
+def decided(
+    frames: Sequence[Frame], params: SidesParams | None = None, events: Events | None = None
+) -> list[Frame]:
+    return list(frames_of(decide_sides(map(Block.of, frames), MODEL, params, events)))
+
+
+def same_markers(one: Frame, other: Frame) -> bool:
+    return np.array_equal(one.markers, other.markers, equal_nan=True)
+
+
+def right(frames: Iterable[Frame], seconds: float, warp: str = "") -> float:
+    """Share of the frames whose hips are on the right sides."""
+    hips = [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]
+    true = {f.stamp: f.positions[0, hips] for f in truth(seconds, warp)}
+    good = []
+    for frame in frames:
+        own = true[max(stamp for stamp in true if stamp <= frame.stamp)]
+        good.append(np.linalg.norm(frame.positions[0, hips] - own) < 0.05)
+    return float(np.mean(good))
+
+
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_honest_views_stay_as_they_are(params: SidesParams) -> None:
+    frames, events = views(4), Events()
+    results = decided(frames, params, events)
+    assert len(results) == len(frames) and events.total("flip") == 0
+    assert all(map(same_markers, results, frames))
+
+
+@pytest.mark.parametrize("cameras", [1, 2, 3])
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_a_flip_of_all_cameras_is_not_believed(params: SidesParams, cameras: int) -> None:
+    def flip(frame: Frame, _: int, t: float) -> Frame:
+        return mirror(frame) if 1.5 <= t < 2.8 else frame
+
+    events = Events()
+    assert right(decided(views(5, flip, cameras=cameras), params, events), 5) == 1
+    assert events.counts["flip", "c0"] == pytest.approx(39, abs=1)
+
+
+@pytest.mark.parametrize("wrong", [mirror, turned_toes])
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_cameras_that_mirror_all_who_turn_away(
+    params: SidesParams, wrong: Callable[[Frame], Frame]
+) -> None:
+    def from_behind(frame: Frame, camera: int, _: float) -> Frame:
+        return wrong(frame) if faces_away(frame, camera) else frame
+
+    frames = views(12, from_behind)
+    assert right(frames, 12) < 0.8
+    assert right(decided(frames, params), 12) > 0.95
+
+
+def test_walking_backwards_is_believed() -> None:
+    results = decided(views(6, warp="backwards"))
+    assert right(results, 6, "backwards") == 1
+
+
+def test_toes_that_follow_the_label_are_turned_round() -> None:
+    def one_mirrors(frame: Frame, camera: int, _: float) -> Frame:
+        return turned_toes(frame) if camera == 0 else frame
+
+    toes = SLOT["FOOT_LEFT"]
+    result, honest = decided(views(4, one_mirrors))[-2:]
+    gap = result.positions[0, toes, :2] - honest.positions[0, toes, :2]
+    assert np.linalg.norm(gap) < 0.06
+
+
+def test_physical_toes_stay() -> None:
+    def one_mirrors(frame: Frame, camera: int, _: float) -> Frame:
+        return mirror(frame) if camera == 0 else frame
+
+    result, honest = decided(views(4, one_mirrors))[-2:]
+    assert np.array_equal(result.positions, honest.positions)
+
+
+def test_links_of_mirrored_views_are_unknown() -> None:
+    frames = views(3, lambda frame, _, t: mirror(frame) if t > 2 else frame)
+    results = decided(frames)
+    assert not np.isnan(results[0].orientations).any()
+    assert np.isnan(results[-1].links).all() and np.isnan(results[-1].link_confidences).all()
+
+
+def test_the_input_is_not_written_into() -> None:
+    block = join([(Block.of(f), 0) for f in views(3, lambda f, c, t: mirror(f) if t > 2 else f)])
+    before = block.people.copy()
+    list(decide_sides([block], MODEL))
+    assert all(
+        np.array_equal(a, b, equal_nan=True) for a, b in zip(block.people, before, strict=True)
+    )
+
+
+@pytest.mark.parametrize("params", [SidesParams(lookahead=1.0), LIVE])
+def test_blocks_may_be_cut_anywhere(params: SidesParams) -> None:
+    frames = views(5, lambda f, c, t: mirror(f) if c == 0 and t % 2 > 1 else f)
+    whole = join([(Block.of(frame), 0) for frame in frames])
+    together = frames_of(decide_sides([whole], MODEL, params))
+    assert all(map(same, together, decided(frames, params)))
+
+
+def test_a_live_decision_does_not_know_the_future() -> None:
+    frames = views(3, lambda f, c, t: mirror(f) if t > 1.5 else f)
+    assert all(map(same, decided(frames[:90], LIVE), decided(frames, LIVE)))
+
+
+def test_frames_come_in_order_when_they_are_decided() -> None:
+    frames, params, fed = views(8), SidesParams(lookahead=1.0), [0]
+
+    def feed() -> Iterable[Block]:
+        for frame in frames:
+            fed[0] = frame.stamp
+            yield Block.of(frame)
+
+    waits, stamps = [], []
+    for frame in frames_of(decide_sides(feed(), MODEL, params)):
+        assert frame.log_time == fed[0]
+        waits.append((fed[0] - frame.stamp) * 1e-9)
+        stamps.append(frame.stamp)
+    assert stamps == [frame.stamp for frame in frames]
+    assert max(waits) < 2.1 and min(waits[:100]) > 0.95
+
+
+def test_z_need_not_point_up() -> None:
+    """Frames of cameras look along z, and y points down."""
+
+    def from_behind(frame: Frame, camera: int, _: float) -> Frame:
+        return mirror(frame) if faces_away(frame, camera) else frame
+
+    frames, turn = views(8, from_behind), Rotation.from_euler("x", -90, degrees=True)
+    results = decided(moved(frames, turn, np.zeros(3)))
+    assert right(moved(results, turn.inv(), np.zeros(3)), 8) > 0.95
+
+
+def test_nothing_is_done_without_names_of_sides() -> None:
+    model = SkeletonModel.of([f"m{k}" for k in range(32)], [])
+    blocks = [Block.of(frame) for frame in views(1)]
+    assert list(decide_sides(iter(blocks), model)) == blocks
+
+
+def test_it_can_be_turned_off() -> None:
+    blocks = [Block.of(frame) for frame in views(1, lambda f, c, t: mirror(f))]
+    assert list(decide_sides(iter(blocks), MODEL, SidesParams(over_time=False))) == blocks
+
+
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_people_without_markers_or_ids_pass(params: SidesParams) -> None:
+    def lose(frame: Frame, camera: int, t: float) -> Frame:
+        frame.markers[:, :: camera + 1 if t < 1 else 1] = np.nan
+        return frame.replace(ids=np.array([-1 if t > 0.5 else 0], np.int32))
+
+    frames = views(2, lose)
+    assert all(map(same_markers, decided(frames, params), frames))
+
+
+def test_a_message_that_is_very_late_passes() -> None:
+    frames = views(8, lambda f, c, t: mirror(f) if c == 0 and t > 1 else f)
+    late = [*frames[:30], *frames[32:400], *frames[30:32], *frames[400:]]
+    assert [f.stamp for f in decided(late, SidesParams(lookahead=1.0))] == [f.stamp for f in late]
+
+
+def test_cues_are_found_by_their_names() -> None:
+    kinect = ["Head", "Neck", "ElbowLeft", "ShoulderLeft", "WristLeft", "AnkleRight", "FootRight"]
+    cues = ForwardCues.of(SkeletonModel.of(kinect, []))
+    found = [(CUES[cue], *(kinect[k] for k in rest if k >= 0)) for cue, *rest in cues.vectors]
+    arm = ("elbow", "ShoulderLeft", "WristLeft", "ElbowLeft")
+    assert found == [("head", "Neck", "Head"), arm, ("toe", "AnkleRight", "FootRight")]
+
+
+def merged(preset: str, frames: Sequence[Frame]) -> list[Floats]:
+    """Merge tracked frames as hiros does with a preset."""
+    stages = system("hiros").stages(Run(MODEL, load_config(preset=preset), fixed_frame="world"))
+    return [f.positions[0] for f in frames_of(stages["merged"](map(Block.of, frames)))]
+
+
+def test_hiros_decides_over_time_and_the_paper_votes() -> None:
+    frames = views(6, lambda f, c, t: mirror(f) if t > 2 else f)
+    swapped, kept = merged("paper", frames)[-1], merged("default", frames)[-1]
+    hips = SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]
+    assert np.linalg.norm(swapped[hips[0]] - kept[hips[1]]) < 0.05
+    assert PRESETS["realtime"]["sides"]["lookahead"] == 0
