@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from hiros_mcap._version import __version__
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import (
@@ -51,9 +52,17 @@ class NoOutput:
 
 @contextmanager
 def open_output(
-    target: Path | None, log: Log, run: Run, chain: Sequence[str], options: ProcessOptions
+    target: Path | None,
+    log: Log,
+    run: Run,
+    chain: Sequence[str],
+    options: ProcessOptions,
+    *,
+    moved: bool,
 ) -> Iterator[NoOutput | LogOutput]:
     """Yield the output of a run; nothing appears at ``target`` without a commit.
+
+    ``moved`` tells that the log's static transforms are not those of the file.
 
     Raises LogError if ``target`` is the input or cannot be written.
     """
@@ -64,7 +73,7 @@ def open_output(
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
         digest_of(log.path) as digest,
     ):
-        yield LogOutput(writer, log, run, chain, options, digest)
+        yield LogOutput(writer, log, run, chain, options, digest, moved=moved)
 
 
 class LogOutput:
@@ -78,16 +87,20 @@ class LogOutput:
         chain: Sequence[str],
         options: ProcessOptions,
         digest: Digest,
+        *,
+        moved: bool,
     ) -> None:
         params = run.config.output
         self._writer, self._run, self._chain = writer, run, chain
-        kept = kept_channels(log, options)
+        kept = kept_channels(log, options, moved=moved)
         latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
         unchanged = set(kept) - {info.id for info in latched}
         self._copier = ChunkCopier(log.reader, writer, unchanged)
         copy_latched(log.reader, writer, latched)
         if options.extrinsics is not None and options.keep is None:
             _write_poses(writer, log)
+        elif moved and options.keep is None:
+            _write_transforms(writer, log)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
         }
@@ -166,6 +179,15 @@ def _write_poses(writer: McapWriter, log: Log) -> None:
     add_static_poses(writer, poses, log.fixed_frame, log.span[0])
 
 
+def _write_transforms(writer: McapWriter, log: Log) -> None:
+    """Write all static transforms, those of the cameras as they are used."""
+    by_time: dict[tuple[int, str], dict[str, Rigid]] = {}
+    for time, parent, child, pose in log.transforms.static_poses():
+        by_time.setdefault((max(time, log.span[0]), parent), {})[child] = pose
+    for (time, parent), poses in sorted(by_time.items(), key=lambda item: item[0]):
+        add_static_poses(writer, poses, parent, time)
+
+
 def _given(options: ProcessOptions) -> Mapping[str, str]:
     """Return what a run was given besides its log and its parameters."""
     files = {"extrinsics_sha256": options.extrinsics, "limbs_sha256": options.limbs_in}
@@ -177,12 +199,15 @@ def _given(options: ProcessOptions) -> Mapping[str, str]:
     return {**given, "topics": ",".join(options.topics)} if options.topics else given
 
 
-def kept_channels(log: Log, options: ProcessOptions) -> list[int]:
-    """Return the ids of the input channels that are copied."""
+def kept_channels(log: Log, options: ProcessOptions, *, moved: bool = False) -> list[int]:
+    """Return the ids of the input channels that are copied.
+
+    ``moved`` tells that the static transforms are replaced.
+    """
     if options.keep is None:
         read = {camera.channel.id for camera in log.cameras}
         # Transforms that a file replaced would contradict the result.
-        transforms = () if options.extrinsics else TF_TOPICS
+        transforms = () if options.extrinsics else TF_TOPICS[1:] if moved else TF_TOPICS
         return [
             i.id
             for i in log.channels

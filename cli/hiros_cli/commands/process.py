@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,6 +32,16 @@ if TYPE_CHECKING:
     from hiros_mcap.config import Table
     from hiros_mcap.running.pipeline import Watcher
     from hiros_mcap.summary import Summary
+
+
+
+class Calibration(str, Enum):
+    """What happens to the cameras' poses before the run."""
+
+    OFF = "off"
+    AUTO = "auto"
+    REQUIRE = "require"
+
 
 EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
 BAGS = frozenset({".db3", ".bag"})
@@ -124,6 +135,14 @@ def process(
         ),
     ] = None,
     calibrate: Annotated[
+        Calibration,
+        typer.Option(
+            help="Camera poses: off keeps the log's, auto takes better ones where the people in "
+            "the log prove them, require also refuses poses that they do not confirm.",
+            rich_help_panel=INPUT,
+        ),
+    ] = Calibration.AUTO,
+    limb_window: Annotated[
         list[str] | None,
         typer.Option(
             metavar="START:END",
@@ -212,7 +231,7 @@ def process(
         _refuse_other_formats(target)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
-    shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
+    shortcuts = _shortcuts(fixed_frame, limb_window, two_pass=two_pass, solver=solver)
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
     prepare(quiet=quiet, roots=RUN)
@@ -229,7 +248,7 @@ def process(
         {
             "--limbs": limbs,
             "--save-limbs": save_limbs,
-            "--calibrate": calibrate,
+            "--limb-window": limb_window,
             "--two-pass": two_pass,
             "--solver": solver,
         },
@@ -243,6 +262,7 @@ def process(
         limbs_in=limbs,
         limbs_out=save_limbs,
         markers=markers,
+        calibrate=calibrate.value,
         strict=strict,
         recover=recover,
         memory=memory,
@@ -301,15 +321,15 @@ def _live(source: Path) -> AbstractContextManager[Watcher]:
 
 
 def _shortcuts(
-    fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
+    fixed_frame: str | None, windows: list[str] | None, *, two_pass: bool, solver: str | None
 ) -> dict[str, Table]:
     """Return the parameters that options with a name of their own set."""
     named: dict[str, Table] = {}
     if fixed_frame is not None:
         named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
-    if calibrate:
-        windows = [_window(text) for text in calibrate]
-        named["--calibrate"] = {"optimize": {"calibration_windows": windows}}
+    if windows:
+        spans = [_window(text) for text in windows]
+        named["--limb-window"] = {"optimize": {"calibration_windows": spans}}
     if two_pass:
         named["--two-pass"] = {"optimize": {"calibration": "two-pass"}}
     if solver is not None:
@@ -328,9 +348,9 @@ def _clock(text: str) -> tuple[str, float]:
 
 
 def _window(text: str) -> tuple[float, float]:
-    start, end = seconds_range("--calibrate", text)
+    start, end = seconds_range("--limb-window", text)
     if start < 0:
-        raise ConfigError(f"--calibrate: {text!r} starts before the log, which starts at 0")
+        raise ConfigError(f"--limb-window: {text!r} starts before the log, which starts at 0")
     return start, end
 
 
