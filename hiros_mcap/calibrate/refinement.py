@@ -33,7 +33,16 @@ from hiros_mcap.calibrate.joint_refinement import (
 )
 from hiros_mcap.calibrate.pair_pose import LEAST_MOTION
 from hiros_mcap.calibrate.sampling import Rig, instants_of
-from hiros_mcap.calibrate.verdict import MOVED, NO_VIEW, UNLINKED, Evidence, Verdict, judge
+from hiros_mcap.calibrate.verdict import (
+    LEAST_SHARE,
+    MOVED,
+    NO_VIEW,
+    UNLINKED,
+    WRONG_M,
+    Evidence,
+    Verdict,
+    judge,
+)
 from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
@@ -58,6 +67,8 @@ class RefinedPose(NamedTuple):
     verdict: Verdict
     reason: str
     """Why it is doubtful or impossible, "" otherwise."""
+    fits: bool = True
+    """False if its people are not where the other cameras see them, whatever pose it gets."""
     pose: Rigid | None = None
     """The better pose; None where the given one stays."""
     clock_s: float = np.nan
@@ -132,19 +143,24 @@ def _refine_part(
     found: dict[int, RefinedPose] = {}
     while len(part) > 1:
         refined = refine_together([views[c] for c in part], [given[c] for c in part], mirror)
-        verdicts = [judge(each, moved=False) for each in refined.evidence]
-        bad = [k for k, (verdict, _) in enumerate(verdicts) if verdict == "impossible"]
+        bad = [k for k, each in enumerate(refined.evidence) if not _fits(each)]
         if not bad:
             known = {k: given[c] for k, c in enumerate(part)}
             held = part.index(anchor) if anchor in part else None
             every = _judged(refined, known, held)
             return found | {c: every[k] for k, c in enumerate(part)}
         worst = min(bad, key=lambda k: (refined.evidence[k].share, -refined.evidence[k].residual))
+        fault = RefinedPose(*judge(refined.evidence[worst], moved=False), fits=False)
         if len(part) == 2:
-            return found | {c: RefinedPose(*verdicts[worst]) for c in part}
-        found[part[worst]] = RefinedPose(*verdicts[worst])
+            return found | dict.fromkeys(part, fault)
+        found[part[worst]] = fault
         part = part[:worst] + part[worst + 1 :]
     return found
+
+
+def _fits(evidence: Evidence) -> bool:
+    """Whether a camera sees the people where the others see them."""
+    return evidence.share >= LEAST_SHARE and evidence.residual <= WRONG_M
 
 
 def _judged(
@@ -166,15 +182,17 @@ def _judged(
             np.linalg.norm(pose.translation - given[k].translation) > MOVED * metres
         )
         verdict, reason = judge(evidence, moved=better and bool(far))
+        if verdict == "impossible":  # too little is known for a pose, but nothing contradicts
+            verdict = "doubtful"
         used = better and verdict in ("good", "improved") and k != anchor
         found[k] = RefinedPose(
             verdict,
             reason,
-            pose if used else None,
-            float(rig.clocks[k] - middle) if refined.timed[k] else np.nan,
-            float(np.degrees(degrees)),
-            float(metres),
-            float(errors[CLOCK]),
+            pose=pose if used else None,
+            clock_s=float(rig.clocks[k] - middle) if refined.timed[k] else np.nan,
+            error_deg=float(np.degrees(degrees)),
+            error_m=float(metres),
+            error_s=float(errors[CLOCK]),
         )
     return found
 

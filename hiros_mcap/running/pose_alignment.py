@@ -22,7 +22,7 @@ from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.camera_views import CameraView, sighting_of, view_of
 from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses
 from hiros_mcap.calibrate.tracklets import Sighting
-from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, remedy
+from hiros_mcap.calibrate.verdict import remedy
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import frames_of
 from hiros_mcap.io.log import Log
@@ -34,15 +34,13 @@ from hiros_mcap.summary import PoseSummary
 LONGEST_S = 20.0
 """A longer log is represented by stretches of so many seconds together."""
 STRETCHES = 5
-ENOUGH_S = 8.0
+ENOUGH_S = 15.0
 """If the stretches show people for a shorter time, the whole log is read."""
 MOST_S = 120.0
 
 _MOVES = "its pose changes during the log, and only cameras at rest can be compared"
 _SHARED = "its detections are in a frame that is not its own"
 _ALONE = "no other camera stands still in a frame of its own"
-_UNTOLD = {_MOVES, _SHARED, _ALONE, NO_VIEW, UNLINKED}
-"""Reasons that do not speak against the pose."""
 
 
 @dataclass(slots=True)
@@ -52,6 +50,8 @@ class PoseAlignment:
     cameras: list[PoseSummary] = field(default_factory=list)
     from_nothing: bool = False
     """Whether they were found from the people alone."""
+    misfits: frozenset[str] = frozenset()
+    """Cameras whose people are not where the others see them."""
     clocks: Mapping[str, float] = field(default_factory=dict)
     """Camera -> s to add to its stamps, found together with poses from nothing."""
 
@@ -63,7 +63,7 @@ class PoseAlignment:
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
         for camera in self.cameras:
-            if camera.verdict == "impossible" and not camera.used and camera.reason not in _UNTOLD:
+            if camera.name in self.misfits:
                 yield (
                     f"{camera.name}: its pose does not fit the people ({camera.reason}); hiros "
                     "kept it. Calibrate the camera anew, or pass its pose with --extrinsics FILE"
@@ -125,7 +125,8 @@ def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlig
         faults |= {camera.name: _ALONE for camera in cameras}
     alignment = PoseAlignment(
         [_summary(camera, one) for camera, one in zip(cameras, found, strict=False)]
-        + [PoseSummary(name, "impossible", reason) for name, reason in sorted(faults.items())]
+        + [PoseSummary(name, "impossible", reason) for name, reason in sorted(faults.items())],
+        misfits=frozenset(c.name for c, one in zip(cameras, found, strict=False) if not one.fits),
     )
     if not faults and _contradicted(cameras, found):
         try:
@@ -237,12 +238,9 @@ def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:
 
 
 def _contradicted(cameras: Sequence[_Fixed], found: Sequence[RefinedPose]) -> bool:
-    """Whether the people do not fit the given poses, or nobody has given them."""
+    """Whether the people do not fit the given poses, or nobody has measured these."""
     coincide = any(same_place({camera.name: camera.pose for camera in cameras}))
-    for one in found:
-        if one.verdict == "impossible" and (coincide or one.reason not in _UNTOLD):
-            return True
-    return False
+    return any(not one.fits or (coincide and one.verdict == "impossible") for one in found)
 
 
 def _from_nothing(log: Log, error: LogError | None) -> PoseAlignment:
