@@ -106,8 +106,10 @@ def refine_poses(
     given : pose of each camera. mirror : (M,) slot of each joint's counterpart.
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
     """
-    found = {c: RefinedPose("impossible", NO_VIEW if not v.tracks else UNLINKED)
-             for c, v in enumerate(views)}
+    found = {
+        c: RefinedPose("impossible", NO_VIEW if not v.tracks else UNLINKED)
+        for c, v in enumerate(views)
+    }
     for part in _linked(views, rig_of(given), mirror):
         found |= _refine_part(part, views, given, mirror, anchor)
     return [found[c] for c in range(len(views))]
@@ -258,9 +260,7 @@ def _certainty(points: Points, rig: Rig, given: Rig, free: Flags, mirror: Ints) 
     return float(sums.sum()) / error if error > 0.0 else 0.0
 
 
-def _held_out(
-    points: Points, rig: Rig, given: Rig, free: Flags, mirror: Ints
-) -> Floats:
+def _held_out(points: Points, rig: Rig, given: Rig, free: Flags, mirror: Ints) -> Floats:
     """(P,) loss of the given poses less that of poses found without the point.
 
     The clocks are free in both: this is about the poses.

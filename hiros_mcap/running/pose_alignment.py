@@ -19,16 +19,15 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
-from hiros_mcap.calibrate.camera_views import CameraView, sighting_of, view_of
+from hiros_mcap.calibrate.camera_views import sighting_of, view_of
 from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses
 from hiros_mcap.calibrate.tracklets import Sighting
-from hiros_mcap.calibrate.verdict import remedy
+from hiros_mcap.calibrate.verdict import UNLINKED, remedy
 from hiros_mcap.errors import LogError
 from hiros_mcap.frames import frames_of
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.process_options import Calibration
-from hiros_mcap.skeletons import Ints
 from hiros_mcap.summary import PoseSummary
 
 LONGEST_S = 20.0
@@ -37,6 +36,10 @@ STRETCHES = 5
 ENOUGH_S = 15.0
 """If the stretches show people for a shorter time, the whole log is read."""
 MOST_S = 120.0
+CHECKED_S = 10.0
+"""So much of a log is read for a quick check."""
+WRONG_DEG, WRONG_MM = 1.0, 30.0
+"""What a quick check reports: such a pose shows in the results if nobody corrects it."""
 
 _MOVES = "its pose changes during the log, and only cameras at rest can be compared"
 _SHARED = "its detections are in a frame that is not its own"
@@ -81,6 +84,12 @@ class PoseAlignment:
                 "hiros moved the cameras to where they see the same people at the same place; "
                 "--calibrate off keeps the log's poses"
             )
+        for camera in self.cameras:
+            if camera.reason == UNLINKED and len(self.cameras) > 1:
+                yield (
+                    f"{camera.name} {UNLINKED}; if it should, its pose is wrong, and hiros "
+                    "calibrate people may find it"
+                )
 
 
 class _Fixed(NamedTuple):
@@ -120,7 +129,7 @@ def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlig
     cameras = sorted(_cameras(log, faults))
     found: list[RefinedPose] = []
     if len(cameras) > 1:
-        found = _refined(log, clocks, cameras)
+        found = _refined(log, _best_sightings(log, clocks), cameras)
     else:
         faults |= {camera.name: _ALONE for camera in cameras}
     alignment = PoseAlignment(
@@ -141,6 +150,35 @@ def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlig
     return alignment
 
 
+def pose_faults(log: Log) -> list[str]:
+    """Return which poses of a log do not fit the people in it, in one line; [] if all do.
+
+    Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
+    """
+    faults = _faults(log)
+    cameras = sorted(_cameras(log, faults))
+    if len(cameras) < 2:
+        return []
+    middle = sum(log.span) // 2
+    parts = stretches(*log.span, CHECKED_S, STRETCHES)
+    seen = _sightings(log, ClockAlignment(), parts, middle)
+    found = _refined(log, seen, cameras)
+    named = []
+    for camera, one in zip(cameras, found, strict=True):
+        moved = _summary(camera, one)
+        if not one.fits:
+            named.append(f"{camera.name}: {one.reason}")
+        elif moved.moved_deg > WRONG_DEG or moved.moved_mm > WRONG_MM:
+            off = f"{moved.moved_deg:.1f} degrees, {moved.moved_mm / 10.0:.0f} cm"
+            named.append(f"{camera.name}: {off}")
+    if not named:
+        return []
+    return [
+        f"these poses do not fit the people ({'; '.join(named)}); hiros process uses better ones "
+        "where the people tell them, and hiros calibrate people saves them"
+    ]
+
+
 def _require(log: Log, alignment: PoseAlignment) -> None:
     """Raise LogError for a camera whose pose the people do not confirm."""
     for camera in alignment.cameras:
@@ -157,13 +195,10 @@ def _faults(log: Log) -> dict[str, str]:
     faults: dict[str, str] = {}
     owners = Counter(frame for camera in log.cameras for frame in camera.frames)
     for camera in log.cameras:
-        for name in camera.sources.values():
-            if len(camera.frames) != 1 or len(camera.sources) != 1:
-                faults[name] = _SHARED
-            elif owners[camera.frames[0]] > 1:
-                faults[name] = _SHARED
-            elif _moves(log, camera.frames[0]):
-                faults[name] = _MOVES
+        frames = camera.frames
+        shared = len(frames) != 1 or len(camera.sources) != 1 or owners[frames[0]] > 1
+        if shared or _moves(log, frames[0]):
+            faults |= dict.fromkeys(camera.sources.values(), _SHARED if shared else _MOVES)
     return faults
 
 
@@ -184,18 +219,19 @@ def _moves(log: Log, frame: str) -> bool:
     return log.transforms.at_rest(frame, log.transforms.root(frame)) is None
 
 
-def _refined(log: Log, clocks: ClockAlignment, cameras: Sequence[_Fixed]) -> list[RefinedPose]:
+def _refined(
+    log: Log, seen: Mapping[str, list[Sighting]], cameras: Sequence[_Fixed]
+) -> list[RefinedPose]:
+    """Compare the cameras' poses with those that their people give."""
     mirror = symmetry_of(log.model).mirror
     anchors = [k for k, camera in enumerate(cameras) if camera.frame == log.fixed_frame]
-    views = _views(log, clocks, cameras, mirror)
+    views = [view_of(c.name, c.frame, seen.get(c.name, []), mirror) for c in cameras]
     poses = [camera.pose for camera in cameras]
     return refine_poses(views, poses, mirror, anchors[0] if anchors else None)
 
 
-def _views(
-    log: Log, clocks: ClockAlignment, cameras: Sequence[_Fixed], mirror: Ints
-) -> list[CameraView]:
-    """Return whom the cameras see, each in its own frame, at corrected times."""
+def _best_sightings(log: Log, clocks: ClockAlignment) -> Mapping[str, list[Sighting]]:
+    """Return whom the cameras see, at corrected times, in enough of the log."""
     start, end = log.span
     middle = (start + end) // 2
     parts = stretches(start, end, LONGEST_S, STRETCHES)
@@ -203,7 +239,7 @@ def _views(
     if len(parts) > 1 and _seconds_with_people(seen) < ENOUGH_S:
         more = stretches(start, end, MOST_S, STRETCHES)
         seen = _sightings(log, clocks, more, middle)
-    return [view_of(c.name, c.frame, seen[c.name], mirror) for c in cameras]
+    return seen
 
 
 def stretches(start: int, end: int, seconds: float, n: int) -> list[tuple[int, int]]:

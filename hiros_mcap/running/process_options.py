@@ -11,7 +11,6 @@ from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Frame
 
-
 Calibration = Literal["off", "auto", "require"]
 """off: the log's poses. auto: better ones where the people prove them. require: refuse a log in
 which the people do not confirm every camera's pose."""

@@ -196,7 +196,11 @@ def _given(options: ProcessOptions) -> Mapping[str, str]:
         for name, path in files.items()
         if path is not None
     }
-    return {**given, "topics": ",".join(options.topics)} if options.topics else given
+    if options.topics:
+        given["topics"] = ",".join(options.topics)
+    if options.calibrate != "auto":
+        given["calibrate"] = options.calibrate
+    return given
 
 
 def kept_channels(log: Log, options: ProcessOptions, *, moved: bool = False) -> list[int]:

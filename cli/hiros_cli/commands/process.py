@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from hiros_mcap.summary import Summary
 
 
-
 class Calibration(str, Enum):
     """What happens to the cameras' poses before the run."""
 
