@@ -107,7 +107,7 @@ def _cameras(cameras: Sequence[CameraSummary]) -> Table:
 
 
 def _poses(poses: Sequence[PoseSummary]) -> Table | None:
-    """What the people say about the cameras' poses."""
+    """Return what the people say about the poses of two or more cameras."""
     if len(poses) < 2:
         return None
     columns = (">Moved mm", ">deg", ">Clock ms", ">SE mm", ">deg", ">ms", "Verdict")

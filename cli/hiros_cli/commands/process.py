@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,15 +30,8 @@ from hiros_mcap.errors import ConfigError
 if TYPE_CHECKING:
     from hiros_mcap.config import Table
     from hiros_mcap.running.pipeline import Watcher
+    from hiros_mcap.running.process_options import Calibration
     from hiros_mcap.summary import Summary
-
-
-class Calibration(str, Enum):
-    """What happens to the cameras' poses before the run."""
-
-    OFF = "off"
-    AUTO = "auto"
-    REQUIRE = "require"
 
 
 EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
@@ -134,13 +126,14 @@ def process(
         ),
     ] = None,
     calibrate: Annotated[
-        Calibration,
+        str,
         typer.Option(
+            metavar="off|auto|require",
             help="Camera poses: off keeps the log's, auto takes better ones where the people in "
             "the log prove them, require also refuses poses that they do not confirm.",
             rich_help_panel=INPUT,
         ),
-    ] = Calibration.AUTO,
+    ] = "auto",
     limb_window: Annotated[
         list[str] | None,
         typer.Option(
@@ -261,7 +254,7 @@ def process(
         limbs_in=limbs,
         limbs_out=save_limbs,
         markers=markers,
-        calibrate=calibrate.value,
+        calibrate=_calibration(calibrate),
         strict=strict,
         recover=recover,
         memory=memory,
@@ -334,6 +327,16 @@ def _shortcuts(
     if solver is not None:
         named["--solver"] = {"optimize": {"solver": solver}}
     return named
+
+
+def _calibration(text: str) -> Calibration:
+    match text:
+        case "off" | "auto" | "require":
+            return text
+    raise ConfigError(
+        f"--calibrate: {text!r} is none of off, auto, require (a time range for limb lengths is "
+        "--limb-window START:END)"
+    )
 
 
 def _clock(text: str) -> tuple[str, float]:
