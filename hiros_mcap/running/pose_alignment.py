@@ -9,7 +9,7 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -36,6 +36,7 @@ STRETCHES = 5
 ENOUGH_S = 15.0
 """If the stretches show people for a shorter time, the whole log is read."""
 MOST_S = 120.0
+ODD_S = 10.0
 CHECKED_S = 10.0
 """So much of a log is read for a quick check."""
 WRONG_DEG, WRONG_MM = 1.0, 30.0
@@ -159,9 +160,8 @@ def pose_faults(log: Log) -> list[str]:
     cameras = sorted(_cameras(log, faults))
     if len(cameras) < 2:
         return []
-    middle = sum(log.span) // 2
     parts = stretches(*log.span, CHECKED_S, STRETCHES)
-    seen = _sightings(log, ClockAlignment(), parts, middle)
+    seen = _sightings(log, ClockAlignment(), parts)
     found = _refined(log, seen, cameras)
     named = []
     for camera, one in zip(cameras, found, strict=True):
@@ -232,13 +232,10 @@ def _refined(
 
 def _best_sightings(log: Log, clocks: ClockAlignment) -> Mapping[str, list[Sighting]]:
     """Return whom the cameras see, at corrected times, in enough of the log."""
-    start, end = log.span
-    middle = (start + end) // 2
-    parts = stretches(start, end, LONGEST_S, STRETCHES)
-    seen = _sightings(log, clocks, parts, middle)
+    parts = stretches(*log.span, LONGEST_S, STRETCHES)
+    seen = _sightings(log, clocks, parts)
     if len(parts) > 1 and _seconds_with_people(seen) < ENOUGH_S:
-        more = stretches(start, end, MOST_S, STRETCHES)
-        seen = _sightings(log, clocks, more, middle)
+        seen = _sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
     return seen
 
 
@@ -253,14 +250,22 @@ def stretches(start: int, end: int, seconds: float, n: int) -> list[tuple[int, i
 
 
 def _sightings(
-    log: Log, clocks: ClockAlignment, spans: Sequence[tuple[int, int]], middle: int
-) -> defaultdict[str, list[Sighting]]:
-    """Camera -> whom it sees in some spans of log times, ns."""
-    seen: defaultdict[str, list[Sighting]] = defaultdict(list)
+    log: Log, clocks: ClockAlignment, spans: Sequence[tuple[int, int]]
+) -> dict[str, list[Sighting]]:
+    """Camera -> whom it sees in some spans of log times, ns.
+
+    Left out is what a camera stamped at quite another time than most: its clock is no clock.
+    """
+    start, end = log.span
+    seen: dict[str, list[Sighting]] = {}
     for frame in frames_of(clocks.correct(log.camera_blocks(spans))):
         if any(begin <= frame.log_time <= end for begin, end in spans):
-            seen[frame.source].append(sighting_of(frame, middle))
-    return seen
+            seen.setdefault(frame.source, []).append(sighting_of(frame, start))
+    times = [s.seconds for some in seen.values() for s in some]
+    middle, most = float(np.median(times)) if times else 0.0, (end - start) / 1e9 + ODD_S
+    return {
+        name: [s for s in some if abs(s.seconds - middle) < most] for name, some in seen.items()
+    }
 
 
 def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:

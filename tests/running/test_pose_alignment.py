@@ -42,7 +42,7 @@ def true(scene: Simulation) -> dict[str, Rigid]:
 def turned(pose: Rigid, degrees: float, metres: float) -> Rigid:
     half = np.radians(degrees) / 2
     turn = Rigid(np.array([np.sin(half), 0.0, 0.0, np.cos(half)]), np.zeros(3))
-    return Rigid((turn @ pose).xyzw, pose.translation + [0.0, metres, 0.0])
+    return Rigid((turn @ pose).xyzw, pose.translation + metres * np.eye(3)[1])
 
 
 def write(
