@@ -84,7 +84,8 @@ def _sightings(log: Log) -> dict[Camera, tuple[list[Sighting], list[float]]]:
 
 def sighting_of(frame: Frame, middle: int) -> Sighting:
     """Return whom a frame shows. Seconds count from ``middle``, ns."""
-    confidences = np.nan_to_num(frame.marker_confidences, nan=1.0)
+    known = frame.marker_confidences
+    confidences = np.where(np.isnan(known), 1.0, known)
     positions = np.array(frame.positions)
     absent = np.isnan(positions).any(axis=2) | (confidences <= 0.0)
     weights = np.where(absent, 0.0, confidences**CONFIDENCE_POWER)
