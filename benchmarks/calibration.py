@@ -2,6 +2,7 @@
 
 python benchmarks/calibration.py                accuracy, standard errors and time
 python benchmarks/calibration.py hostile        scenes that must not give a wrong pose silently
+python benchmarks/calibration.py process [LOG ...]   what hiros process gains by refined poses
 python benchmarks/calibration.py LOG ...        real logs without their transforms: halves
 python benchmarks/calibration.py consistency LOG ...   one camera left out: recorded and found poses
 """
@@ -21,15 +22,19 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.calibrate.cameras_file import save_cameras
 from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
+from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import ProcessOptions
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.summary import Summary
 
 WRONG_DEG, WRONG_M, WRONG_S = 3.0, 0.15, 0.1
 """A pose or clock that is further off and passes for good is silently wrong."""
@@ -317,7 +322,7 @@ def consistency(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         cameras = Path(folder) / "cameras.toml"
         save_cameras(cameras, found)
-        options = [ProcessOptions(), ProcessOptions(extrinsics=cameras)]
+        options = [ProcessOptions(calibrate="off"), ProcessOptions(extrinsics=cameras)]
         cells = []
         for one in options:
             try:
@@ -334,8 +339,94 @@ def consistency(path: Path) -> None:
     )
 
 
+# -- refined poses before a run ----------------------------------------------------------------
+
+RIGS: Mapping[str, Mapping[str, float]] = {
+    "true poses": {"orientation_error": 0.0, "position_error": 0.0},
+    "as published": {},
+    "1 degree": {"orientation_error": 1.0 / 3**0.5, "position_error": 0.0},
+    "2 degrees, 5 cm": {"orientation_error": 2.0 / 3**0.5, "position_error": 0.05 / 3**0.5},
+}
+"""SD per axis of the published poses."""
+
+
+def joint_errors(result: Path, truth: Path) -> tuple[float, float]:
+    """Mean joint error, mm, plain and after one rigid fit of the whole result to the truth."""
+    with open_log(truth, topics=["/truth/*"], output_prefix="/none") as log:
+        true, wanted = list(log.frames()), log.model.marker_names
+    with open_log(result, topics=["/hiros/filtered"], output_prefix="/none") as log:
+        found, names = list(log.frames()), log.model.marker_names
+    order = [names.index(name) for name in wanted]
+    stamps = np.array([frame.stamp for frame in found])
+    pairs = []
+    for frame in true:
+        k = int(np.searchsorted(stamps, frame.stamp))
+        if not 0 < k < len(stamps):
+            continue
+        before, after = found[k - 1], found[k]
+        share = (frame.stamp - before.stamp) / (after.stamp - before.stamp)
+        rows = {person: row for row, person in before.tracked()}
+        some = [
+            (1 - share) * before.positions[rows[person]] + share * after.positions[row]
+            for row, person in after.tracked()
+            if person in rows
+        ]
+        for pose in frame.positions if some else ():
+            nearest = min(some, key=lambda one: float(np.nanmean(np.abs(one[order] - pose))))
+            if np.nanmean(np.abs(nearest[order] - pose)) < 0.2:
+                pairs.append(np.stack([nearest[order], pose]))
+    got, right = np.concatenate(pairs, axis=1)
+    known = ~np.isnan(got + right).any(axis=1)
+    got, right = got[known], right[known]
+    turn, shift = kabsch(got, right)
+    aligned = got @ turn.T + shift - right
+    return tuple(1000 * float(np.linalg.norm(e, axis=1).mean()) for e in (got - right, aligned))
+
+
+def run_errors(log: Path, truth: Path, mode: Calibration) -> tuple[float, float, float, Summary]:
+    """Errors of a run, see :func:`joint_errors`, its CPU time, s, and its summary."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.mcap"
+        start = time.process_time()
+        summary = process(log, out, options=ProcessOptions(calibrate=mode))
+        took = time.process_time() - start
+        return *joint_errors(out, truth), took, summary
+
+
+def refined(name: str, log: Path, truth: Path) -> None:
+    """Print what the refinement changes for one log."""
+    off, auto = (run_errors(log, truth, mode) for mode in ("off", "auto"))
+    verdicts = [camera.verdict for camera in auto[3].poses]
+    counts = {v: verdicts.count(v) for v in sorted(set(verdicts))}
+    print(
+        f"{name:40} {off[0]:6.1f} {auto[0]:6.1f} mm ({auto[0] / off[0] - 1:+.0%})  aligned "
+        f"{off[1]:5.1f} {auto[1]:5.1f}  CPU {off[2]:.2f} {auto[2]:.2f} s  {counts}",
+        flush=True,
+    )
+
+
+def refine_before_runs(logs: Sequence[Path]) -> None:
+    """Print the joint errors without and with refined poses: given logs, or simulated ones."""
+    print(f"{'':40}    off   auto")
+    for log in logs:
+        truth = log.with_suffix(".truth.mcap")
+        refined(log.stem, log, truth if truth.exists() else log)
+    scenes = () if logs else ((11, 1, 3, "walk"), (12, 2, 5, "walk"), (13, 3, 4, "eight"))
+    for seed, people, cameras, action in scenes:
+        for name, rig in RIGS.items():
+            params = {"seed": seed, "people": people, "cameras": cameras, "action": action}
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / "log.mcap"
+                settings = {**params, "seconds": 20.0, "rig": rig}
+                write_log(path, SimulateParams.model_validate(settings))
+                refined(f"{people} people, {cameras} cameras, {name}", path, path)
+
+
 def main() -> None:
     arguments = sys.argv[1:]
+    if arguments[:1] == ["process"]:
+        refine_before_runs([Path(each) for each in arguments[1:]])
+        return
     if arguments[:1] == ["consistency"]:
         for path in arguments[1:]:
             consistency(Path(path))

@@ -46,6 +46,31 @@ class ClockFault:
 
 
 @dataclass(frozen=True, slots=True)
+class PoseSummary:
+    """What the people in the log say about the pose of one camera."""
+
+    name: str
+    verdict: str
+    """good: they confirm it. improved: they know a better one. doubtful: they do not know enough.
+    impossible: they tell nothing, or contradict it."""
+    reason: str = ""
+    """Why it is doubtful or impossible, "" otherwise."""
+    used: bool = False
+    """Whether the run used their pose in place of the log's."""
+    moved_mm: float = math.nan
+    """How far the pose that was used is from the log's; NaN if it is the log's, or the log has
+    none."""
+    moved_deg: float = math.nan
+    clock_ms: float = math.nan
+    """By how much the clock that was used is still behind most of the others; NaN if no motion
+    tells."""
+    error_mm: float = math.nan
+    """Standard error of the people's pose against the other cameras."""
+    error_deg: float = math.nan
+    error_ms: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSummary:
     """What became of the messages of one camera's channel: ``messages`` = used + skipped."""
 
@@ -130,6 +155,8 @@ class Summary:
     wall_s: float
     """Time that the run took, s."""
     cameras: tuple[CameraSummary, ...] = ()
+    poses: tuple[PoseSummary, ...] = ()
+    """Empty if the run did not compare the cameras' poses with the people."""
     people: tuple[PersonSummary, ...] = ()
     stages: tuple[StageTime, ...] = ()
     written: Mapping[str, int] = field(default_factory=dict)

@@ -17,6 +17,7 @@ ERRORS = {"LogError", "ConfigError", "HirosError", "MemoryError"}
 NOTES = (
     "hiros_mcap/running/report.py",
     "hiros_mcap/running/clock_alignment.py",
+    "hiros_mcap/running/pose_alignment.py",
     "hiros_mcap/running/observe.py",
     "hiros_mcap/evaluate/remarks.py",
     "hiros_mcap/evaluate/match.py",

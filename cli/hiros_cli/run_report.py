@@ -10,7 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from hiros_cli.printable import printable
-from hiros_mcap.summary import CameraSummary, LimbSummary, PersonSummary, Summary, number
+from hiros_mcap.summary import (
+    CameraSummary,
+    LimbSummary,
+    PersonSummary,
+    PoseSummary,
+    Summary,
+    number,
+)
 
 PIPE_WIDTH = 160
 
@@ -24,7 +31,8 @@ def show(summary: Summary) -> None:
     """Print cameras, people, times and what was written."""
     out = console()
     out.print(Text(_headline(summary), style="bold"), soft_wrap=True)
-    for part in (_cameras(summary.cameras), _people(summary.people), _times(summary)):
+    parts = (_cameras(summary.cameras), _poses(summary.poses), _people(summary.people))
+    for part in (*filter(None, parts), _times(summary)):
         out.print()
         out.print(part)
     out.print()
@@ -96,6 +104,20 @@ def _cameras(cameras: Sequence[CameraSummary]) -> Table:
             for camera in cameras
         ],
     )
+
+
+def _poses(poses: Sequence[PoseSummary]) -> Table | None:
+    """Return what the people say about the poses of two or more cameras."""
+    if len(poses) < 2:
+        return None
+    columns = (">Moved mm", ">deg", ">Clock ms", ">SE mm", ">deg", ">ms", "Verdict")
+    rows = []
+    for pose in poses:
+        numbers = [number(pose.moved_mm, 0), number(pose.moved_deg, 2), number(pose.clock_ms, 0)]
+        errors = [number(pose.error_mm, 0), number(pose.error_deg, 2), number(pose.error_ms, 1)]
+        verdict = f"{pose.verdict}: {pose.reason}" if pose.reason else pose.verdict
+        rows.append((pose.name, *numbers, *errors, verdict))
+    return table("Camera pose", *columns, rows=rows)
 
 
 def _people(people: Sequence[PersonSummary]) -> Table | Text:

@@ -128,6 +128,11 @@ class _Edge:
         before, after = self._stamps[k - 1], self._stamps[k]
         return self._pose(k - 1).towards(self._pose(k), (stamp - before) / (after - before))
 
+    def samples(self) -> Iterator[tuple[int, Rigid]]:
+        """Yield every stamp, of a static pose the log time from which it holds, and pose."""
+        for k, stamp in enumerate(self._stamps):
+            yield stamp, self._pose(k)
+
     def _pose(self, k: int) -> Rigid:
         k %= len(self._stamps)
         numbers = np.array(self._numbers[7 * k : 7 * k + 7])
@@ -272,6 +277,32 @@ class TransformTree:
         except LogError:
             return None
         return self._fixed.get((frame, fixed))
+
+    def with_poses(self, poses: Mapping[str, Rigid], fixed: str) -> TransformTree:
+        """Return the tree with other poses of some frames in ``fixed``, which never change.
+
+        A frame keeps its parent if that is joined to ``fixed``; it must be at rest then, and
+        ``fixed`` must not hang on the frame itself.
+        """
+        tree = TransformTree(self._begin)
+        tree._edges, tree._parents = dict(self._edges), self._parents | {fixed}
+        tree._faults = {name: fault for name, fault in self._faults.items() if name not in poses}
+        tree.normalised = self.normalised
+        for name in sorted(poses, key=lambda name: len(tree._path(name))):
+            edge = tree._edges.get(name)
+            joined = edge is not None and tree.root(edge.parent) == tree.root(fixed)
+            parent = edge.parent if edge is not None and joined else fixed
+            pose = tree.lookup(parent, fixed, 0).inverse() @ poses[name]
+            new = tree._edges[name] = _Edge(parent, static=True)
+            new.add(0, (*pose.xyzw, *pose.translation))
+            tree._fixed.clear()
+        return tree
+
+    def static_poses(self) -> Iterator[tuple[int, str, str, Rigid]]:
+        """Yield log time (0 for the start), parent, child and pose of all static transforms."""
+        for child, edge in self._edges.items():
+            if edge.static and child not in self._faults:
+                yield from ((time, edge.parent, child, pose) for time, pose in edge.samples())
 
     def changes_above(self, frames: Iterable[str]) -> list[PoseChange]:
         """Return how static poses between ``frames`` and their roots change, in order of time."""

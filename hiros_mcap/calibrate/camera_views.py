@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.log import Log
 from hiros_mcap.kernels.local_line import Tracklet
-from hiros_mcap.skeletons import Frame
+from hiros_mcap.skeletons import Frame, Ints
 
 HALF_WIDTH_S = 0.1
 """Half of the time over which a joint's path is taken for a line; more for slow cameras."""
@@ -54,12 +54,17 @@ def camera_views(log: Log) -> list[CameraView]:
     for (name, frame), (sightings, _) in sorted(seen.items()):
         shift = shifts[name, frame]
         moved = [s._replace(seconds=s.seconds + shift) for s in sightings]
-        moved.sort(key=lambda s: s.seconds)
-        times = np.array([s.seconds for s in moved])
-        period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        half_width = max(HALF_WIDTH_S, 2.0 * period)
-        views.append(CameraView(name, frame, find_tracklets(moved, mirror), shift, half_width))
+        views.append(replace(view_of(name, frame, moved, mirror), shift=shift))
     return views
+
+
+def view_of(name: str, frame: str, sightings: list[Sighting], mirror: Ints) -> CameraView:
+    """Follow the people whom one camera sees."""
+    sightings = sorted(sightings, key=lambda s: s.seconds)
+    times = np.array([s.seconds for s in sightings])
+    period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    half_width = max(HALF_WIDTH_S, 2.0 * period)
+    return CameraView(name, frame, find_tracklets(sightings, mirror), 0.0, half_width)
 
 
 Camera = tuple[str, str]
@@ -71,15 +76,21 @@ def _sightings(log: Log) -> dict[Camera, tuple[list[Sighting], list[float]]]:
     middle = sum(log.span) // 2
     seen: dict[Camera, tuple[list[Sighting], list[float]]] = defaultdict(lambda: ([], []))
     for frame in _best_parts(log):
-        confidences = np.nan_to_num(frame.marker_confidences, nan=1.0)
-        positions = np.array(frame.positions)
-        absent = np.isnan(positions).any(axis=2) | (confidences <= 0.0)
-        weights = np.where(absent, 0.0, confidences**CONFIDENCE_POWER)
-        positions[absent] = np.nan
         sightings, late = seen[frame.source, frame.frame_id.lstrip("/")]
-        sightings.append(Sighting((frame.stamp - middle) / 1e9, positions, weights))
+        sightings.append(sighting_of(frame, middle))
         late.append((frame.log_time - frame.stamp) / 1e9)
     return seen
+
+
+def sighting_of(frame: Frame, middle: int) -> Sighting:
+    """Return whom a frame shows. Seconds count from ``middle``, ns."""
+    known = frame.marker_confidences
+    confidences = np.where(np.isnan(known), 1.0, known)
+    positions = np.array(frame.positions)
+    absent = np.isnan(positions).any(axis=2) | (confidences <= 0.0)
+    weights = np.where(absent, 0.0, confidences**CONFIDENCE_POWER)
+    positions[absent] = np.nan
+    return Sighting((frame.stamp - middle) / 1e9, positions, weights)
 
 
 def _best_parts(log: Log) -> Iterator[Frame]:

@@ -62,7 +62,8 @@ def _improved(rig: Rig, given: Mapping[int, Rigid], placement: Placement) -> Pla
     from scipy.spatial.transform import Rotation
 
     angles, shifts, chi2 = _deviations(rig, given, placement)
-    weights = 1.0 / (1.0 + chi2 / 6.0)
+    # All poses may be worse than the prior says; only those that are worse than most count less.
+    weights = 1.0 / (1.0 + chi2 / max(6.0, float(np.median(chi2))))
     turn, shift = placement
     places = rig.shifts[list(given)] @ turn.T + shift
     hessian, slope = np.zeros((6, 6)), np.zeros(6)

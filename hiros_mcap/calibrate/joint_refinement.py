@@ -33,6 +33,8 @@ STEPS = 2
 """Gauss-Newton steps in each round."""
 CAUCHY = 1.5
 """Scale of the robust weights, in median residuals."""
+RIDGE = 1e-9
+"""Added to the scaled Hessian, whose diagonal is 1."""
 BLOCK_S, BLOCKS = 2.0, 10
 """Errors that are further apart in time are taken for independent; more in a long log."""
 
@@ -106,12 +108,16 @@ def refine(
     for k, gate in enumerate(gates):
         if k:
             points = common_points(views, rig, instants, mirror, gate)
-        start = rig
-        for _ in range(STEPS):
-            if len(points.seconds):
-                residuals = residuals_of(points, rig, start)
-                rig = _stepped(rig, residuals, points, free)
+        rig = solve(points, rig, free, rig, STEPS)
     return rig, common_points(views, rig, instants, mirror, gates[-1])
+
+
+def solve(points: Points, rig: Rig, free: Flags, sampled: Rig, steps: int) -> Rig:
+    """Improve poses and clocks on points that were taken at the clocks of the rig ``sampled``."""
+    for _ in range(steps if len(points.seconds) else 0):
+        residuals = residuals_of(points, rig, sampled)
+        rig = _stepped(rig, residuals, points, free)
+    return rig
 
 
 def free_unknowns(n_cameras: int, *, clocks: Flags | bool = True, drifts: bool = False) -> Flags:
@@ -217,7 +223,7 @@ def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> 
     """Return the rig after one Gauss-Newton step."""
     hessian, slopes = normal_equations(residuals, points.seconds, free)
     step = np.zeros(free.shape)
-    step[free] = -_inverse(hessian) @ slopes[0]
+    step[free] = -_solution(hessian, slopes[0])
     turns = np.stack([_rotation(vector) for vector in step[:, :3]])
     return Rig(
         turns @ rig.rotations,
@@ -227,9 +233,24 @@ def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> 
     )
 
 
+def _solution(hessian: Floats, slopes: Floats) -> Floats:
+    """Solve the normal equations; nothing changes that no data show.
+
+    The small ridge stands for a pseudo-inverse, which takes 20 times as long with five cameras.
+    """
+    scale = _scale(hessian)
+    scaled = hessian * np.outer(scale, scale) + RIDGE * np.eye(len(hessian))
+    return np.asarray(scale * np.linalg.solve(scaled, scale * slopes))
+
+
+def _scale(hessian: Floats) -> Floats:
+    """(F,) units in which a Hessian has ones on its diagonal."""
+    return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
+
+
 def _inverse(hessian: Floats) -> Floats:
     """Inverse of a Hessian whose unknowns have different units; nothing for what no data show."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12))
+    scale = _scale(hessian)
     return np.asarray(
         np.linalg.pinv(hessian * np.outer(scale, scale), rcond=1e-10, hermitian=True)
         * np.outer(scale, scale)

@@ -21,6 +21,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_change, part_of
 from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
@@ -141,14 +142,20 @@ def calibrate_people(log: Log) -> PeopleCalibration:
 
 
 def _given_poses(log: Log, views: Sequence[CameraView]) -> tuple[str, dict[int, Rigid]]:
-    """Return the fixed frame and the poses in it that the log's transforms give."""
+    """Return the fixed frame and the poses in it that the log's transforms give.
+
+    Two cameras cannot have the same pose: nobody has calibrated them.
+    """
     frames = {c: view.frame for c, view in enumerate(views) if view.frame in log.transforms.frames}
     if not frames:
         return WORLD, {}
     roots = [log.transforms.root(frame) for frame in frames.values()]
     root = max(sorted(set(roots)), key=roots.count)
     poses = {c: log.transforms.at_rest(frame, root) for c, frame in frames.items()}
-    return root, {c: pose for c, pose in poses.items() if pose is not None}
+    known = {c: pose for c, pose in poses.items() if pose is not None}
+    named = {str(c): pose for c, pose in known.items()}
+    alike = {int(name) for group in same_place(named) for name in group}
+    return root, {c: pose for c, pose in known.items() if c not in alike}
 
 
 def _register_pairs(

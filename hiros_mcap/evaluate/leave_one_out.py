@@ -142,7 +142,9 @@ def _fused(
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
         escaped = tuple(map(glob.escape, topics))
-        process(source, out, config=config, options=replace(options, topics=escaped, keep=()))
+        # The camera left out is compared at the log's pose, so the others keep theirs, too.
+        some = replace(options, topics=escaped, keep=(), calibrate="off")
+        process(source, out, config=config, options=some)
         return read_channel(out, output_channels(out)[-1])[0]
 
 

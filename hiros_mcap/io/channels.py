@@ -157,10 +157,10 @@ def add_static_poses(
     writer: McapWriter, poses: Mapping[str, Rigid], parent: str, stamp: int
 ) -> None:
     """Write poses of frames in ``parent`` to /tf_static; ``stamp`` in ns is the log time, too."""
-    known = (c.id for c in writer.channels.values() if c.topic == "/tf_static")
-    channel = next(known, None) or add_ros_channel(
-        writer, "/tf_static", hiros_schemas.TF_MESSAGE, LATCHED_QOS
-    )
+    known = (ident for ident, each in writer.channels.items() if each.topic == "/tf_static")
+    channel = next(known, None)
+    if channel is None:
+        channel = add_ros_channel(writer, "/tf_static", hiros_schemas.TF_MESSAGE, LATCHED_QOS)
     out = CdrWriter()
     out.uint32(len(poses))
     for child, pose in poses.items():

@@ -321,6 +321,18 @@ class Log:
         for _, block in self._fixed_blocks():
             yield block
 
+    def camera_blocks(self, spans: Sequence[tuple[int, int]] | None = None) -> Iterator[Block]:
+        """Yield what :meth:`frames` does as blocks, in the coordinates of the cameras.
+
+        With ``spans`` of log times, ns, only the parts of the file in which they lie are read.
+        """
+        for _, block in self._blocks(spans=spans):
+            yield block
+
+    def use_poses(self, poses: Mapping[str, Rigid], fixed: str) -> None:
+        """Replace the poses of some cameras' frames in the frame ``fixed``."""
+        self.transforms = self.transforms.with_poses(poses, fixed)
+
     def times(self) -> dict[str, CameraTimes]:
         """Return when the messages of each camera were stamped and logged, in log order.
 
@@ -357,7 +369,11 @@ class Log:
                 for topic, frame in zip(topics, block.frames(), strict=True):
                     yield (topic,), Block.of(mover(frame))
 
-    def _blocks(self, poses: RestPoses | None = None) -> Iterator[tuple[Sequence[str], Block]]:
+    def _blocks(
+        self,
+        poses: RestPoses | None = None,
+        spans: Sequence[tuple[int, int]] | None = None,
+    ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks, with the topic of each frame.
 
         A thread reads and decodes, chunk by chunk. Here the messages are put in order, and what
@@ -372,7 +388,8 @@ class Log:
             self.use(camera)
         inputs = self._inputs
         decoder = Decoder(self.model, layouts=self._layouts, poses=poses)
-        decoded = (d for batch in self.reader.batches(inputs) for d in decoder.decode(batch))
+        batches = self.reader.batches(inputs, spans=spans)
+        decoded = (d for batch in batches for d in decoder.decode(batch))
         order = LogOrder[Decoded]()
         with _named(self.path):
             for some in self.reader.ahead(decoded):

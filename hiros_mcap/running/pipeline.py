@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,14 @@ from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.observe import DETECTIONS, Observer
-from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent, Watcher
+from hiros_mcap.running.pose_alignment import align_poses, find_missing_poses
+from hiros_mcap.running.process_options import (
+    Calibration,
+    ProcessOptions,
+    Progress,
+    Silent,
+    Watcher,
+)
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import kept_channels, open_output, unmatched_globs
@@ -93,13 +100,22 @@ def process(
             kept = kept_channels(log, options)
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
         config = with_clocks(config, log, options.extrinsics)
+        mode = _calibration(config, options)
+        with watch.timing("calibrate"):
+            poses = find_missing_poses(log, mode)
+        if poses is not None:
+            config = _with_found_clocks(config, poses.clocks)
         run = set_up(log, config, options)
         with watch.timing("read"):
             clocks = align_clocks(log, config, _reorder_of(run))
+        if poses is None:
+            with watch.timing("calibrate"):
+                poses = align_poses(log, clocks, mode)
+            run = replace(run, cameras=camera_positions(log))
         _calibrate_first(log, run, chain, clocks)
         observer = Observer(chain)
-        report = Report(log, run, observer, watch, clocks, unmatched_globs(log, options))
-        with open_output(path, log, run, chain, options) as output:
+        report = Report(log, run, observer, watch, clocks, poses, unmatched_globs(log, options))
+        with open_output(path, log, run, chain, options, moved=poses.replaced) as output:
             sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
             detections = clocks.correct(log.blocks())
             blocks = stream(detections, run, chain, watch, sinks)
@@ -161,6 +177,23 @@ def with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
         return config
     names = {name for camera in log.cameras for name in camera.sources.values()}
     found = {name: s for name, s in read_clocks(extrinsics).items() if name in names}
+    return _with_found_clocks(config, found)
+
+
+def _calibration(config: Config, options: ProcessOptions) -> Calibration:
+    """Return how a run refines the poses: a causal one cannot."""
+    if config.input.clocks != "causal":
+        return options.calibrate
+    if options.calibrate == "require":
+        raise ConfigError(
+            "--calibrate require has no effect: a causal run does not refine poses; find them with "
+            "hiros calibrate people and pass them with --extrinsics"
+        )
+    return "off"
+
+
+def _with_found_clocks(config: Config, found: Mapping[str, float]) -> Config:
+    """Add clocks that were found with the poses; those of the configuration come first."""
     clock = ClockParams.model_validate({**found, **config.clock.seconds})
     return config.model_copy(update={"clock": clock})
 

@@ -24,6 +24,7 @@ from hiros_mcap.io.rosbag2 import needs_latching
 from hiros_mcap.running.clock_alignment import align_clocks
 from hiros_mcap.running.observe import Observer
 from hiros_mcap.running.pipeline import set_up, shown_to, stream, with_clocks
+from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.process_options import ProcessOptions, Watcher
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -82,7 +83,7 @@ def process_live(
     run = set_up(log, with_clocks(config, log, options.extrinsics), options)
     clocks = align_clocks(log, run.config, 0.0)
     observer = Observer(chain)
-    report = Report(log, run, observer, watch, clocks)
+    report = Report(log, run, observer, watch, clocks, PoseAlignment())
     with _writer(target, options) as writer:
         if isinstance(writer, LiveWriter):
             source.before_waiting = writer.flush

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Frame
+
+Calibration = Literal["off", "auto", "require"]
+"""off: the log's poses. auto: better ones where the people prove them. require: refuse a log in
+which the people do not confirm every camera's pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +34,8 @@ class ProcessOptions:
     """File with limb lengths of an earlier session."""
     limbs_out: Path | None = None
     """Where to save the limb lengths."""
+    calibrate: Calibration = "auto"
+    """Whether the cameras' poses are refined before the run. A causal run never does."""
     strict: bool = False
     """Refuse a log if any of its messages has to be skipped."""
     recover: bool = False

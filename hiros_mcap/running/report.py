@@ -15,6 +15,7 @@ from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
 from hiros_mcap.running.observe import Observer, Presence
+from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import (
     CameraSummary,
@@ -48,6 +49,7 @@ class Report:
     observer: Observer
     watch: Stopwatch
     clocks: ClockAlignment
+    poses: PoseAlignment
     notes: Sequence[str] = ()
     """What the summary says first."""
 
@@ -55,7 +57,8 @@ class Report:
         """Return everything that is known so far."""
         start, end = self.log.span
         people, chain, cpu = self.observer.people, self.observer.chain, self.watch.cpu
-        steps = [name for name in ("read", *chain, "write") if name in cpu]
+        before = ("read", "calibrate") if self.poses.cameras else ("read",)
+        steps = [name for name in (*before, *chain, "write") if name in cpu]
         cameras = tuple(map(self._camera, self.log.cameras))
         return Summary(
             source=str(self.log.path),
@@ -63,6 +66,7 @@ class Report:
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - self.watch.started,
             cameras=cameras,
+            poses=tuple(self.poses.cameras),
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
@@ -134,6 +138,7 @@ class Report:
                     f"{account.first_error}. Look for the fault at its source; --strict refuses it"
                 )
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
+        yield from self.poses.warnings()
         yield from self.log.warnings
         if not self.observer.people:
             yield from self._nobody()
@@ -151,6 +156,7 @@ class Report:
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""
         yield from self.notes
+        yield from self.poses.notes()
         yield from self.log.remarks
         for account in self.log.accounts.values():
             yield from _input_notes(account)

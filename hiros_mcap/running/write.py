@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hiros_mcap._version import __version__
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import to_toml
 from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import (
@@ -54,9 +55,17 @@ class NoOutput:
 
 @contextmanager
 def open_output(
-    target: Path | None, log: Log, run: Run, chain: Sequence[str], options: ProcessOptions
+    target: Path | None,
+    log: Log,
+    run: Run,
+    chain: Sequence[str],
+    options: ProcessOptions,
+    *,
+    moved: bool,
 ) -> Iterator[NoOutput | LogOutput]:
     """Yield the output of a run; nothing appears at ``target`` without a commit.
+
+    ``moved`` tells that the log's static transforms are not those of the file.
 
     Raises LogError if ``target`` is the input or cannot be written.
     """
@@ -67,13 +76,15 @@ def open_output(
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
         digest_of(log.path) as digest,
     ):
-        copier = _file_copier(log, writer, options)
-        yield LogOutput(writer, copier, log, run, chain, options, digest.result)
+        copier = _file_copier(log, writer, options, moved=moved)
+        yield LogOutput(writer, copier, log, run, chain, options, digest.result, moved=moved)
 
 
-def _file_copier(log: Log, writer: McapWriter, options: ProcessOptions) -> ChunkCopier:
+def _file_copier(
+    log: Log, writer: McapWriter, options: ProcessOptions, *, moved: bool
+) -> ChunkCopier:
     """Copy /tf_static at once if players need it latched; return what copies the rest."""
-    kept = kept_channels(log, options)
+    kept = kept_channels(log, options, moved=moved)
     latched = [info for info in log.channels if info.id in kept and needs_latching(info)]
     copier = ChunkCopier(log.reader, writer, set(kept) - {info.id for info in latched})
     copy_latched(log.reader, writer, latched)
@@ -108,12 +119,16 @@ class LogOutput:
         chain: Sequence[str],
         options: ProcessOptions,
         digest: Callable[[], str],
+        *,
+        moved: bool = False,
     ) -> None:
         params = run.config.output
         self._writer, self._run, self._chain = writer, run, chain
         self._copier = copier
         if options.extrinsics is not None and options.keep is None:
             _write_poses(writer, log)
+        elif moved and options.keep is None:
+            _write_transforms(writer, log)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain
         }
@@ -192,6 +207,15 @@ def _write_poses(writer: McapWriter, log: Log) -> None:
     add_static_poses(writer, poses, log.fixed_frame, log.span[0])
 
 
+def _write_transforms(writer: McapWriter, log: Log) -> None:
+    """Write all static transforms, those of the cameras as they are used."""
+    by_time: dict[tuple[int, str], dict[str, Rigid]] = {}
+    for time, parent, child, pose in log.transforms.static_poses():
+        by_time.setdefault((max(time, log.span[0]), parent), {})[child] = pose
+    for (time, parent), poses in sorted(by_time.items(), key=lambda item: item[0]):
+        add_static_poses(writer, poses, parent, time)
+
+
 def _given(options: ProcessOptions) -> Mapping[str, str]:
     """Return what a run was given besides its log and its parameters."""
     files = {"extrinsics_sha256": options.extrinsics, "limbs_sha256": options.limbs_in}
@@ -200,20 +224,33 @@ def _given(options: ProcessOptions) -> Mapping[str, str]:
         for name, path in files.items()
         if path is not None
     }
-    return {**given, "topics": ",".join(options.topics)} if options.topics else given
+    if options.topics:
+        given["topics"] = ",".join(options.topics)
+    if options.calibrate != "auto":
+        given["calibrate"] = options.calibrate
+    return given
 
 
-def kept_channels(log: Log, options: ProcessOptions) -> list[int]:
-    """Return the ids of the input channels that are copied."""
+def kept_channels(log: Log, options: ProcessOptions, *, moved: bool = False) -> list[int]:
+    """Return the ids of the input channels that are copied.
+
+    ``moved`` tells that the static transforms are replaced.
+    """
     read = {camera.channel.id for camera in log.cameras}
-    return [info.id for info in log.channels if is_kept(info, options, is_read=info.id in read)]
+    return [
+        info.id
+        for info in log.channels
+        if is_kept(info, options, is_read=info.id in read, moved=moved)
+    ]
 
 
-def is_kept(info: ChannelInfo, options: ProcessOptions, *, is_read: bool) -> bool:
+def is_kept(
+    info: ChannelInfo, options: ProcessOptions, *, is_read: bool, moved: bool = False
+) -> bool:
     """Whether a channel of the input is copied; ``is_read``: its skeletons are read."""
     if options.keep is None:
         # Transforms that a file replaced would contradict the result.
-        transforms = () if options.extrinsics else TF_TOPICS
+        transforms = () if options.extrinsics else TF_TOPICS[1:] if moved else TF_TOPICS
         return is_read or info.topic in transforms or info.topic.startswith(f"{TRUTH_PREFIX}/")
     return info.topic not in OUTPUT_TOPICS and any(fnmatchcase(info.topic, g) for g in options.keep)
 

@@ -25,6 +25,7 @@ from hiros_mcap.running.observe import (
     MessageRate,
     Observer,
 )
+from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import LimbSummary, cleaned, duration, number, quantity
@@ -146,7 +147,7 @@ def test_a_duration_has_the_unit_that_fits(seconds: float, text: str) -> None:
 
 def report_on(run: Run) -> Report:
     observer = Observer(["tracked", "optimized"])
-    return Report(cast(Log, None), run, observer, Stopwatch(), ClockAlignment())
+    return Report(cast(Log, None), run, observer, Stopwatch(), ClockAlignment(), PoseAlignment())
 
 
 def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -61,6 +62,13 @@ def info(
     from hiros_mcap.io.overview import look
 
     overview = look(source, topics=topic, extrinsics=extrinsics)
+    if overview.kind == "recording" and not overview.fault:
+        from hiros_mcap.io.log import open_log
+        from hiros_mcap.running.pose_alignment import pose_faults
+
+        with open_log(source, topics=topic, extrinsics=extrinsics) as log:
+            faults = pose_faults(log)
+        overview = replace(overview, warnings=(*overview.warnings, *faults))
     for text in overview.warnings:
         warn(text)
     if json:

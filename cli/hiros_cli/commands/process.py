@@ -42,7 +42,9 @@ from hiros_mcap.errors import ConfigError, HirosError
 if TYPE_CHECKING:
     from hiros_mcap.config import Table as Parameters
     from hiros_mcap.running.pipeline import Watcher
+    from hiros_mcap.running.process_options import Calibration
     from hiros_mcap.summary import Summary
+
 
 EXPORTED = frozenset({".csv", ".parquet", ".jsonl", ".npz", ".trc", ".mot", ".c3d", ".bvh"})
 BAGS = frozenset({".db3", ".bag"})
@@ -158,6 +160,15 @@ def process(
         ),
     ] = None,
     calibrate: Annotated[
+        str,
+        typer.Option(
+            metavar="off|auto|require",
+            help="Camera poses: off keeps the log's, auto takes better ones where the people in "
+            "the log prove them, require also refuses poses that they do not confirm.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "auto",
+    limb_window: Annotated[
         list[str] | None,
         typer.Option(
             metavar="START:END",
@@ -265,7 +276,7 @@ def process(
         wanted = _checked_output(named, output, sides, save_limbs, force=force)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
-    shortcuts = _shortcuts(fixed_frame, calibrate, two_pass=two_pass, solver=solver)
+    shortcuts = _shortcuts(fixed_frame, limb_window, two_pass=two_pass, solver=solver)
     if model is not None:
         shortcuts["--model"] = {"input": {"model": model}}
     if unit is not None:
@@ -286,7 +297,7 @@ def process(
         {
             "--limbs": limbs,
             "--save-limbs": save_limbs,
-            "--calibrate": calibrate,
+            "--limb-window": limb_window,
             "--two-pass": two_pass,
             "--solver": solver,
         },
@@ -300,6 +311,7 @@ def process(
         limbs_in=limbs.absolute() if is_many and limbs else limbs,
         limbs_out=save_limbs,
         markers=markers,
+        calibrate=_calibration(calibrate),
         strict=strict,
         recover=recover,
         memory=memory,
@@ -408,20 +420,30 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
 
 
 def _shortcuts(
-    fixed_frame: str | None, calibrate: list[str] | None, *, two_pass: bool, solver: str | None
+    fixed_frame: str | None, windows: list[str] | None, *, two_pass: bool, solver: str | None
 ) -> dict[str, Parameters]:
     """Return the parameters that options with a name of their own set."""
     named: dict[str, Parameters] = {}
     if fixed_frame is not None:
         named["--fixed-frame"] = {"input": {"fixed_frame": fixed_frame}}
-    if calibrate:
-        windows = [_window(text) for text in calibrate]
-        named["--calibrate"] = {"optimize": {"calibration_windows": windows}}
+    if windows:
+        spans = [_window(text) for text in windows]
+        named["--limb-window"] = {"optimize": {"calibration_windows": spans}}
     if two_pass:
         named["--two-pass"] = {"optimize": {"calibration": "two-pass"}}
     if solver is not None:
         named["--solver"] = {"optimize": {"solver": solver}}
     return named
+
+
+def _calibration(text: str) -> Calibration:
+    match text:
+        case "off" | "auto" | "require":
+            return text
+    raise ConfigError(
+        f"--calibrate: {text!r} is none of off, auto, require (a time range for limb lengths is "
+        "--limb-window START:END)"
+    )
 
 
 def _clock(text: str) -> tuple[str, float]:
@@ -435,9 +457,9 @@ def _clock(text: str) -> tuple[str, float]:
 
 
 def _window(text: str) -> tuple[float, float]:
-    start, end = seconds_range("--calibrate", text)
+    start, end = seconds_range("--limb-window", text)
     if start < 0:
-        raise ConfigError(f"--calibrate: {text!r} starts before the log, which starts at 0")
+        raise ConfigError(f"--limb-window: {text!r} starts before the log, which starts at 0")
     return start, end
 
 

@@ -7,7 +7,7 @@ it hands out every message as soon as it is complete; one in a chunk when the ch
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -65,7 +65,12 @@ class LiveReader(McapReader):
                 self.forgotten += len(old) - len(kept)
                 self.preface = kept + recent
 
-    def batches(self, channels: Collection[int] | None = None, size: int = 0) -> Iterator[Batch]:
+    def batches(
+        self,
+        channels: Collection[int] | None = None,
+        size: int = 0,
+        spans: Sequence[tuple[int, int]] | None = None,
+    ) -> Iterator[Batch]:
         """Yield the preface, and then every message as soon as it is there.
 
         ``channels`` may grow meanwhile. Raises LogError where the input is damaged.

@@ -199,11 +199,15 @@ class McapReader:
         return self._file.read(chunk.offset, chunk.index_end - chunk.offset)
 
     def batches(
-        self, channels: Collection[int] | None = None, size: int = _TOGETHER
+        self,
+        channels: Collection[int] | None = None,
+        size: int = _TOGETHER,
+        spans: Sequence[tuple[int, int]] | None = None,
     ) -> Iterator[Batch]:
         """Yield the messages chunk by chunk, neighbours of up to ``size`` bytes together.
 
-        Chunks without any of ``channels`` (ids, None for all) are not decompressed.
+        Chunks without any of ``channels`` (ids, None for all) are not decompressed, nor are those
+        that lie between ``spans`` (log times, ns; None for all).
 
         Raises LogError where the file turns out to be damaged, at the message or a few chunks
         before it; it is then also wrong to use the messages before it.
@@ -211,6 +215,12 @@ class McapReader:
         chunks = self._contents.chunks
         if channels is not None:
             chunks = [chunk for chunk in chunks if chunk.holds(channels)]
+        if spans is not None:
+            chunks = [
+                chunk
+                for chunk in chunks
+                if any(chunk.end_time >= begin and chunk.start_time <= end for begin, end in spans)
+            ]
         chunks = sorted(chunks, key=lambda c: (c.start_time, c.offset))
         if _most_held(chunks) > self._memory // _HELD:
             yield from self._slices(chunks, channels)

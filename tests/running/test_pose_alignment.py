@@ -1,0 +1,227 @@
+"""The cameras' poses of a run: refined from the people, found from nothing, or left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pose_alignment import stretches
+from hiros_mcap.simulate import SimulateParams, Simulation, simulate
+from hiros_mcap.skeletons import Frame
+from hiros_mcap.summary import Summary
+
+NAMES = ("camera_0", "camera_1", "camera_2")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Simulation:
+    return simulate(SimulateParams(people=1, cameras=3, seconds=12.0, seed=5))
+
+
+@pytest.fixture(scope="module")
+def detections(scene: Simulation) -> list[Frame]:
+    return list(scene.detections)
+
+
+@pytest.fixture(scope="module")
+def true(scene: Simulation) -> dict[str, Rigid]:
+    return {camera.name: camera.pose for camera in scene.cameras}
+
+
+def turned(pose: Rigid, degrees: float, metres: float) -> Rigid:
+    half = np.radians(degrees) / 2
+    turn = Rigid(np.array([np.sin(half), 0.0, 0.0, np.cos(half)]), np.zeros(3))
+    return Rigid((turn @ pose).xyzw, pose.translation + metres * np.eye(3)[1])
+
+
+def write(
+    path: Path,
+    scene: Simulation,
+    frames: Sequence[Frame],
+    poses: Mapping[str, Rigid],
+    parents: Mapping[str, str] | None = None,
+) -> Path:
+    encoder = Encoder(scene.model)
+    with McapWriter(path) as writer:
+        for name, pose in poses.items():
+            parent = (parents or {}).get(name, "lab")
+            add_static_poses(writer, {name: pose}, parent, frames[0].log_time)
+        topics = {name: add_skeleton_channel(writer, f"/{name}/people") for name in NAMES}
+        for frame in sorted(frames, key=lambda frame: frame.log_time):
+            writer.write(topics[frame.source], frame.log_time, encoder.encode(frame))
+        writer.commit()
+    return path
+
+
+def filtered(path: Path) -> list[Frame]:
+    with open_log(path, topics=["/hiros/filtered"], output_prefix="/none") as log:
+        return list(log.frames())
+
+
+def poses_in(path: Path) -> dict[str, Rigid]:
+    with open_log(path) as log:
+        return {name: log.transforms.lookup(name, "lab", 0) for name in NAMES}
+
+
+def apart(one: Rigid, other: Rigid) -> float:
+    """Angle in degrees."""
+    return float(np.degrees(angle(one.xyzw, other.xyzw)))
+
+
+def assert_same(one: Rigid, other: Rigid) -> None:
+    np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
+    assert apart(one, other) < 1e-5
+
+
+def verdicts(summary: Summary) -> list[str]:
+    return [camera.verdict for camera in summary.poses]
+
+
+def test_a_camera_that_is_off_is_put_right_and_the_result_says_where_it_stands(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    given = true | {"camera_2": turned(true["camera_2"], 3.0, 0.06)}
+    log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
+    summary = process(log, out)
+    assert summary.poses[2].verdict == "improved"
+    assert summary.poses[2].moved_deg == pytest.approx(3.0, abs=0.4)
+    assert summary.poses[2].moved_mm == pytest.approx(60.0, abs=15.0)
+    assert apart(poses_in(out)["camera_2"], true["camera_2"]) < 0.4
+    assert apart(poses_in(out)["camera_0"], true["camera_0"]) < 0.4  # it does not drag the rig
+
+
+def test_true_poses_stay_to_the_last_bit(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    log = write(tmp_path / "log.mcap", scene, detections, true)
+    auto, off = tmp_path / "auto.mcap", tmp_path / "off.mcap"
+    assert verdicts(process(log, auto)) == ["good"] * 3
+    assert process(log, off, options=ProcessOptions(calibrate="off")).poses == ()
+    for name in NAMES:
+        assert_same(poses_in(auto)[name], poses_in(off)[name])
+    for one, other in zip(filtered(auto), filtered(off), strict=True):
+        np.testing.assert_array_equal(one.markers, other.markers)
+
+
+def test_a_pose_is_replaced_in_the_frame_of_its_own_parent(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    tripod = Rigid(true["camera_1"].xyzw, np.array([0.0, 0.0, 0.1]))
+    given = {name: turned(pose, 1.5, 0.0) for name, pose in true.items()}
+    given |= {"tripod": tripod, "camera_1": tripod.inverse() @ given["camera_1"]}
+    log = write(tmp_path / "log.mcap", scene, detections, given, {"camera_1": "tripod"})
+    process(log, tmp_path / "out.mcap")
+    with open_log(tmp_path / "out.mcap") as result:
+        assert_same(result.transforms.lookup("tripod", "lab", 0), tripod)
+    used = poses_in(tmp_path / "out.mcap")
+    got = used["camera_0"].inverse() @ used["camera_1"]
+    assert apart(got, true["camera_0"].inverse() @ true["camera_1"]) < 0.4
+
+
+def test_a_camera_that_defines_the_fixed_frame_stays(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    inverse = true["camera_0"].inverse()
+    given = {name: turned(inverse @ true[name], 2.0, 0.0) for name in NAMES[1:]}
+    parents = dict.fromkeys(given, "camera_0")
+    log = write(tmp_path / "log.mcap", scene, detections, given, parents)
+    process(log, tmp_path / "out.mcap")
+    with open_log(tmp_path / "out.mcap") as result:
+        assert result.fixed_frame == "camera_0"
+        found = result.transforms.lookup("camera_1", "camera_0", 0)
+    assert apart(found, inverse @ true["camera_1"]) < 0.4
+
+
+def test_a_short_log_keeps_its_poses(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    given = true | {"camera_2": turned(true["camera_2"], 3.0, 0.06)}
+    some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
+    summary = process(write(tmp_path / "log.mcap", scene, some, given), tmp_path / "out.mcap")
+    assert verdicts(summary) == ["doubtful"] * 3
+    assert_same(poses_in(tmp_path / "out.mcap")["camera_2"], given["camera_2"])
+
+
+def test_cameras_that_see_nobody_in_common_keep_their_poses(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    start = detections[0].stamp
+    ours = [f for f in detections if int((f.stamp - start) // 4e9) == NAMES.index(f.source)]
+    log = write(tmp_path / "log.mcap", scene, ours, true)
+    summary = process(log)
+    assert verdicts(summary) == ["impossible"] * 3
+    assert "shares no view" in summary.poses[0].reason
+    assert any("if it should, its pose is wrong" in note for note in summary.notes)
+    with pytest.raises(LogError, match="--calibrate require: camera_0: impossible"):
+        process(log, options=ProcessOptions(calibrate="require"))
+
+
+@pytest.mark.parametrize("given", [{}, dict.fromkeys(NAMES, Rigid.identity())])
+def test_a_log_that_nobody_calibrated_is_processed(
+    given: dict[str, Rigid],
+    scene: Simulation,
+    detections: list[Frame],
+    true: dict[str, Rigid],
+    tmp_path: Path,
+) -> None:
+    log, out = write(tmp_path / "log.mcap", scene, detections, given), tmp_path / "out.mcap"
+    summary = process(log, out)
+    assert verdicts(summary) == ["good"] * 3
+    assert any("poses come from the people" in note for note in summary.notes)
+    with open_log(out) as result:
+        fixed = result.fixed_frame
+        one, other = (result.transforms.lookup(name, fixed, 0) for name in NAMES[:2])
+    assert apart(one.inverse() @ other, true["camera_0"].inverse() @ true["camera_1"]) < 0.5
+
+
+def test_too_little_for_poses_from_nothing_says_what_to_record(
+    scene: Simulation, detections: list[Frame], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
+    log = write(tmp_path / "log.mcap", scene, some, {})
+    assert run(["process", str(log), "-o", str(tmp_path / "out.mcap")]) == 2
+    assert "walking about in view of camera_" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_causal_run_cannot_refine(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    log = write(tmp_path / "log.mcap", scene, detections[:90], true)
+    assert process(log, options=ProcessOptions("hiros-realtime")).poses == ()
+    with pytest.raises(ConfigError, match="causal run does not refine"):
+        options = ProcessOptions("hiros-realtime", calibrate="require")
+        process(log, config=None, options=options)
+
+
+def test_info_names_the_poses_that_do_not_fit(
+    scene: Simulation,
+    detections: list[Frame],
+    true: dict[str, Rigid],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = true | {"camera_2": turned(true["camera_2"], 4.0, 0.1)}
+    assert run(["info", str(write(tmp_path / "log.mcap", scene, detections, given))]) == 0
+    assert "these poses do not fit the people (camera_2: " in capsys.readouterr().err
+    assert run(["info", str(write(tmp_path / "good.mcap", scene, detections, true))]) == 0
+    assert "do not fit" not in capsys.readouterr().err
+
+
+def test_a_long_log_is_read_in_stretches() -> None:
+    assert stretches(0, int(10e9), 20.0, 5) == [(0, int(10e9))]
+    spans = stretches(0, int(100e9), 20.0, 5)
+    assert sum(end - begin for begin, end in spans) == pytest.approx(20e9)
+    assert spans[0] == (int(8e9), int(12e9))
+    assert spans[-1] == (int(88e9), int(92e9))
