@@ -23,6 +23,7 @@ from hiros_mcap.params import Params, explain, is_advanced
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
 from hiros_mcap.stages.filter import FilterParams
+from hiros_mcap.stages.fuse import FuseParams
 from hiros_mcap.stages.kalman import KalmanParams
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.moving_average import MovingAverageParams
@@ -113,6 +114,9 @@ class Config(Params):
     filter: FilterParams = Field(
         FilterParams(), description="Filtering: smooth motion (Hi-ROS 3.4)."
     )
+    fuse: FuseParams = Field(
+        FuseParams(), description="Fusing in fuse: one smooth trajectory per joint."
+    )
     associate: AssociateParams = Field(
         AssociateParams(), description="Tracking in malaguti and the baselines (Malaguti III-A)."
     )
@@ -194,6 +198,7 @@ upstream: the same with workable launch values of the published code; its defect
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "hiros-realtime": PRESETS["realtime"],
+    "fuse": {"filter": {"cutoff": 8.0}},
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
     "openptrack": {
         "kalman": {
