@@ -22,6 +22,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params, explain, is_advanced
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
+from hiros_mcap.stages.constrain import ConstrainParams
 from hiros_mcap.stages.filter import FilterParams
 from hiros_mcap.stages.fuse import FuseParams
 from hiros_mcap.stages.kalman import KalmanParams
@@ -117,6 +118,9 @@ class Config(Params):
     fuse: FuseParams = Field(
         FuseParams(), description="Fusing in fuse: one smooth trajectory per joint."
     )
+    constrain: ConstrainParams = Field(
+        ConstrainParams(), description="Constant lengths and the person's own motion in fuse."
+    )
     associate: AssociateParams = Field(
         AssociateParams(), description="Tracking in malaguti and the baselines (Malaguti III-A)."
     )
@@ -198,7 +202,6 @@ upstream: the same with workable launch values of the published code; its defect
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "hiros-realtime": PRESETS["realtime"],
-    "fuse": {"filter": {"cutoff": 8.0}},
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
     "openptrack": {
         "kalman": {

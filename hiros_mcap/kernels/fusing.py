@@ -53,7 +53,8 @@ class Sightings(NamedTuple):
         """Return arrays whose numbers are still to be set."""
         shape = views, markers
         numbers: list[Any] = [np.zeros(views, np.int64) for _ in range(4)]
-        return cls(*numbers, np.empty((*shape, 3)), np.empty(shape))
+        numbers += [np.empty((*shape, 3)), np.empty(shape)]
+        return cls(*numbers)
 
 
 class Steps(NamedTuple):

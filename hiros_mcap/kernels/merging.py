@@ -145,9 +145,10 @@ class MergerWork(NamedTuple):
         k, m, n = views, n_markers, n_links
         shapes = (k,), (k,), (k, m), (k, n), (m, 3), (n, 4), (m, 3)
         scratch: list[Any] = [np.empty(shape) for shape in shapes]
+        scratch.append(np.zeros(k, np.int64))
         return cls(
             np.empty((k + 1, 4)), np.empty((k + 1, 3)), np.empty((k + 1) ** 2),
-            np.empty(k, np.bool_), *scratch, np.zeros(k, np.int64),
+            np.empty(k, np.bool_), *scratch,
         )  # fmt: skip
 
 

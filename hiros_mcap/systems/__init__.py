@@ -38,7 +38,7 @@ SYSTEMS: dict[str, System] = {
         "one Kalman smoother per joint over all cameras, limb lengths, confidence from accuracy",
         fuse,
         ("T", "TM", "TMF"),
-        ("track", "merge", "fuse", "filter"),
+        ("track", "merge", "fuse", "constrain", "filter"),
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",

@@ -1,0 +1,184 @@
+"""Poses that a body can have: constant lengths, rigid groups, and the person's own motion.
+
+1. The lengths of limbs, and the distances within head, thorax and pelvis, are measured once per
+   person: L^2 = mean |d|^2 - 3 (v_a + v_b), since noise lengthens.
+2. Each pose is projected onto them. Uncertain markers move most.
+3. The person's poses of some seconds are the prior of each of them
+   (:mod:`hiros_mcap.stages.pose_prior`); then lengths are restored.
+4. Link orientations are turned by the smallest rotation that brings them in line with their bones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+
+_DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
+_SURE = 0.005  # m; added to the deviations that weight a length
+_OUTLIER = 4.0  # robust standard deviations
+_FEWEST = 10  # poses that give a length
+
+
+class ConstrainParams(Params):
+    """Parameters of the constraints."""
+
+    window: float = Field(
+        10.0,
+        ge=0,
+        description="Seconds of each person that give the limb lengths, and that are corrected at "
+        "once.",
+    )
+    enough: float = advanced(
+        5.0, ge=0, description="Seconds after which the lengths of a person stay as they are."
+    )
+    rigid: bool = advanced(
+        True, description="Keep the distances within head, thorax and pelvis, too."
+    )
+    prior: bool = advanced(
+        True, description="Use the motion of the person in the window as a prior of each pose."
+    )
+    sweeps: int = advanced(20, ge=1, description="Most sweeps of the projection onto the lengths.")
+
+
+def constrain(
+    frames: Iterable[Frame],
+    model: SkeletonModel,
+    params: ConstrainParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Frame]:
+    """Do what :func:`constrain_blocks` does, frame by frame."""
+    return frames_of(constrain_blocks(map(Block.of, frames), model, params, events))
+
+
+def constrain_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: ConstrainParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Block]:
+    """Give everybody constant lengths and less noise.
+
+    Parameters
+    ----------
+    blocks : fused frames; the uncertainty of their markers is used if it is known.
+    model, params : the skeleton; see :class:`ConstrainParams`.
+    events : notes when somebody's limbs are measured.
+
+    Yields
+    ------
+    The same frames with other positions, m, and orientations, logged when their window ended.
+    """
+    params = params or ConstrainParams()
+    bodies = _Bodies(model, params, Events() if events is None else events)
+    held: list[Part] = []
+    for block in blocks:
+        for i, stamp in enumerate(block.stamps.tolist()):
+            held.append((block, i))
+            first = held[0][0].stamps[held[0][1]]
+            if stamp - first >= params.window * 1e9:
+                yield bodies.constrain(held)
+                held = []
+    if held:
+        yield bodies.constrain(held)
+
+
+class _Bodies:
+    """What is known of everybody's body."""
+
+    def __init__(self, model: SkeletonModel, params: ConstrainParams, events: Events) -> None:
+        from hiros_mcap.body.rigid_groups import constant_pairs
+        from hiros_mcap.kernels import link_lengths
+
+        self._params, self._events, self._kernels = params, events, link_lengths
+        self._lateral = symmetry_of(model).lateral
+        self._links = model.links
+        self._pairs = constant_pairs(model, rigid=params.rigid)
+        self._people: dict[int, tuple[Floats, float, int]] = {}
+        """Person -> lengths (K,), m; the seconds that gave them; when they were last seen, ns."""
+
+    def constrain(self, held: list[Part]) -> Block:
+        """Correct the poses of a window."""
+        out = join(held)
+        deviations = np.full(out.people.marker_confidences.shape, _DEFAULT_DEVIATION)
+        if out.uncertainty is not None:
+            known = out.uncertainty.deviations
+            deviations = np.where(np.isnan(known), _DEFAULT_DEVIATION, known)
+        variances = deviations**2
+        seconds = self._params.window / len(out)
+        for person in np.unique(out.people.ids):
+            if person != UNTRACKED:
+                rows = np.flatnonzero(out.people.ids == person)
+                self._measure(int(person), out, rows, variances, seconds)  # 1
+                self._correct(int(person), out, rows, variances)  # 2 and 3
+        self._forget(int(out.stamps[-1]))
+        log_times = np.full(len(out), out.log_times[-1])
+        return replace(out, log_times=log_times)
+
+    def _measure(
+        self, person: int, out: Block, rows: Stamps, variances: Floats, seconds: float
+    ) -> None:
+        """Measure the lengths of a person as long as they are not well known."""
+        lengths, known, _ = self._people.get(person, (np.zeros(len(self._pairs)), 0.0, 0))
+        if known < self._params.enough:
+            positions = out.people.markers[rows][:, :, POSITION]
+            found = measured_lengths(positions, variances[rows], self._pairs)
+            new = len(rows) * seconds
+            weight = np.where(lengths > 0, known / (known + new), 0.0)
+            lengths = np.where(np.isnan(found), lengths, weight * lengths + (1 - weight) * found)
+            known += new
+            if known >= self._params.enough:
+                self._events.note(int(out.stamps[0]), "limbs calibrated", person=person)
+        self._people[person] = lengths, known, int(out.stamps[-1])
+
+    def _correct(self, person: int, out: Block, rows: Stamps, variances: Floats) -> None:
+        """Project onto the lengths; move towards what the person does; project again."""
+        from hiros_mcap.stages.pose_prior import shrink_noise
+
+        markers, sweeps = out.people.markers, self._params.sweeps
+        lengths = np.column_stack([self._people[person][0], np.ones(len(self._pairs))])
+        project = self._kernels.project_all
+        project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+        if self._params.prior:
+            own = markers[rows][:, :, POSITION]
+            markers[rows, :, POSITION] = shrink_noise(own, variances[rows], self._lateral)
+            project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+
+    def _forget(self, now: int) -> None:
+        """Forget who was not seen for ten minutes: somebody who returns has the same body."""
+        self._people = {p: k for p, k in self._people.items() if now - k[2] < 600 * 10**9}
+
+
+def measured_lengths(positions: Floats, variances: Floats, pairs: Stamps) -> Floats:
+    """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
+
+    Parameters
+    ----------
+    positions : (T, M, 3) m. variances : (T, M) m2 along each axis. pairs : (K, 2) slots.
+    """
+    a, b = pairs[:, 0], pairs[:, 1]
+    squares = ((positions[:, a] - positions[:, b]) ** 2).sum(axis=2)
+    noise = variances[:, a] + variances[:, b]
+    known = ~np.isnan(squares)
+    squares = np.where(known, squares, np.nan)
+    enough = known.sum(axis=0) >= _FEWEST
+    lengths = np.full(len(pairs), np.nan)
+    if not enough.any():
+        return lengths
+    squares, noise, known = squares[:, enough], noise[:, enough], known[:, enough]
+    middle = np.nanmedian(squares, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
+    clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
+    weights = known / (noise + 2 * _SURE**2)
+    mean = np.nansum(weights * (clipped - 3 * noise), axis=0) / weights.sum(axis=0)
+    # Noise that is overstated must not shrink a short link to nothing.
+    lengths[enough] = np.sqrt(np.maximum(mean, 0.5 * middle))
+    return lengths
