@@ -20,7 +20,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, Ints, SkeletonModel, Stamps
 
 _DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _SURE = 0.005  # m; added to the deviations that weight a length
@@ -157,7 +157,7 @@ class _Bodies:
         self._people = {p: k for p, k in self._people.items() if now - k[2] < 600 * 10**9}
 
 
-def measured_lengths(positions: Floats, variances: Floats, pairs: Stamps) -> Floats:
+def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
     """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
 
     Parameters

@@ -83,7 +83,7 @@ def _wiener(positions: Floats, variances: Floats) -> Floats:
     rank = basis.shape[1]
     d = _FREE**2 + v
     pairs = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), rank * rank)
-    inner = (1 / d @ pairs).reshape(-1, rank, rank) + np.eye(rank)
+    inner = (1 / d @ pairs).reshape(len(y), rank, rank) + np.eye(rank)
     right = (off / d) @ basis
     solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
     u = (off - solved @ basis.T) / d
