@@ -147,6 +147,7 @@ def _join_uncertainty(parts: Sequence[Part]) -> Uncertainty | None:
         np.concatenate([each.deviations for each in some]),
         np.concatenate([each.cameras for each in some]),
         max((each.names for each in some), key=len),
+        np.concatenate([each.shared for each in some]),
     )
 
 

@@ -163,10 +163,12 @@ class Uncertainty(NamedTuple):
     """(P, M) the cameras that contributed: bit k is that of ``names[k]``."""
     names: tuple[str, ...]
     """Sources of the cameras."""
+    shared: Floats
+    """(P, M) part of the deviations that neighbouring markers share: the cameras' poses, m."""
 
     def at(self, rows: Any) -> Uncertainty:
         """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
-        return Uncertainty(self.deviations[rows], self.cameras[rows], self.names)
+        return Uncertainty(self.deviations[rows], self.cameras[rows], self.names, self.shared[rows])
 
 
 T = TypeVar("T")

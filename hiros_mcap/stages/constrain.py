@@ -1,7 +1,7 @@
 """Poses that a body can have: constant lengths, rigid groups, and the person's own motion.
 
 1. The lengths of limbs, and the distances within head, thorax and pelvis, are measured once per
-   person: L^2 = mean |d|^2 - 3 (v_a + v_b), since noise lengthens.
+   person: L^2 = mean |d|^2 - 3 v, since noise of variance v along each axis lengthens.
 2. Each pose is projected onto them. Uncertain markers move most.
 3. The person's poses of some seconds are the prior of each of them
    (:mod:`hiros_mcap.stages.pose_prior`); then lengths are restored.
@@ -108,11 +108,7 @@ class _Bodies:
     def constrain(self, held: list[Part]) -> Block:
         """Correct the poses of a window."""
         out = join(held)
-        deviations = np.full(out.people.marker_confidences.shape, _DEFAULT_DEVIATION)
-        if out.uncertainty is not None:
-            known = out.uncertainty.deviations
-            deviations = np.where(np.isnan(known), _DEFAULT_DEVIATION, known)
-        variances = deviations**2
+        variances = own_variances(out)
         seconds = self._params.window / len(out)
         for person in np.unique(out.people.ids):
             if person != UNTRACKED:
@@ -157,8 +153,19 @@ class _Bodies:
         self._people = {p: k for p, k in self._people.items() if now - k[2] < 600 * 10**9}
 
 
+def own_variances(block: Block) -> Floats:
+    """(P, M) Variance of each marker along each axis by itself, m2, without what all share."""
+    known = block.uncertainty
+    if known is None:
+        return np.full(block.people.marker_confidences.shape, _DEFAULT_DEVIATION**2)
+    variances = known.deviations**2 - known.shared**2
+    return np.where(np.isnan(variances), _DEFAULT_DEVIATION**2, np.maximum(variances, 1e-8))
+
+
 def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
     """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
+
+    The noise is at most what the distance itself varies by: an overstated one would shorten.
 
     Parameters
     ----------
@@ -178,7 +185,7 @@ def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Float
     spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
     clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
     weights = known / (noise + 2 * _SURE**2)
-    mean = np.nansum(weights * (clipped - 3 * noise), axis=0) / weights.sum(axis=0)
-    # Noise that is overstated must not shrink a short link to nothing.
-    lengths[enough] = np.sqrt(np.maximum(mean, 0.5 * middle))
+    mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
+    stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
+    lengths[enough] = np.sqrt(mean - 3 * np.minimum(stated, np.nanvar(np.sqrt(clipped), axis=0)))
     return lengths

@@ -19,7 +19,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import FusionWork, JointStates, Sightings, Steps
-from hiros_mcap.skeletons import Floats, SkeletonModel
+from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 from hiros_mcap.stages.fusion_noise import FusionNoise, distances
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.sightings import SightingGatherer, chosen, joined
@@ -90,7 +90,7 @@ def score_of(views: Sightings) -> float:
     return total
 
 
-def _never(stream: Sightings) -> Floats:
+def _never(stream: Sightings) -> Flags:
     """(M,) Whether a marker is never seen."""
     return np.asarray(np.isnan(stream.positions[:, :, 0]).all(axis=0))
 

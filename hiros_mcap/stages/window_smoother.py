@@ -152,7 +152,8 @@ class WindowSmoother:
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
         people, params = out.people, self._params
-        variances = poses.variances + self._pose_variance(poses.positions, seen)
+        shared = self._pose_variance(poses.positions, seen)
+        variances = poses.variances + shared
         unknown = ~(variances <= params.max_deviation**2)
         variances[unknown] = np.nan
         for columns, values in ((POSITION, poses.positions), (VELOCITY, poses.velocities)):
@@ -162,7 +163,7 @@ class WindowSmoother:
         known = (~unknown).sum(axis=1)
         total = np.nansum(people.marker_confidences, axis=1)
         people.confidences[:] = np.where(known > 0, total / np.maximum(known, 1), np.nan)
-        uncertainty = Uncertainty(np.sqrt(variances), seen, self._names)
+        uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
         log_times = np.full(len(out), log_time, np.int64)
         return replace(out, log_times=log_times, uncertainty=uncertainty)
 
