@@ -42,10 +42,25 @@ class FuseParams(Params):
         description="Seconds that are smoothed at once. Results do not depend on it as long as the "
         "look-ahead is long; 0 = every instant as soon as it has its look-ahead.",
     )
-    learn: bool = Field(
-        True,
-        description="Learn the noise of cameras and joints from the log in a first pass. Without "
-        "it, the defaults of depth cameras are used.",
+    learn: bool = advanced(
+        False,
+        description="Learn the noise of cameras and joints, and how joints move, from the log in a "
+        "first pass. The fixed values below gave smaller errors on simulated and real logs.",
+    )
+    acceleration: float = advanced(
+        10.0,
+        gt=0,
+        description="Spectral density of a joint's acceleration, m2/s3. 3 to 10 give the same "
+        "error on simulated logs.",
+    )
+    offset: float = advanced(
+        0.01,
+        ge=0,
+        description="Standard deviation of the slow offset of a camera, per joint, m. 0 = cameras "
+        "have none; then the error is larger and its estimate far too small.",
+    )
+    offset_time: float = advanced(
+        1.7, gt=0, description="Time constant, s, with which such an offset wanders."
     )
     max_deviation: float = advanced(
         0.3,
@@ -113,9 +128,12 @@ def fuse_blocks(
     from hiros_mcap.stages.window_smoother import WindowSmoother
 
     views = SightingGatherer(model, merging or MergeParams())  # instants and sides
-    smoother = WindowSmoother(  # variances, filters, smoother, confidences
-        model, params or FuseParams(), noise or FusionNoise.default(model), cameras or {}
+    params = params or FuseParams()
+    noise = noise or FusionNoise.default(
+        model, params.acceleration, params.offset, params.offset_time
     )
+    # variances, filters, smoother, confidences
+    smoother = WindowSmoother(model, params, noise, cameras or {})
     for block, sightings, names in views.run(blocks, events or Events(), fixed_frame):
         yield from smoother.update(block, sightings, names)
     yield from smoother.rest()

@@ -41,12 +41,19 @@ class FusionNoise:
     """Confidence below which the detector guesses."""
 
     @classmethod
-    def default(cls, model: SkeletonModel) -> FusionNoise:
-        """Return what is assumed of a log that was not looked at."""
+    def default(
+        cls,
+        model: SkeletonModel,
+        acceleration: float = 10.0,
+        offset: float = 0.01,
+        time: float = 1.7,
+    ) -> FusionNoise:
+        """Return what is assumed of a log that was not looked at: m2/s3, m, s."""
         names = [split_side(name)[0] for name in model.marker_names]
         factors = np.array([_EXTREMITY_FACTOR if n in _EXTREMITIES else 1.0 for n in names])
         m = model.n_markers
-        return cls((_WHITE * factors) ** 2, np.full(m, 10.0), np.full(m, 0.014))
+        white = (_WHITE * factors) ** 2
+        return cls(white, np.full(m, acceleration), np.full(m, offset), time)
 
     @property
     def motion(self) -> JointNoise:
