@@ -15,7 +15,7 @@ _SQUARE_68, _SQUARE_95 = 3.5059, 7.8147
 
 
 @dataclass(frozen=True, slots=True)
-class Coverage:
+class EllipsoidCoverage:
     """Shares of the true joints; right are 0.68 and 0.95."""
 
     joints: int
@@ -33,7 +33,7 @@ class Coverage:
         )
 
 
-def coverage_of(matches: Matches, told: Deviations, model: SkeletonModel) -> Coverage | None:
+def coverage_of(matches: Matches, told: Deviations, model: SkeletonModel) -> EllipsoidCoverage | None:
     """Compare errors with stated deviations; None if no joint has both."""
     scaled = []
     rows = zip(matches.stamps, matches.ids, matches.poses, matches.true_poses, strict=True)
@@ -45,7 +45,7 @@ def coverage_of(matches: Matches, told: Deviations, model: SkeletonModel) -> Cov
     squares = squares[np.isfinite(squares)]
     if not len(squares):
         return None
-    return Coverage(
+    return EllipsoidCoverage(
         len(squares),
         float((squares < _SQUARE_68).mean()),
         float((squares < _SQUARE_95).mean()),

@@ -15,7 +15,7 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.evaluate.ellipsoids import Coverage, coverage_of
+from hiros_mcap.evaluate.ellipsoids import EllipsoidCoverage, coverage_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
 from hiros_mcap.evaluate.partial_truth import people_without_truth
 from hiros_mcap.evaluate.scores import Scores, score_matches
@@ -190,7 +190,7 @@ class ChannelResult:
     model: SkeletonModel
     skipped: Mapping[str, int]
     """Messages that gave no frame, by reason."""
-    coverage: Coverage | None = None
+    coverage: EllipsoidCoverage | None = None
     """Whether its uncertainty is right; None if it states none."""
 
 

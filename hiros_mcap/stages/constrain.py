@@ -5,7 +5,7 @@
 2. Each pose is projected onto them. Uncertain markers move most.
 3. The person's poses of some seconds are the prior of each of them
    (:mod:`hiros_mcap.stages.pose_prior`); then lengths are restored.
-4. Link orientations are turned by the smallest rotation that brings them in line with their bones.
+4. Known lengths take a part of the variance of each marker.
 """
 
 from __future__ import annotations
@@ -20,7 +20,16 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, Ints, SkeletonModel, Stamps
+from hiros_mcap.skeletons import (
+    POSITION,
+    UNTRACKED,
+    Floats,
+    Frame,
+    Ints,
+    SkeletonModel,
+    Stamps,
+    Uncertainty,
+)
 
 _DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _SURE = 0.005  # m; added to the deviations that weight a length
@@ -117,7 +126,24 @@ class _Bodies:
                 self._correct(int(person), out, rows, variances)  # 2 and 3
         self._forget(int(out.stamps[-1]))
         log_times = np.full(len(out), out.log_times[-1])
-        return replace(out, log_times=log_times)
+        known = self._surer(out, variances)
+        return replace(out, log_times=log_times, uncertainty=known)
+
+    def _surer(self, out: Block, variances: Floats) -> Uncertainty | None:
+        """Return the uncertainty after the projection; confidences follow it."""
+        known, people = out.uncertainty, out.people
+        if known is None:
+            return None
+        left = variances * left_by_lengths(variances, self._links) + known.shared**2
+        # 1 / c - 1 is proportional to the variance.
+        ratio = left / known.deviations**2
+        people.marker_confidences[:] = 1 / (1 + (1 / people.marker_confidences - 1) * ratio)
+        seen = ~np.isnan(people.marker_confidences)
+        total = np.where(seen, people.marker_confidences, 0.0).sum(axis=1)
+        count = seen.sum(axis=1)
+        people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        deviations = np.where(np.isnan(known.deviations), np.nan, np.sqrt(left))
+        return known._replace(deviations=deviations)
 
     def _measure(
         self, person: int, out: Block, rows: Stamps, variances: Floats, seconds: float
@@ -160,6 +186,21 @@ def own_variances(block: Block) -> Floats:
         return np.full(block.people.marker_confidences.shape, _DEFAULT_DEVIATION**2)
     variances = known.deviations**2 - known.shared**2
     return np.where(np.isnan(variances), _DEFAULT_DEVIATION**2, np.maximum(variances, 1e-8))
+
+
+def left_by_lengths(variances: Floats, links: Ints) -> Floats:
+    """(P, M) Share of the variance that known lengths of ``links`` (L, 2) leave.
+
+    A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
+    along the link. To first order, the links of a marker add up.
+    """
+    taken = np.zeros_like(variances)
+    for a, b in links.tolist():
+        if a >= 0 and b >= 0:
+            share = variances[:, a] / (variances[:, a] + variances[:, b])
+            taken[:, a] += share / 3
+            taken[:, b] += (1 - share) / 3
+    return np.asarray(1 - np.minimum(taken, 2 / 3))
 
 
 def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
