@@ -22,7 +22,9 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params, explain, is_advanced
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
+from hiros_mcap.stages.constrain import ConstrainParams
 from hiros_mcap.stages.filter import FilterParams
+from hiros_mcap.stages.fuse import FuseParams
 from hiros_mcap.stages.kalman import KalmanParams
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.moving_average import MovingAverageParams
@@ -124,6 +126,12 @@ class Config(Params):
     )
     filter: FilterParams = Field(
         FilterParams(), description="Filtering: smooth motion (Hi-ROS 3.4)."
+    )
+    fuse: FuseParams = Field(
+        FuseParams(), description="Fusing in fuse: one smooth trajectory per joint."
+    )
+    constrain: ConstrainParams = Field(
+        ConstrainParams(), description="Constant lengths and the person's own motion in fuse."
     )
     associate: AssociateParams = Field(
         AssociateParams(), description="Tracking in malaguti and the baselines (Malaguti III-A)."

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiros_mcap.kernels.gathering import gather
-from hiros_mcap.skeletons import Frame, People, Stage, Stamps
+from hiros_mcap.skeletons import Frame, People, Stage, Stamps, Uncertainty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +31,8 @@ class Block:
     rows: Stamps
     """(N, 2) first row of each frame's people, and the row after the last."""
     people: People
+    uncertainty: Uncertainty | None = None
+    """Of the same rows; None = no stage has said anything."""
 
     def __repr__(self) -> str:
         return f"<Block {len(self)} frames, {int(np.ptp(self.rows, axis=1).sum())} people>"
@@ -49,13 +51,16 @@ class Block:
             (frame.frame_id,),
             np.array([[0, frame.n_people]], np.int64),
             frame.people,
+            frame.uncertainty,
         )
 
     def frame(self, i: int) -> Frame:
         """Frame ``i``; its arrays are views."""
-        people = self.people.at(slice(*self.rows[i].tolist()))
+        rows = slice(*self.rows[i].tolist())
         stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
-        return Frame(stamp, log_time, self.sources[i], self.frame_ids[i], people)
+        known = self.uncertainty and self.uncertainty.at(rows)
+        source, frame_id = self.sources[i], self.frame_ids[i]
+        return Frame(stamp, log_time, source, frame_id, self.people.at(rows), known)
 
     def messages(self) -> Iterator[tuple[int, str, int, Part]]:
         """Stamp, source, log time and place of every frame, in order."""
@@ -73,6 +78,7 @@ class Block:
             [self.frame_ids[i] for i in places],
             self.rows[chosen],
             self.people,
+            self.uncertainty,
         )
 
     def restamped(self, stamps: Stamps) -> Block:
@@ -126,6 +132,22 @@ def join(parts: Sequence[Part]) -> Block:
         [block.frame_ids[i] for block, i in parts],
         np.array(rows, np.int64),
         joined,
+        _join_uncertainty(parts),
+    )
+
+
+def _join_uncertainty(parts: Sequence[Part]) -> Uncertainty | None:
+    """Return the uncertainty of some frames of any blocks; None if one of them has none."""
+    known = [block.uncertainty for block, _ in parts if block.uncertainty is not None]
+    if len(known) < len(parts):
+        return None
+    rows = [slice(*block.rows[i].tolist()) for block, i in parts]
+    some = [each.at(own) for each, own in zip(known, rows, strict=True)]
+    return Uncertainty(
+        np.concatenate([each.deviations for each in some]),
+        np.concatenate([each.cameras for each in some]),
+        max((each.names for each in some), key=len),
+        np.concatenate([each.shared for each in some]),
     )
 
 

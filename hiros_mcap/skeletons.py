@@ -159,6 +159,23 @@ class People(NamedTuple):
             some[:] = some[order]
 
 
+class Uncertainty(NamedTuple):
+    """How well the markers of P people are known, as far as a stage says it."""
+
+    deviations: Floats
+    """(P, M) standard deviation of the position along each axis, m; NaN = unknown."""
+    cameras: Stamps
+    """(P, M) the cameras that contributed: bit k is that of ``names[k]``."""
+    names: tuple[str, ...]
+    """Sources of the cameras."""
+    shared: Floats
+    """(P, M) part of the deviations that neighbouring markers share: the cameras' poses, m."""
+
+    def at(self, rows: Any) -> Uncertainty:
+        """Return some people: views if ``rows`` is a slice, copies if it is a mask or indices."""
+        return Uncertainty(self.deviations[rows], self.cameras[rows], self.names, self.shared[rows])
+
+
 T = TypeVar("T")
 
 
@@ -185,6 +202,8 @@ class Frame:
     frame_id: str
     """The frame that the coordinates are expressed in."""
     people: People
+    uncertainty: Uncertainty | None = None
+    """Of the same people; None = no stage has said anything."""
 
     ids = _of_people("ids", Ints)
     stamps = _of_people("stamps", Stamps)
@@ -240,7 +259,7 @@ class Frame:
         people = own.pop("people", self.people)
         if changes.keys() - set(People._fields):
             raise TypeError(f"a frame has no {', '.join(sorted(changes))}")
-        values = {name: own.get(name, getattr(self, name)) for name in _OWN[:-1]}
+        values = {n: own.get(n, getattr(self, n)) for n in _OWN if n != "people"}
         return Frame(**values, people=people._replace(**changes) if changes else people)
 
     def select(self, people: npt.NDArray[Any] | list[int]) -> Frame:
@@ -248,7 +267,8 @@ class Frame:
         index = np.asarray(people)
         if index.size == 0:
             index = index.astype(np.intp)
-        return self.replace(people=self.people.at(index))
+        known = self.uncertainty and self.uncertainty.at(index)
+        return self.replace(people=self.people.at(index), uncertainty=known)
 
     @classmethod
     def empty(

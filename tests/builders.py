@@ -68,7 +68,7 @@ def moved(frames: Sequence[Frame], turn: Rotation, shift: Floats) -> list[Frame]
 
 def same(one: Frame, other: Frame, *, but_ids: bool = False) -> bool:
     """Whether two frames hold the same bytes (NaN = NaN)."""
-    names = (*Frame.__slots__[:-1], *People._fields)
+    names = (*(n for n in Frame.__slots__ if n != "people"), *People._fields)
     fields = [name for name in names if not (but_ids and name == "ids")]
     return all(_equal(getattr(one, name), getattr(other, name)) for name in fields)
 
@@ -76,4 +76,6 @@ def same(one: Frame, other: Frame, *, but_ids: bool = False) -> bool:
 def _equal(a: object, b: object) -> bool:
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.shape == b.shape and bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(_equal, a, b))
     return a == b

@@ -15,6 +15,7 @@ import numpy as np
 
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.evaluate.ellipsoids import EllipsoidCoverage, coverage_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, Track, match
 from hiros_mcap.evaluate.partial_truth import people_without_truth
 from hiros_mcap.evaluate.scores import Scores, score_matches
@@ -24,6 +25,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.log import open_groups, open_log, open_reader, span_of
+from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, read_uncertainty
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 _FIRST_MESSAGES = 100
@@ -188,6 +190,8 @@ class ChannelResult:
     model: SkeletonModel
     skipped: Mapping[str, int]
     """Messages that gave no frame, by reason."""
+    coverage: EllipsoidCoverage | None = None
+    """Whether its uncertainty is right; None if it states none."""
 
 
 def evaluate_log(
@@ -208,7 +212,9 @@ def evaluate_log(
             scores = score_matches(matches, truth, model)
         except ValueError as error:
             raise LogError(str(error), path=path, topic=topic) from None
-        results[topic] = ChannelResult(scores, matches, model, skipped)
+        told = read_uncertainty(path) if topic == UNCERTAIN_TOPIC else {}
+        covered = coverage_of(matches, told, model) if told else None
+        results[topic] = ChannelResult(scores, matches, model, skipped, covered)
     return results
 
 

@@ -56,6 +56,7 @@ def notes_of(truth: Truth, results: Mapping[str, ChannelResult]) -> list[str]:
             f"by links, {singular} near-singular angles are left out: the true x angle is beyond "
             f"{SINGULAR_DEG:g} degrees"
         )
+    notes += [f"{topic}: {each.coverage}" for topic, each in results.items() if each.coverage]
     for topic, each in results.items():
         notes += [f"{topic}: {n} messages skipped: {why}" for why, n in each.skipped.items()]
     return notes

@@ -57,6 +57,12 @@ class CdrWriter:
         self.uint32(values.size)
         self.array(values)
 
+    def numbers(self, form: str, values: Sequence[float]) -> None:
+        """Write a sequence of numbers of four bytes: int32 (i), uint32 (I) or float32 (f)."""
+        self.uint32(len(values))
+        if values:
+            self._put(form, 4, *values)
+
     def string(self, text: str) -> None:
         """Write a string."""
         data = text.encode() + b"\0"

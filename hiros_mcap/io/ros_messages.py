@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import hiros_schemas
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.bags import kind_of, open_bag, parts_of, ros2_types
 from hiros_mcap.io.container import McapReader
@@ -19,7 +20,7 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 POINT = "geometry_msgs/msg/PointStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-KINDS = (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POINT, TRANSFORMS)
+KINDS = (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO, POINT, TRANSFORMS, hiros_schemas.UNCERTAINTY)
 """The types that can be read; their definitions are the same in every release of ROS 2."""
 
 
@@ -46,7 +47,8 @@ class RosMessages:
     types: Mapping[str, str]
 
     def __init__(self) -> None:
-        self._store = ros2_types({})
+        ours = hiros_schemas.UNCERTAINTY
+        self._store = ros2_types({ours: hiros_schemas.text(ours)})
 
     def decode(self, message: RosMessage) -> Any:
         """Return a message's fields as attributes, arrays as numpy arrays.

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import F2, J2, PEOPLE, kernel
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, J2, PEOPLE, kernel
 from hiros_mcap.kernels.filtering import PAST, STEPS, FilterPast, FilterSteps, step_of
-from hiros_mcap.skeletons import Floats, Ints, People
+from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 
 # Columns of FilterPast.lengths.
 LENGTH = 0
@@ -55,13 +55,16 @@ def average_lengths(
             lengths[k, LENGTH], lengths[k, DURATION] = mean, duration
 
 
-@kernel(types.int64(F2, J2, F2, types.int64, types.float64))
-def project(markers: Floats, links: Ints, lengths: Floats, sweeps: int, tolerance: float) -> int:
+@kernel(types.int64(F2, J2, F2, F1, types.int64, types.float64))
+def project(
+    markers: Floats, links: Ints, lengths: Floats, variances: Floats, sweeps: int, tolerance: float
+) -> int:
     """Move markers (M, 19) by as little as it takes to give every link its length.
 
-    Project onto one length after the other (Gauss-Seidel; both ends move by the same amount)
-    until none is off by more than ``tolerance`` of itself; return the sweeps. Any graph; links
-    without both ends or without a known length (``lengths`` (L, 2): m, s) are left alone.
+    Project onto one length after the other (Gauss-Seidel) until none is off by more than
+    ``tolerance`` of itself; return the sweeps. Both ends move in proportion to their ``variances``
+    (M,), by the same amount if there are none. Any graph; links without both ends or without a
+    known length (``lengths`` (L, 2): m, s) are left alone.
     """
     for sweep in range(sweeps):
         worst = 0.0
@@ -71,11 +74,14 @@ def project(markers: Floats, links: Ints, lengths: Floats, sweeps: int, toleranc
             if lengths[k, DURATION] == 0.0 or mean == 0.0 or not 1e-6 < length < np.inf:
                 continue
             worst = max(worst, abs(length - mean) / mean)
-            factor = 0.5 * (length - mean) / length
+            share = 0.5
+            if len(variances) > 0:
+                share = variances[a] / (variances[a] + variances[b])
+            near, far = share * (length - mean) / length, (1.0 - share) * (length - mean) / length
             for c in range(3):
-                move = factor * (markers[b, c] - markers[a, c])
-                markers[a, c] += move
-                markers[b, c] -= move
+                apart = markers[b, c] - markers[a, c]
+                markers[a, c] += near * apart
+                markers[b, c] -= far * apart
         if worst <= tolerance:
             return sweep + 1
     return sweeps
@@ -87,4 +93,15 @@ def restore_lengths(people: People, steps: FilterSteps, past: FilterPast, links:
     mask = past.ring.shape[1] - 1
     for j in range(len(steps.rows)):
         lengths = past.lengths[steps.rows[j], (steps.ends[j] - 1) & mask]
-        project(people.markers[steps.people[j]], links, lengths, SWEEPS, TOLERANCE)
+        equal = lengths[0, :0]
+        project(people.markers[steps.people[j]], links, lengths, equal, SWEEPS, TOLERANCE)
+
+
+@kernel(types.void(F3, I1, F2, J2, F2, types.int64, types.float64))
+def project_all(
+    markers: Floats, rows: Stamps, variances: Floats, links: Ints, lengths: Floats, sweeps: int,
+    tolerance: float,
+) -> None:  # fmt: skip
+    """Do what :func:`project` does with some rows of markers (P, M, 19), variances (P, M)."""
+    for row in rows:
+        project(markers[row], links, lengths, variances[row], sweeps, tolerance)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
 from hiros_mcap.kernels.averaging import (
+    BEGIN,
     BUFFERS,
+    END,
     ORIENTATION,
     POSITION,
     VELOCITY,
@@ -49,6 +51,9 @@ OUTLIERS, FLIPS = 0, 1
 # What the views say of the way a person faces: as before, the other way, or nothing, since the
 # past outvoted them.
 _CONFIRMED, _CHANGED, _HELD = 0, 1, 2
+
+EXCHANGED, LEFT_OUT = 1, 2
+"""What became of a view that faced the wrong way: its sides were exchanged, or it was dropped."""
 
 _HORIZON = 0.2  # s for which a past pose is carried on at constant velocity
 _HOLD_RATIO = 3.0  # the past outvotes views this many times as long as it was confirmed itself
@@ -133,15 +138,19 @@ class MergerWork(NamedTuple):
     past_orientations: Floats
     reference: Floats
     """(M, 3), (L, 4) and (M, 3)."""
+    sides_changed: Stamps
+    """(K,) EXCHANGED, LEFT_OUT or 0, by view."""
 
     @classmethod
     def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
         """Make room."""
         k, m, n = views, n_markers, n_links
         shapes = (k,), (k,), (k, m), (k, n), (m, 3), (n, 4), (m, 3)
+        scratch: list[Any] = [np.empty(shape) for shape in shapes]
+        scratch.append(np.zeros(k, np.int64))
         return cls(
             np.empty((k + 1, 4)), np.empty((k + 1, 3)), np.empty((k + 1) ** 2),
-            np.empty(k, np.bool_), *[np.empty(shape) for shape in shapes],
+            np.empty(k, np.bool_), *scratch,
         )  # fmt: skip
 
 
@@ -166,7 +175,7 @@ class _Slots(NamedTuple):
 _SETTINGS = named_tuple(MergerSettings, *[types.float64] * 9, types.int64, *[types.boolean] * 5)
 _PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
 _SIDES = named_tuple(Sides, J1, J2)
-_WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5)
+_WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5, I1)
 
 
 @kernel
@@ -370,6 +379,7 @@ def _settle_facing(
 ) -> None:  # fmt: skip
     """Correct flipped views, and remember since when the person faces this way."""
     facing = _CONFIRMED
+    work.sides_changed[: len(views.stamps)] = 0
     if settings.max_facing_delta > 0.0:
         confirmed = (past.facing_seen[row] - past.facing_since[row]) * 1e-9
         hold = min(settings.max_flip_time, _HOLD_RATIO * confirmed)
@@ -402,6 +412,7 @@ def _correct_flips(
         for k in range(n):
             _blank_view(views, k)
             counts[FLIPS, views.cameras[k]] += 1
+            work.sides_changed[k] = LEFT_OUT
         return _HELD
     contradicted = has_past and distances[best, n] >= limit
     if contradicted and holds and _votes(distances, n, limit) >= _votes(distances, best, limit):
@@ -419,6 +430,7 @@ def _correct_flips(
             views, k, sides.mirror, reference, settings.relabel, any_right
         ):
             counts[FLIPS, views.cameras[k]] += 1
+            work.sides_changed[k] = LEFT_OUT if _is_blank(views.markers[k]) else EXCHANGED
             corrected = True
     if not any_right:
         return _HELD if corrected else _CHANGED
@@ -570,6 +582,15 @@ def _blank_view(views: Views, k: int) -> None:
     """Make all markers and links of a view absent."""
     blank(views.markers[k], views.marker_confidences[k])
     blank(views.links[k], views.link_confidences[k])
+
+
+@kernel
+def _is_blank(markers: Floats) -> bool:
+    """Whether no marker of a view is there."""
+    for m in range(len(markers)):
+        if not math.isnan(markers[m, POSITION]):
+            return False
+    return True
 
 
 # Outliers and the mean.
@@ -799,7 +820,20 @@ def _learn_offsets(
                     offsets[views.cameras[k], m, c] += share * difference
 
 
-@kernel(types.void(BUFFERS, PEOPLE, VIEWS, _PAST, _SETTINGS, _SIDES, PEOPLE, I2, _WORK))
+@kernel
+def _note_sides(
+    buffers: Buffers, q: int, people: People, person: int, changed: Stamps, out: Stamps
+) -> None:
+    """Write what became of a person's views to their rows of ``people``."""
+    n = 0
+    for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
+        for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
+            if people.ids[i] == person:
+                out[i] = changed[n]
+                n += 1
+
+
+@kernel(types.void(BUFFERS, PEOPLE, VIEWS, _PAST, _SETTINGS, _SIDES, PEOPLE, I2, I1, _WORK))
 def merge_buffers(
     buffers: Buffers,
     people: People,
@@ -809,6 +843,7 @@ def merge_buffers(
     sides: Sides,
     out: People,
     counts: Stamps,
+    changed: Stamps,
     work: MergerWork,
 ) -> None:
     """Merge buffer after buffer.
@@ -821,6 +856,7 @@ def merge_buffers(
     out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times. Who
         is in no message of a buffer is carried on from the past.
     counts : (2, C) outliers and flips by camera; added to.
+    changed : what became of each row of ``people``: EXCHANGED, LEFT_OUT or 0.
     """
     for q in range(len(buffers.stamps)):
         for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
@@ -832,3 +868,4 @@ def merge_buffers(
             _merge_person(
                 buffers.stamps[q], views, past, row, settings, sides, out, p, counts, work
             )
+            _note_sides(buffers, q, people, out.ids[p], work.sides_changed, changed)

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+import hiros_schemas
 from hiros_mcap._version import __version__
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import to_toml
@@ -26,6 +27,7 @@ from hiros_mcap.io.channels import (
     TF_TOPICS,
     TRUTH_PREFIX,
     ChannelInfo,
+    add_ros_channel,
     add_skeleton_channel,
     add_static_poses,
 )
@@ -34,6 +36,7 @@ from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.digest import digest_of
 from hiros_mcap.io.log import Log
+from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_message
 from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.process_options import ProcessOptions
@@ -141,6 +144,7 @@ class LogOutput:
             )
             for name in chain
         }
+        self._model, self._uncertainty = log.model, 0
         self._by_stamp = params.log_time == "stamp"
         self._given, self._digest = _given(options), digest
         self._input_messages = log.reader.counts
@@ -164,8 +168,19 @@ class LogOutput:
         times = block.stamps if self._by_stamp else block.log_times
         fill = partial(self._encoders[channel].encode_into, block)
         self._writer.write_into(self._channels[channel], times.tolist(), fill)
+        if block.uncertainty is not None and channel == self._chain[-1]:
+            self._write_uncertainty(block, times.tolist())
         if self._export is not None and channel == self._chain[-1]:
             self._export.write(block)
+
+    def _write_uncertainty(self, block: Block, times: list[int]) -> None:
+        """Write how well the markers are known beside the poses."""
+        if not self._uncertainty:
+            topic, kind = UNCERTAINTY_TOPIC, hiros_schemas.UNCERTAINTY
+            self._uncertainty = add_ros_channel(self._writer, topic, kind)
+        for frame, time in zip(block.frames(), times, strict=True):
+            message = uncertainty_message(frame, self._model)
+            self._writer.write(self._uncertainty, time, message)
 
     def commit(self, summary: Summary) -> None:
         """Copy the rest of the input, add the provenance, and let the file appear."""

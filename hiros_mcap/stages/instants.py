@@ -124,6 +124,11 @@ class InstantMerger:
         self._unseen = unseen or Unseen()
         self._cameras: dict[str, int] = {}
 
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Sources of the messages, by the index that the kernel knows them by."""
+        return tuple(self._cameras)
+
     def run(self, blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
         """Yield the merged people of every instant; the parameters are those of Instants."""
         gathered: Instants[Part] = Instants(cameras, max_delta_time, self._events)

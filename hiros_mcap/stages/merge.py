@@ -181,7 +181,7 @@ def merge_blocks(
 ) -> Iterator[Block]:
     """Do what :func:`merge` does, a block at a time."""
     params = params or MergeParams()
-    kernel = _MergeKernel(model, params)
+    kernel = ViewMerger(model, params)
     merger = InstantMerger(
         model, kernel, kernel.bank, events or Events(), fixed_frame, ("outlier", "flip"),
         Unseen(params.bridge, params.carry, cameras or {}),
@@ -190,7 +190,7 @@ def merge_blocks(
         yield _without_nobody(block) if params.ties == "drop" else block
 
 
-class _MergeKernel:
+class ViewMerger:
     """The compiled merger, with its settings, scratch and what it remembers of people."""
 
     def __init__(self, model: SkeletonModel, params: MergeParams) -> None:
@@ -215,6 +215,8 @@ class _MergeKernel:
             compensate_motion=params.compensate_motion,
         )
         self.bank = Bank(merging.MergerPast.empty(*self._slots))
+        self.sides_changed = np.zeros(0, np.int64)
+        """What became of the views of the last call; see :func:`merging.merge_buffers`."""
         self._make_room(0)
 
     def _make_room(self, views: int) -> None:
@@ -231,9 +233,10 @@ class _MergeKernel:
         while counts.shape[1] > offsets.shape[1]:
             offsets = np.concatenate([offsets, np.zeros_like(offsets)], axis=1)
         self.bank.past = self.bank.past._replace(camera_offsets=offsets)
+        self.sides_changed = np.zeros(len(people.ids), np.int64)
         merging.merge_buffers(
             buffers, people, self._views, self.bank.past, self._settings, self._sides, out, counts,
-            self._work,
+            self.sides_changed, self._work,
         )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.systems.averages import average, maf
+from hiros_mcap.systems.fusion import fuse
 from hiros_mcap.systems.hiros import hiros, merging_order
 from hiros_mcap.systems.lee import lee
 from hiros_mcap.systems.malaguti import malaguti
@@ -32,6 +33,12 @@ SYSTEMS: dict[str, System] = {
         hiros,
         _HIROS,
         _HIROS_SECTIONS,
+    ),
+    "fuse": System(
+        "ours: one Kalman smoother per joint over all cameras, limb lengths",
+        fuse,
+        ("T", "TM", "TMF"),
+        ("track", "merge", "fuse", "constrain", "filter"),
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",

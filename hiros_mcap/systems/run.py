@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.config import Config
@@ -13,6 +13,9 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import BlockStage
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import Floats, SkeletonModel
+
+if TYPE_CHECKING:
+    from hiros_mcap.stages.fusion_noise import FusionNoise
 
 Stages = Mapping[str, BlockStage]
 """Output channel -> the stage that fills it, in order; ``frames.by_frame`` takes frames."""
@@ -32,6 +35,8 @@ class Run:
     fixed_frame: str = ""
     system: str = "hiros"
     """Name of the system that is run."""
+    noise: FusionNoise | None = None
+    """What a first pass has shown of cameras and joints; None = there was none."""
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""

@@ -1,6 +1,6 @@
 """The message definitions that hiros reads and writes, as text and as hashes.
 
-The seven ``.msg`` files lie in the folder ``hiros_skeleton_msgs`` beside this module, which is a
+The nine ``.msg`` files lie in the folder ``hiros_skeleton_msgs`` beside this module, which is a
 complete ROS 2 interface package: put it (or a link to it) into a workspace and ``colcon build``.
 """
 
@@ -32,6 +32,7 @@ __all__ = [
     "SKELETON_GROUP",
     "STAMPED_SKELETON",
     "TF_MESSAGE",
+    "UNCERTAINTY",
     "DefinitionError",
     "Definitions",
     "Field",
@@ -54,14 +55,18 @@ NAMES = tuple(
         "Marker",
         "Skeleton",
         "SkeletonGroup",
+        "SkeletonGroupUncertainty",
+        "SkeletonUncertainty",
         "StampedSkeleton",
     )
 )
-"""Full names of the seven message types."""
+"""Full names of the nine message types."""
 
 SKELETON_GROUP = "hiros_skeleton_msgs/msg/SkeletonGroup"
 STAMPED_SKELETON = "hiros_skeleton_msgs/msg/StampedSkeleton"
 OBJECTS_STAMPED = "zed_msgs/msg/ObjectsStamped"
+UNCERTAINTY = "hiros_skeleton_msgs/msg/SkeletonGroupUncertainty"
+"""What hiros adds to the published package: how well each marker is known."""
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 JOINT_STATE = "sensor_msgs/msg/JointState"

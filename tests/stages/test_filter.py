@@ -412,7 +412,7 @@ def test_lengths_are_restored_on_a_graph_with_a_loop_and_missing_ends():
     markers = np.full((1, 4, 19), np.nan)
     markers[0, :3, :3] = [(0, 0, 0), (1.2, 0, 0), (0.5, 0.7, 0)]
     middle = markers[0, :3, :3].mean(axis=0)
-    project(markers[0], links, lengths, 100, 1e-9)
+    project(markers[0], links, lengths, np.zeros(0), 100, 1e-9)
     sides = markers[0, [1, 2, 0], :3] - markers[0, :3, :3]
     np.testing.assert_allclose(np.linalg.norm(sides, axis=1), 1, atol=1e-8)
     np.testing.assert_allclose(markers[0, :3, :3].mean(axis=0), middle, atol=1e-12)

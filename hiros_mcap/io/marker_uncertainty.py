@@ -1,0 +1,59 @@
+"""The channel that says how well each marker of a result is known."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hiros_mcap.io.cdr_writer import CdrWriter
+from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.io.ros_messages import open_messages
+from hiros_mcap.skeletons import Frame, SkeletonModel
+
+UNCERTAINTY_TOPIC = f"{OUTPUT_PREFIX}/uncertainty"
+UNCERTAIN_TOPIC = f"{OUTPUT_PREFIX}/filtered"
+"""The channel whose markers it tells of."""
+_CAMERAS = (1 << 32) - 1
+
+Deviations = Mapping[tuple[int, int], Mapping[int, float]]
+"""(Stamp in ns, person) -> marker id -> standard deviation along each axis, m."""
+
+
+def uncertainty_message(frame: Frame, model: SkeletonModel) -> bytes:
+    """Return a SkeletonGroupUncertainty in CDR; of nobody if the frame has no uncertainty."""
+    known = frame.uncertainty
+    out = CdrWriter()
+    out.header(frame.stamp, frame.frame_id)
+    out.strings(known.names if known else ())
+    out.numbers("i", model.marker_ids)
+    out.uint32(frame.n_people if known else 0)
+    if known:
+        cameras = (known.cameras & _CAMERAS).tolist()
+        rows = zip(frame.ids.tolist(), known.deviations.tolist(), cameras, strict=True)
+        for person, deviations, seen in rows:
+            out.int32(person)
+            out.numbers("f", deviations)
+            out.numbers("I", seen)
+    return out.finish()
+
+
+def read_uncertainty(path: str | os.PathLike[str]) -> Deviations:
+    """Read the standard deviations of a result; empty if it states none.
+
+    Raises LogError if the log cannot be read.
+    """
+    found: dict[tuple[int, int], Mapping[int, float]] = {}
+    with open_messages(Path(path)) as messages:
+        if UNCERTAINTY_TOPIC not in messages.types:
+            return found
+        for message in messages.read({UNCERTAINTY_TOPIC}):
+            group = messages.decode(message)
+            time, markers = group.header.stamp, np.asarray(group.markers).tolist()
+            stamp = time.sec * 1_000_000_000 + time.nanosec
+            for person in group.skeletons:
+                deviations = np.asarray(person.deviations, np.float64).tolist()
+                found[stamp, person.id] = dict(zip(markers, deviations, strict=False))
+    return found

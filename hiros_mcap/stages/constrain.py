@@ -1,0 +1,232 @@
+"""Poses that a body can have: constant lengths, rigid groups, and the person's own motion.
+
+1. The lengths of limbs, and the distances within head, thorax and pelvis, are measured once per
+   person: L^2 = mean |d|^2 - 3 v, since noise of variance v along each axis lengthens.
+2. Each pose is projected onto them. Uncertain markers move most.
+3. The person's poses of some seconds are the prior of each of them
+   (:mod:`hiros_mcap.stages.pose_prior`); then lengths are restored.
+4. Known lengths take a part of the variance of each marker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import (
+    POSITION,
+    UNTRACKED,
+    Floats,
+    Frame,
+    Ints,
+    SkeletonModel,
+    Stamps,
+    Uncertainty,
+)
+
+_DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
+_SURE = 0.005  # m; added to the deviations that weight a length
+_OUTLIER = 4.0  # robust standard deviations
+_FEWEST = 10  # poses that give a length
+
+
+class ConstrainParams(Params):
+    """Parameters of the constraints."""
+
+    window: float = Field(
+        10.0,
+        ge=0,
+        description="Seconds of each person that give the limb lengths, and that are corrected at "
+        "once.",
+    )
+    enough: float = advanced(
+        5.0, ge=0, description="Seconds after which the lengths of a person stay as they are."
+    )
+    rigid: bool = advanced(
+        True, description="Keep the distances within head, thorax and pelvis, too."
+    )
+    prior: bool = advanced(
+        True, description="Use the motion of the person in the window as a prior of each pose."
+    )
+    sweeps: int = advanced(20, ge=1, description="Most sweeps of the projection onto the lengths.")
+
+
+def constrain(
+    frames: Iterable[Frame],
+    model: SkeletonModel,
+    params: ConstrainParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Frame]:
+    """Do what :func:`constrain_blocks` does, frame by frame."""
+    return frames_of(constrain_blocks(map(Block.of, frames), model, params, events))
+
+
+def constrain_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: ConstrainParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Block]:
+    """Give everybody constant lengths and less noise.
+
+    Parameters
+    ----------
+    blocks : fused frames; the uncertainty of their markers is used if it is known.
+    model, params : the skeleton; see :class:`ConstrainParams`.
+    events : notes when somebody's limbs are measured.
+
+    Yields
+    ------
+    The same frames with other positions, m, and orientations, logged when their window ended.
+    """
+    params = params or ConstrainParams()
+    bodies = _Bodies(model, params, Events() if events is None else events)
+    held: list[Part] = []
+    for block in blocks:
+        for i, stamp in enumerate(block.stamps.tolist()):
+            held.append((block, i))
+            first = held[0][0].stamps[held[0][1]]
+            if stamp - first >= params.window * 1e9:
+                yield bodies.constrain(held)
+                held = []
+    if held:
+        yield bodies.constrain(held)
+
+
+class _Bodies:
+    """What is known of everybody's body."""
+
+    def __init__(self, model: SkeletonModel, params: ConstrainParams, events: Events) -> None:
+        from hiros_mcap.body.rigid_groups import constant_pairs
+        from hiros_mcap.kernels import link_lengths
+
+        self._params, self._events, self._kernels = params, events, link_lengths
+        self._lateral = symmetry_of(model).lateral
+        self._links = model.links
+        self._pairs = constant_pairs(model, rigid=params.rigid)
+        self._people: dict[int, tuple[Floats, float, int]] = {}
+        """Person -> lengths (K,), m; the seconds that gave them; when they were last seen, ns."""
+
+    def constrain(self, held: list[Part]) -> Block:
+        """Correct the poses of a window."""
+        out = join(held)
+        variances = own_variances(out)
+        seconds = self._params.window / len(out)
+        for person in np.unique(out.people.ids):
+            if person != UNTRACKED:
+                rows = np.flatnonzero(out.people.ids == person)
+                self._measure(int(person), out, rows, variances, seconds)  # 1
+                self._correct(int(person), out, rows, variances)  # 2 and 3
+        self._forget(int(out.stamps[-1]))
+        log_times = np.full(len(out), out.log_times[-1])
+        known = self._surer(out, variances)
+        return replace(out, log_times=log_times, uncertainty=known)
+
+    def _surer(self, out: Block, variances: Floats) -> Uncertainty | None:
+        """Return the uncertainty after the projection; confidences follow it."""
+        known, people = out.uncertainty, out.people
+        if known is None:
+            return None
+        left = variances * left_by_lengths(variances, self._links) + known.shared**2
+        # 1 / c - 1 is proportional to the variance.
+        ratio = left / known.deviations**2
+        people.marker_confidences[:] = 1 / (1 + (1 / people.marker_confidences - 1) * ratio)
+        seen = ~np.isnan(people.marker_confidences)
+        total = np.where(seen, people.marker_confidences, 0.0).sum(axis=1)
+        count = seen.sum(axis=1)
+        people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        deviations = np.where(np.isnan(known.deviations), np.nan, np.sqrt(left))
+        return known._replace(deviations=deviations)
+
+    def _measure(
+        self, person: int, out: Block, rows: Stamps, variances: Floats, seconds: float
+    ) -> None:
+        """Measure the lengths of a person as long as they are not well known."""
+        lengths, known, _ = self._people.get(person, (np.zeros(len(self._pairs)), 0.0, 0))
+        if known < self._params.enough:
+            positions = out.people.markers[rows][:, :, POSITION]
+            found = measured_lengths(positions, variances[rows], self._pairs)
+            new = len(rows) * seconds
+            weight = np.where(lengths > 0, known / (known + new), 0.0)
+            lengths = np.where(np.isnan(found), lengths, weight * lengths + (1 - weight) * found)
+            known += new
+            if known >= self._params.enough:
+                self._events.note(int(out.stamps[0]), "limbs calibrated", person=person)
+        self._people[person] = lengths, known, int(out.stamps[-1])
+
+    def _correct(self, person: int, out: Block, rows: Stamps, variances: Floats) -> None:
+        """Project onto the lengths; move towards what the person does; project again."""
+        from hiros_mcap.stages.pose_prior import shrink_noise
+
+        markers, sweeps = out.people.markers, self._params.sweeps
+        lengths = np.column_stack([self._people[person][0], np.ones(len(self._pairs))])
+        project = self._kernels.project_all
+        project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+        if self._params.prior:
+            own = markers[rows][:, :, POSITION]
+            markers[rows, :, POSITION] = shrink_noise(own, variances[rows], self._lateral)
+            project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+
+    def _forget(self, now: int) -> None:
+        """Forget who was not seen for ten minutes: somebody who returns has the same body."""
+        self._people = {p: k for p, k in self._people.items() if now - k[2] < 600 * 10**9}
+
+
+def own_variances(block: Block) -> Floats:
+    """(P, M) Variance of each marker along each axis by itself, m2, without what all share."""
+    known = block.uncertainty
+    if known is None:
+        return np.full(block.people.marker_confidences.shape, _DEFAULT_DEVIATION**2)
+    variances = known.deviations**2 - known.shared**2
+    return np.where(np.isnan(variances), _DEFAULT_DEVIATION**2, np.maximum(variances, 1e-8))
+
+
+def left_by_lengths(variances: Floats, links: Ints) -> Floats:
+    """(P, M) Share of the variance that known lengths of ``links`` (L, 2) leave.
+
+    A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
+    along the link. To first order, the links of a marker add up.
+    """
+    taken = np.zeros_like(variances)
+    for a, b in links.tolist():
+        if a >= 0 and b >= 0:
+            share = variances[:, a] / (variances[:, a] + variances[:, b])
+            taken[:, a] += share / 3
+            taken[:, b] += (1 - share) / 3
+    return np.asarray(1 - np.minimum(taken, 2 / 3))
+
+
+def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
+    """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
+
+    The noise is at most what the distance itself varies by: an overstated one would shorten.
+
+    Parameters
+    ----------
+    positions : (T, M, 3) m. variances : (T, M) m2 along each axis. pairs : (K, 2) slots.
+    """
+    a, b = pairs[:, 0], pairs[:, 1]
+    squares = ((positions[:, a] - positions[:, b]) ** 2).sum(axis=2)
+    noise = variances[:, a] + variances[:, b]
+    known = ~np.isnan(squares)
+    squares = np.where(known, squares, np.nan)
+    enough = known.sum(axis=0) >= _FEWEST
+    lengths = np.full(len(pairs), np.nan)
+    if not enough.any():
+        return lengths
+    squares, noise, known = squares[:, enough], noise[:, enough], known[:, enough]
+    middle = np.nanmedian(squares, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
+    clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
+    weights = known / (noise + 2 * _SURE**2)
+    mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
+    stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
+    lengths[enough] = np.sqrt(mean - 3 * np.minimum(stated, np.nanvar(np.sqrt(clipped), axis=0)))
+    return lengths

@@ -1,0 +1,65 @@
+"""What every camera saw of every person, gathered to instants, with sides corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
+from hiros_mcap.kernels import fusing
+from hiros_mcap.kernels.averaging import Buffers
+from hiros_mcap.kernels.fusing import Sightings
+from hiros_mcap.skeletons import People, SkeletonModel, Stamps
+from hiros_mcap.stages.instants import InstantMerger
+from hiros_mcap.stages.merge import MergeParams, ViewMerger
+
+
+class SightingGatherer:
+    """Instants, and what the cameras saw at them, with corrected sides."""
+
+    def __init__(self, model: SkeletonModel, params: MergeParams) -> None:
+        self._model, self._params = model, params
+        self._merge = ViewMerger(model, params)
+        self._mirror = symmetry_of(model).mirror
+        self._found: list[Sightings] = []
+        self._n_instants = 0
+
+    def run(
+        self, blocks: Iterable[Block], events: Events, fixed_frame: str = ""
+    ) -> Iterator[tuple[Block, Sightings, tuple[str, ...]]]:
+        """Yield merged people, the views of each instant (numbered in the block), the cameras."""
+        merger = InstantMerger(
+            self._model, self._gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
+            self._params.bridge,
+        )  # fmt: skip
+        for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
+            found, self._found, self._n_instants = self._found, [], 0
+            yield block, joined(found), merger.cameras
+
+    def _gather(
+        self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
+    ) -> None:
+        """Merge; keep what each camera saw. See :data:`hiros_mcap.stages.instants.MergeKernel`."""
+        self._merge(buffers, people, views, out, counts)
+        n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
+        some = Sightings.allocate(n, m)
+        n = fusing.gather_sightings(
+            buffers, people, out.ids, self._merge.sides_changed, self._mirror, some
+        )
+        some = chosen(some, slice(n))
+        self._found.append(some._replace(instants=some.instants + self._n_instants))
+        self._n_instants += len(buffers.stamps)
+
+
+def joined(some: list[Sightings]) -> Sightings:
+    """Return sightings one behind the other."""
+    return Sightings(*[np.concatenate(arrays) for arrays in zip(*some, strict=True)])
+
+
+def chosen(views: Sightings, rows: Any) -> Sightings:
+    """Return some of the sightings: a slice, a mask or indices."""
+    return Sightings(*[array[rows] for array in views])

@@ -1,0 +1,196 @@
+"""Smooths what the cameras saw in overlapping windows, person by person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiros_mcap.frames import Block, Part, join
+from hiros_mcap.kernels import fusing
+from hiros_mcap.kernels.fusing import POSE, FusedPoses, JointStates, Sightings, Steps
+from hiros_mcap.skeletons import (
+    POSITION,
+    VELOCITY,
+    Floats,
+    Ints,
+    SkeletonModel,
+    Stamps,
+    Uncertainty,
+)
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.sightings import chosen, joined
+
+if TYPE_CHECKING:
+    from hiros_mcap.stages.fuse import FuseParams
+
+_FORGET = 10.0  # s without a sighting after which a person's filter starts anew
+
+
+class WindowSmoother:
+    """Smooths window after window; the filters go on from one to the next."""
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        params: FuseParams,
+        noise: FusionNoise,
+        cameras: Mapping[str, Floats],
+    ) -> None:
+        self._params, self._noise, self._places = params, noise, cameras
+        self._names: tuple[str, ...] = ()
+        self._held: list[Part] = []
+        self._views: list[Sightings] = []
+        """Not yet filtered; instants are numbered through the log."""
+        self._first = self._count = 0
+        """Numbers of the first instant that is held, and of the next one to come."""
+        self._taken = 0
+        """Time, ns, before which the filters have taken over everything."""
+        self._origin: int | None = None
+        m = model.n_markers
+        empty = JointStates(np.zeros((0, m, 2, 3)), np.zeros((0, m, 2, 2)), np.zeros((0, m)))
+        self._bank: Bank[JointStates] = Bank(empty, _FORGET)
+
+    def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Block]:
+        """Add instants; yield those whose window is complete."""
+        self._make_room(names)
+        patience = round((self._params.window + self._params.lookahead) * 1e9)
+        bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
+        for i, stamp in enumerate(block.stamps.tolist()):
+            self._origin = stamp if self._origin is None else self._origin
+            some = chosen(views, slice(bounds[i], bounds[i + 1]))
+            self._views.append(some._replace(instants=some.instants - i + self._count))
+            self._held.append((block, i))
+            self._count += 1
+            if stamp - self._stamp(0) >= patience:
+                yield self._smooth(self._stamp(0) + round(self._params.window * 1e9))
+
+    def rest(self) -> Iterator[Block]:
+        """Yield what is left at the end of the log."""
+        if self._held:
+            yield self._smooth(self._stamp(-1) + 1)
+
+    def _stamp(self, k: int) -> int:
+        block, i = self._held[k]
+        return int(block.stamps[i])
+
+    def _make_room(self, names: tuple[str, ...]) -> None:
+        """Add states for the offsets of new cameras; of these nothing is known yet."""
+        new = len(names) - len(self._names)
+        if not new:
+            return
+        self._names, past = names, self._bank.past
+        means = np.pad(past.means, ((0, 0), (0, 0), (0, new), (0, 0)))
+        covariances = np.pad(past.covariances, ((0, 0), (0, 0), (0, new), (0, new)))
+        size = means.shape[2]
+        for k in range(size - new, size):
+            known = covariances[:, :, 0, 0] > 0
+            covariances[:, :, k, k] = np.where(known, self._noise.offsets**2, 0.0)
+        self._bank.past = JointStates(means, covariances, past.times)
+
+    def _smooth(self, end: int) -> Block:
+        """Return the held instants before ``end``, ns, or at least one, smoothed."""
+        log_time = self._held[-1][0].log_times[self._held[-1][1]]
+        n = max(sum(self._stamp(k) < end for k in range(len(self._held))), 1)
+        boundary = self._stamp(n) if n < len(self._held) else self._stamp(-1) + 10**15
+        out = join(self._held[:n])
+        views = joined(self._views)
+        variances = self._noise.variances(views, self._names, self._places)
+        owners = np.repeat(np.arange(n), np.diff(out.rows).ravel())
+        poses = FusedPoses.absent(len(owners), out.people.markers.shape[1])
+        self._bank.expire(self._stamp(0))
+        new = views.stamps >= self._taken
+        for person in np.unique(out.people.ids):
+            rows = np.flatnonzero(out.people.ids == person)
+            own = (views.people == person) & new
+            wanted = out.stamps[owners[rows]]
+            steps, keep = self._steps(chosen(views, own), variances[own], wanted, boundary)
+            self._smooth_person(int(person), steps, keep, boundary, rows, poses)
+        seen = cameras_by_row(views, self._first + owners, out.people.ids, poses.variances.shape)
+        self._drop(n, boundary, views)
+        return self._finished(out, log_time, poses, seen)
+
+    def _steps(
+        self, views: Sightings, variances: Floats, wanted: Stamps, boundary: int
+    ) -> tuple[Steps, int]:
+        """Order measurements and wanted poses by time; the number of steps before ``boundary``."""
+        stamps = np.concatenate([views.stamps, wanted])
+        cameras = np.concatenate([views.cameras, np.full(len(wanted), POSE)])
+        # At one time: measurements by camera, then the pose.
+        order = np.lexsort((np.where(cameras == POSE, len(self._names), cameras), stamps))
+        m = variances.shape[1]
+        steps = Steps(
+            (stamps[order] - (self._origin or 0)) * 1e-9,
+            cameras[order],
+            np.concatenate([views.positions, np.full((len(wanted), m, 3), np.nan)])[order],
+            np.concatenate([variances, np.full((len(wanted), m), np.nan)])[order],
+        )
+        return steps, int((stamps < boundary).sum())
+
+    def _smooth_person(
+        self, person: int, steps: Steps, keep: int, boundary: int, rows: Stamps, poses: FusedPoses
+    ) -> None:
+        """Smooth one person's joints into ``rows`` of ``poses``."""
+        row = self._bank.row(person, boundary)
+        size = self._bank.past.means.shape[2]
+        own = FusedPoses.absent(len(rows), poses.variances.shape[1])
+        work = fusing.FusionWork.of(len(steps.times), size)
+        fusing.smooth_joints(steps, keep, self._noise.motion, self._bank.past, row, own, work)
+        for whole, part in zip(poses, own, strict=True):
+            whole[rows] = part
+
+    def _drop(self, n: int, boundary: int, views: Sightings) -> None:
+        """Forget what the filters have taken over."""
+        self._held = self._held[n:]
+        self._first += n
+        self._taken = boundary
+        self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
+
+    def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
+        """Write poses, confidences and uncertainty."""
+        people, params = out.people, self._params
+        shared = self._pose_variance(poses.positions, seen)
+        variances = poses.variances + shared
+        unknown = ~(variances <= params.max_deviation**2)
+        variances[unknown] = np.nan
+        for columns, values in ((POSITION, poses.positions), (VELOCITY, poses.velocities)):
+            values[unknown] = np.nan
+            people.markers[:, :, columns] = values
+        people.marker_confidences[:] = 1 / (1 + variances / params.half_confidence**2)
+        known = (~unknown).sum(axis=1)
+        total = np.nansum(people.marker_confidences, axis=1)
+        people.confidences[:] = np.where(known > 0, total / np.maximum(known, 1), np.nan)
+        uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
+        log_times = np.full(len(out), log_time, np.int64)
+        return replace(out, log_times=log_times, uncertainty=uncertainty)
+
+    def _pose_variance(self, positions: Floats, seen: Stamps) -> Floats:
+        """(K, M) Variance that the cameras' poses add along each axis, m2: they share an error."""
+        angle, shift = np.radians(self._params.pose_angle), self._params.pose_shift
+        total, count = np.zeros(seen.shape), np.zeros(seen.shape)
+        for k, name in enumerate(self._names):
+            place = self._places.get(name, np.full(3, np.nan))
+            square = np.nan_to_num(((positions - place) ** 2).sum(axis=2), nan=9.0)
+            sees = (seen >> k) & 1
+            total += sees * (shift**2 + 2 / 3 * angle**2 * square)
+            count += sees
+        return np.asarray(total / np.maximum(count, 1) ** 2)
+
+
+def cameras_by_row(
+    views: Sightings, instants: Stamps, people: Ints, shape: tuple[int, int]
+) -> Stamps:
+    """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
+    seen = np.zeros(shape, np.int64)
+    row_of = {
+        key: row for row, key in enumerate(zip(instants.tolist(), people.tolist(), strict=True))
+    }
+    keys = zip(views.instants.tolist(), views.people.tolist(), strict=True)
+    rows = np.array([row_of.get(key, -1) for key in keys], np.int64)
+    own = np.flatnonzero(rows >= 0)
+    bits = ~np.isnan(views.positions[own, :, 0]) * (1 << views.cameras[own])[:, None]
+    np.bitwise_or.at(seen, rows[own], bits)
+    return seen

@@ -1,0 +1,26 @@
+"""Our own system: all cameras fused by one smoother per joint."""
+
+from __future__ import annotations
+
+from hiros_mcap.systems.run import Run, Stages
+
+
+def fuse(run: Run) -> Stages:
+    """Output channel -> the stage that fills it."""
+    from hiros_mcap.stages.constrain import constrain_blocks
+    from hiros_mcap.stages.filter import filter_blocks
+    from hiros_mcap.stages.fuse import fuse_blocks
+    from hiros_mcap.stages.track import track_blocks
+
+    config = run.config
+    fusion = run.stage(
+        fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
+        cameras=run.cameras, noise=run.noise,
+    )  # fmt: skip
+    bodies = run.stage(constrain_blocks, config.constrain)
+    derivatives = run.stage(filter_blocks, config.filter)
+    return {
+        "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
+        "merged": fusion,  # smoothed positions, before limb lengths and prior
+        "filtered": lambda blocks: derivatives(bodies(blocks)),  # lengths, prior; velocities
+    }

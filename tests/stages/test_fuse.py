@@ -1,0 +1,207 @@
+"""The fuser on points whose answer is known, and on a simulated room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from builders import Room, room
+
+from hiros_mcap.config import load_config
+from hiros_mcap.evaluate import evaluate
+from hiros_mcap.frames import Block, by_frame
+from hiros_mcap.kernels import fusing
+from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.constrain import measured_lengths
+from hiros_mcap.stages.fuse import FuseParams, fuse
+from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.learn_noise import learn_noise
+from hiros_mcap.stages.merge import MergeParams
+from hiros_mcap.stages.pose_prior import shrink_noise
+from hiros_mcap.systems import Run, system
+
+POINT = SkeletonModel.of(["A"], [])
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9)
+
+
+def steps_of(seed: int = 0) -> Steps:
+    """Two cameras in turn with noise of 1 cm, a pose wanted after every second measurement."""
+    rng = np.random.default_rng(seed)
+    times = np.repeat(np.arange(60) / 30, 3) + np.tile([0.0, 0.011, 0.015], 60)
+    cameras = np.tile([0, 1, POSE], 60)
+    truth = np.stack([times, np.sin(times), times * 0], axis=1)[:, None]
+    z = truth + rng.normal(0, 0.01, truth.shape)
+    z[cameras == POSE] = np.nan
+    return Steps(times, cameras, z, np.full((180, 1), 0.01**2))
+
+
+def smoothed(steps: Steps, keep: int = 10**9, states: JointStates | None = None) -> FusedPoses:
+    states = states or JointStates(np.zeros((1, 1, 4, 3)), np.zeros((1, 1, 4, 4)), np.zeros((1, 1)))
+    out = FusedPoses.absent(int((steps.cameras == POSE).sum()), 1)
+    work = FusionWork.of(len(steps.times), 4)
+    fusing.smooth_joints(steps, keep, NOISE, states, 0, out, work)
+    return out
+
+
+def dense_solution(steps: Steps) -> tuple[Floats, Floats]:
+    """Positions and variances by one Gaussian regression over all states at once."""
+    n, t = 4, len(steps.times)
+    prior = np.diag([0.05, 1.0, NOISE.offsets[0], NOISE.offsets[0]])
+    covariance = np.zeros((t * n, t * n))
+    block = [slice(k * n, k * n + n) for k in range(t)]
+    covariance[block[0], block[0]] = prior
+    for k in range(1, t):
+        dt, q = steps.times[k] - steps.times[k - 1], NOISE.accelerations[0]
+        keep = np.exp(-dt / NOISE.time)
+        f = np.diag([1.0, 1.0, keep, keep])
+        f[0, 1] = dt
+        noise = np.diag([q * dt**3 / 3, q * dt, *[NOISE.offsets[0] * (1 - keep**2)] * 2])
+        noise[0, 1] = noise[1, 0] = q * dt**2 / 2
+        for j in range(k):
+            covariance[block[k], block[j]] = f @ covariance[block[k - 1], block[j]]
+            covariance[block[j], block[k]] = covariance[block[k], block[j]].T
+        covariance[block[k], block[k]] = f @ covariance[block[k - 1], block[k - 1]] @ f.T + noise
+    seen = np.flatnonzero(steps.cameras >= 0)
+    h = np.zeros((len(seen), t * n))
+    h[np.arange(len(seen)), seen * n] = 1
+    h[np.arange(len(seen)), seen * n + 2 + steps.cameras[seen]] = 1
+    mean = np.zeros((t * n, 3))
+    mean[::n] = steps.positions[0, 0]
+    gain = (
+        covariance @ h.T @ np.linalg.inv(h @ covariance @ h.T + np.diag(steps.variances[seen, 0]))
+    )
+    found = mean + gain @ (steps.positions[seen, 0] - h @ mean)
+    variances = np.diag(covariance - gain @ h @ covariance)
+    poses = np.flatnonzero(steps.cameras < 0) * n
+    return found[poses], variances[poses]
+
+
+def test_the_smoother_equals_regression_over_all_states() -> None:
+    steps = Steps(*[array[:36] for array in steps_of()])
+    found, (positions, variances) = smoothed(steps), dense_solution(steps)
+    np.testing.assert_allclose(found.positions[:, 0], positions, atol=1e-9)
+    np.testing.assert_allclose(found.variances[:, 0], variances, rtol=1e-6)
+
+
+def test_a_window_goes_on_where_the_last_one_ended() -> None:
+    steps, states = steps_of(), JointStates(
+        np.zeros((1, 1, 4, 3)), np.zeros((1, 1, 4, 4)), np.zeros((1, 1))
+    )  # fmt: skip
+    smoothed(steps, 90, states)
+    rest = smoothed(Steps(*[array[90:] for array in steps]), states=states)
+    np.testing.assert_allclose(rest.positions, smoothed(steps).positions[30:], atol=1e-12)
+
+
+def test_smoothing_reduces_the_error_and_knows_its_size() -> None:
+    found = np.stack([smoothed(steps_of(seed)).positions[5:-5, 0] for seed in range(20)])
+    times = steps_of().times[2::3][5:-5]
+    error = found - np.stack([times, np.sin(times), times * 0], axis=1)
+    assert error.std() < 0.006
+
+
+def test_a_gross_outlier_moves_nothing() -> None:
+    steps, robust = steps_of(), NOISE._replace(freedom=20.0)
+    spoilt = steps._replace(positions=steps.positions.copy())
+    spoilt.positions[90] += 1.0
+    states = JointStates(np.zeros((1, 1, 4, 3)), np.zeros((1, 1, 4, 4)), np.zeros((1, 1)))
+    out = FusedPoses.absent(60, 1)
+    fusing.smooth_joints(spoilt, 10**9, robust, states, 0, out, FusionWork.of(180, 4))
+    assert np.abs(out.positions - smoothed(steps).positions).max() < 0.01
+
+
+def test_lengths_are_right_in_spite_of_noise_and_never_shortened_by_a_wrong_one() -> None:
+    rng = np.random.default_rng(1)
+    ends = np.zeros((4000, 2, 3))
+    ends[:, 1, 0] = 0.1
+    noisy, pairs = ends + rng.normal(0, 0.02, ends.shape), np.array([[0, 1]], np.int32)
+    right = measured_lengths(noisy, np.full((4000, 2), 0.02**2), pairs)
+    assert right == pytest.approx(0.1, abs=0.004)
+    assert measured_lengths(ends, np.full((4000, 2), 0.02**2), pairs) == pytest.approx(0.1)
+
+
+def test_the_prior_takes_noise_off_and_keeps_motion() -> None:
+    rng = np.random.default_rng(2)
+    swing = np.sin(np.arange(90) / 8)[:, None, None] * rng.normal(0, 0.1, (1, 12, 3))
+    pose = rng.normal(0, 0.5, (1, 12, 3)) + swing
+    noisy = pose + rng.normal(0, 0.02, pose.shape)
+    found = shrink_noise(noisy, np.full((90, 12), 0.02**2), np.zeros((0, 2), np.int32))
+    assert (found - pose).std() < 0.6 * (noisy - pose).std()
+
+
+# -- a room ----------------------------------------------------------------------------------------
+
+
+@cache
+def walk() -> Room:
+    return room(people=1, cameras=4, seconds=5, seed=61, action="walk")
+
+
+def fused(where: Room, **changes: object) -> list[Frame]:
+    stages = system("fuse").stages(run_of(where))
+    frames = list(by_frame(stages["tracked"])(where.frames))
+    return list(fuse(frames, where.model, FuseParams(**changes), cameras=where.cameras))
+
+
+def run_of(where: Room, name: str = "fuse") -> Run:
+    config = load_config(system=name)
+    return Run(where.model, config, cameras=where.cameras, fixed_frame="world", system=name)
+
+
+def result(where: Room, name: str) -> list[Frame]:
+    frames = where.frames
+    for stage in system(name).stages(run_of(where, name)).values():
+        frames = list(by_frame(stage)(frames))
+    return frames
+
+
+def test_it_is_nearer_to_the_truth_than_hiros_and_keeps_lengths() -> None:
+    where = walk()
+    ours, theirs = (evaluate(result(where, n), where.truth, where.model) for n in ("fuse", "hiros"))
+    assert ours.mean < theirs.mean
+    assert ours.limb_variation < 0.002
+    assert ours.jitter < theirs.jitter
+
+
+def test_more_cameras_give_more_confidence_and_smaller_deviations() -> None:
+    where = walk()
+    few = sorted(where.cameras)[:2]
+    fewer = replace(where, frames=[f for f in where.frames if f.source in few])
+    all_, two = (fused(some)[60] for some in (where, fewer))
+    assert np.nanmean(all_.marker_confidences) > np.nanmean(two.marker_confidences) + 0.05
+    assert np.nanmean(all_.uncertainty.deviations) < np.nanmean(two.uncertainty.deviations)
+    assert set(np.unique(two.uncertainty.cameras)) <= {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("changes", [{"window": 1.0}, {"window": 0.0, "lookahead": 1.0}])
+def test_the_window_hardly_matters(changes: dict[str, float]) -> None:
+    for one, other in zip(fused(walk()), fused(walk(), **changes), strict=True):
+        assert np.nanmedian(np.abs(one.positions - other.positions)) < 0.004
+
+
+def test_no_result_is_logged_before_its_look_ahead() -> None:
+    frames = fused(walk(), window=0.0, lookahead=0.1)
+    late = np.array([f.log_time - f.stamp for f in frames[:-10]])
+    assert (late >= 100_000_000).all()
+    assert np.median(late) < 400_000_000  # of which the tracker has a part
+
+
+def test_the_learned_white_noise_is_the_simulated_one() -> None:
+    rng = np.random.default_rng(3)
+    frames = [
+        Frame.empty(1, POINT, stamp=33_000_000 * k + 5_000_000 * c + 10**9, source="ab"[c])
+        for k in range(400)
+        for c in range(2)
+    ]
+    for k, frame in enumerate(frames):
+        frame.ids[:] = 0
+        frame.markers[0, 0, :3] = np.sin(k / 100) + rng.normal(0, [0.004, 0.008][k % 2], 3)
+        frame.marker_confidences[:] = frame.confidences[:] = 0.9
+    noise = learn_noise(map(Block.of, frames), POINT, MergeParams(), {})
+    ratio = noise.cameras["b"] / noise.cameras["a"]
+    assert isinstance(noise, FusionNoise)
+    assert np.sqrt(ratio) == pytest.approx(2, rel=0.15)
+    white = np.sqrt(noise.joints[0] * noise.cameras["a"])
+    assert white == pytest.approx(0.004, rel=0.15)
