@@ -229,6 +229,13 @@ upstream: the same with workable launch values of the published code; its defect
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "hiros-realtime": PRESETS["realtime"],
+    "fuse-realtime": {
+        "input": {"clocks": "causal"},
+        "track": {"lookahead": 0.0, "reorder": 0.1},
+        "fuse": {"lookahead": 0.1, "window": 0.0},
+        "constrain": {"window": 0.0},
+        "filter": {"lookahead": 0.0, "cutoff": 8.0},
+    },
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
     "openptrack": {
         "kalman": {

@@ -34,7 +34,7 @@ class FuseParams(Params):
         3.0,
         ge=0,
         description="How far into the future each estimate looks at least, s. A camera's offset "
-        "wanders over some seconds, so less is worse. 0.1 costs about 8 % of accuracy.",
+        "wanders over some seconds, so less is worse. 0.1 costs about 1 % of accuracy.",
     )
     window: float = advanced(
         10.0,
