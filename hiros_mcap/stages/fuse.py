@@ -127,7 +127,7 @@ def fuse_blocks(
     from hiros_mcap.stages.sightings import SightingGatherer
     from hiros_mcap.stages.window_smoother import WindowSmoother
 
-    views = SightingGatherer(model, merging or MergeParams())  # instants and sides
+    views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
     params = params or FuseParams()
     noise = noise or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time

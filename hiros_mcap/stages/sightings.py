@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,16 +13,23 @@ from hiros_mcap.frames import Block
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.kernels.fusing import Sightings
-from hiros_mcap.skeletons import People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.instants import InstantMerger
 from hiros_mcap.stages.merge import MergeParams, ViewMerger
+from hiros_mcap.stages.unseen import Unseen
 
 
 class SightingGatherer:
     """Instants, and what the cameras saw at them, with corrected sides."""
 
-    def __init__(self, model: SkeletonModel, params: MergeParams) -> None:
+    def __init__(
+        self,
+        model: SkeletonModel,
+        params: MergeParams,
+        cameras: Mapping[str, Floats] | None = None,
+    ) -> None:
         self._model, self._params = model, params
+        self._cameras = cameras or {}
         self._merge = ViewMerger(model, params)
         self._mirror = symmetry_of(model).mirror
         self._found: list[Sightings] = []
@@ -34,7 +41,7 @@ class SightingGatherer:
         """Yield merged people, the views of each instant (numbered in the block), the cameras."""
         merger = InstantMerger(
             self._model, self._gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
-            self._params.bridge,
+            Unseen(self._params.bridge, self._params.carry, self._cameras),
         )  # fmt: skip
         for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
             found, self._found, self._n_instants = self._found, [], 0

@@ -38,13 +38,13 @@ SYSTEMS: dict[str, System] = {
         "ours: one Kalman smoother per joint over all cameras, limb lengths",
         fuse,
         ("T", "TM", "TMF"),
-        ("track", "merge", "fuse", "constrain", "filter"),
+        ("track", "sides", "merge", "fuse", "constrain", "filter"),
     ),
     "fuse-realtime": System(
         "fuse with a look-ahead of 0.1 s; no other stage waits for future frames",
         fuse,
         ("T", "TM", "TMF"),
-        ("track", "merge", "fuse", "constrain", "filter"),
+        ("track", "sides", "merge", "fuse", "constrain", "filter"),
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hiros_mcap.systems.hiros import left_and_right
 from hiros_mcap.systems.run import Run, Stages
 
 
@@ -13,14 +14,17 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.track import track_blocks
 
     config = run.config
+    sides, merging = left_and_right(run)
     fusion = run.stage(
-        fuse_blocks, config.fuse, merging=config.merge, fixed_frame=run.fixed_frame,
+        fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
         cameras=run.cameras, noise=run.noise,
     )  # fmt: skip
     bodies = run.stage(constrain_blocks, config.constrain)
     derivatives = run.stage(filter_blocks, config.filter)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
-        "merged": fusion,  # smoothed positions, before limb lengths and prior
+        "merged": lambda blocks: fusion(
+            sides(blocks)
+        ),  # smoothed positions, before limb lengths and prior
         "filtered": lambda blocks: derivatives(bodies(blocks)),  # lengths, prior; velocities
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hiros_mcap.frames import BlockStage
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.systems.run import Run, Stages
 
@@ -11,13 +12,10 @@ def hiros(run: Run) -> Stages:
     from hiros_mcap.stages.filter import filter_blocks
     from hiros_mcap.stages.merge import merge_blocks
     from hiros_mcap.stages.optimize import optimize_blocks
-    from hiros_mcap.stages.sides import decide_sides, knows_sides
     from hiros_mcap.stages.track import track_blocks
 
-    config, merging = run.config, run.config.merge
-    if config.sides.over_time and knows_sides(run.model):  # instead of the vote of section 3.2
-        merging = merging.model_copy(update={"max_facing_delta": 0.0})
-    sides = run.stage(decide_sides, config.sides)
+    config = run.config
+    sides, merging = left_and_right(run)
     merge = run.stage(merge_blocks, merging, fixed_frame=run.fixed_frame, cameras=run.cameras)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),  # 3.1
@@ -25,6 +23,19 @@ def hiros(run: Run) -> Stages:
         "optimized": run.stage(optimize_blocks, config.optimize, limbs=run.limbs),  # 3.3
         "filtered": run.stage(filter_blocks, config.filter),  # 3.4
     }
+
+
+def left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
+    """Return the step that decides left and right before the merger, and the merger's parameters.
+
+    Where the step decides, the merger does not vote on it (section 3.2).
+    """
+    from hiros_mcap.stages.sides import decide_sides, knows_sides
+
+    merging = run.config.merge
+    if run.config.sides.over_time and knows_sides(run.model):
+        merging = merging.model_copy(update={"max_facing_delta": 0.0})
+    return run.stage(decide_sides, run.config.sides), merging
 
 
 def merging_order(params: MergeParams) -> tuple[str, ...]:
