@@ -40,6 +40,12 @@ SYSTEMS: dict[str, System] = {
         ("T", "TM", "TMF"),
         ("track", "merge", "fuse", "constrain", "filter"),
     ),
+    "fuse-realtime": System(
+        "fuse without future frames: a Kalman filter per joint, lengths and motion learned live",
+        fuse,
+        ("T", "TM", "TMF"),
+        ("track", "merge", "fuse", "constrain", "filter"),
+    ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",
         malaguti,
