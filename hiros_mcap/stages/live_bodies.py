@@ -2,7 +2,8 @@
 
 What :mod:`hiros_mcap.stages.constrain` learns from a window, this learns on the way:
 
-1. The means behind each length run on. The first poses use what there is.
+1. The means behind each length run on for some seconds; the first poses use what there is. Both
+   sides of a body have the same lengths.
 2. Every half second, the motion of the last seconds becomes the prior of the poses to come. A
    marker that moves as it never did before is believed: its step is limited.
 """
@@ -21,12 +22,12 @@ from hiros_mcap.kernels.link_lengths import project_all
 from hiros_mcap.skeletons import POSITION, Flags, Floats, Ints, SkeletonModel
 from hiros_mcap.stages.constrain import FEWEST, OUTLIER, SURE, ConstrainParams, own_variances, surer
 from hiros_mcap.stages.pose_prior import FEWEST as FEWEST_POSES
-from hiros_mcap.stages.pose_prior import WINDOW, Motion, estimated, local_frames, motion_of
+from hiros_mcap.stages.pose_prior import Motion, estimated, local_frames, motion_of
 
-_RATE = 30.0  # Hz; a prior needs no more poses
+_RATE = 15.0  # Hz; a prior needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first prior, and between two
-_LARGEST_STEP = 1.0  # by the prior, in standard deviations
-_MEMORY = 60.0  # s; older poses fade from the lengths
+_LARGEST_STEP = 0.5  # by the prior, in standard deviations
+_POSES = 45  # of 3 s
 _LEFT = 1.0  # s unseen after which the motion is learned anew
 _FORGET = 600.0  # s; somebody who returns has the same body
 
@@ -36,7 +37,8 @@ class LiveBodies:
 
     def __init__(self, model: SkeletonModel, params: ConstrainParams, events: Events) -> None:
         self._params, self._events = params, events
-        self._links, self._lateral = model.links, symmetry_of(model).lateral
+        symmetry = symmetry_of(model)
+        self._links, self._lateral, self._mirror = model.links, symmetry.lateral, symmetry.mirror
         self._pairs = constant_pairs(model, rigid=params.rigid)
         self._people: dict[int, _Body] = {}
 
@@ -57,7 +59,7 @@ class LiveBodies:
         """Return what is known of who is seen at ``stamp``, ns."""
         body = self._people.get(person)
         if body is None:
-            lengths, recent = RunningLengths(self._pairs), RecentMotion(self._lateral)
+            lengths, recent = RunningLengths(self._pairs, self._mirror), RecentMotion(self._lateral)
             body = self._people[person] = _Body(lengths, recent, stamp, stamp)
         elif stamp - body.last > _LEFT * 1e9:
             body.recent = RecentMotion(self._lateral)
@@ -71,7 +73,8 @@ class LiveBodies:
     def _correct(self, body: _Body, markers: Floats, row: int, variances: Floats) -> None:
         """Project onto the lengths; move towards what the person does; project again."""
         rows, sweeps = np.array([row]), self._params.sweeps
-        body.lengths.update(markers[row, :, POSITION], variances[row], body.last)
+        if body.last - body.first <= self._params.enough * 1e9:
+            body.lengths.update(markers[row, :, POSITION], variances[row])
         lengths = np.column_stack([body.lengths.lengths, np.ones(len(self._pairs))])
         project_all(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
         if self._params.prior:
@@ -93,22 +96,25 @@ class RunningLengths:
 
     Parameters
     ----------
-    pairs : (K, 2) slots.
+    pairs : (K, 2) slots. mirror : (M,) slot of the same joint on the other side.
     """
 
-    def __init__(self, pairs: Ints) -> None:
+    def __init__(self, pairs: Ints, mirror: Ints) -> None:
         self._a, self._b = pairs[:, 0], pairs[:, 1]
+        places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
+        others = np.sort(mirror[pairs], axis=1).tolist()
+        self._other = np.array([places.get((a, b), k) for k, (a, b) in enumerate(others)], np.int64)
+        """(K,) the same pair on the other side, which has the same length."""
         k = len(pairs)
         self._count = np.zeros(k, np.int64)
         self._weight = np.zeros(k)
         self._means = np.zeros((4, k))
         """Of the square of the distance, its square, the distance, and the noise."""
-        self._last = 0
         self.lengths = np.zeros(k)
         """(K,) m; 0 = unknown."""
 
-    def update(self, positions: Floats, variances: Floats, stamp: int) -> None:
-        """Take a pose: (M, 3) m, (M,) m2 along each axis, ns."""
+    def update(self, positions: Floats, variances: Floats) -> None:
+        """Take a pose: (M, 3) m, (M,) m2 along each axis."""
         squares = ((positions[self._a] - positions[self._b]) ** 2).sum(axis=1)
         noise = variances[self._a] + variances[self._b]
         known = ~np.isnan(squares)
@@ -117,9 +123,6 @@ class RunningLengths:
         spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
         clipped = np.clip(squares, mean - OUTLIER * spread, mean + OUTLIER * spread)
         squares = np.where(self._count >= FEWEST, clipped, squares)
-        passed = max(stamp - self._last, 0) * 1e-9 if self._last else 0.0
-        self._last = max(stamp, self._last)
-        self._weight *= np.exp(-passed / _MEMORY)
         new = known / (noise + 2 * SURE**2)
         self._weight += new
         gain = new / np.maximum(self._weight, 1e-12)
@@ -128,7 +131,9 @@ class RunningLengths:
         self._count += known
         square, _, distance, stated = self._means
         added = 3 * np.minimum(stated, np.maximum(square - distance**2, 0.0))
-        self.lengths = np.sqrt(np.maximum(square - added, 0.0))
+        found, weight, other = np.maximum(square - added, 0.0), self._weight, self._other
+        both = np.maximum(weight + weight[other], 1e-12)
+        self.lengths = np.sqrt((weight * found + weight[other] * found[other]) / both)
 
 
 class RecentMotion:
@@ -175,8 +180,8 @@ class RecentMotion:
         elif stamp - self._pushed < 0.9e9 / _RATE:
             return
         self._pushed = stamp
-        self._poses = [*self._poses[1 - WINDOW :], local]
-        self._variances = [*self._variances[1 - WINDOW :], variances]
+        self._poses = [*self._poses[1 - _POSES :], local]
+        self._variances = [*self._variances[1 - _POSES :], variances]
         if stamp >= self._next and len(self._poses) >= FEWEST_POSES:
             self._next = stamp + round(_RENEWED * 1e9)
             poses = np.stack(self._poses)

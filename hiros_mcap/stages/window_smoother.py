@@ -27,7 +27,7 @@ from hiros_mcap.stages.sightings import chosen, joined
 if TYPE_CHECKING:
     from hiros_mcap.stages.fuse import FuseParams
 
-_FOLLOW = 0.05  # share of each interval in their mean
+_FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
 
 
@@ -53,8 +53,8 @@ class WindowSmoother:
         """Time, ns, before which the filters have taken over everything."""
         self._origin: int | None = None
         self._last_log_time: int | None = None
-        self._interval = 1e9 / 30
-        """ns from one instant to the next, on average."""
+        self._interval, self._jitter = 1e9 / 30, 5e6
+        """ns from one instant to the next, and its mean deviation."""
         m = model.n_markers
         self._bank: Bank[JointStates] = Bank(JointStates.unknown(0, m, 0), _FORGET)
 
@@ -75,15 +75,17 @@ class WindowSmoother:
                 yield self._smooth(self._stamp(0) + round(self._params.window * 1e9))
 
     def _count_on(self, log_time: int) -> None:
-        """Measure how often instants come."""
+        """Measure how regularly instants come."""
         if self._last_log_time is not None:
-            interval = min(log_time - self._last_log_time, 10**9)
-            self._interval += _FOLLOW * (interval - self._interval)
+            off = min(log_time - self._last_log_time, 10**9) - self._interval
+            self._interval += _FOLLOW * off
+            self._jitter += _FOLLOW * (abs(off) - self._jitter)
         self._last_log_time = log_time
 
     def _is_due(self, log_time: int) -> bool:
         """Whether the first instant would be too late if it waited for one more."""
-        return log_time + self._interval > self._stamp(0) + self._params.max_lag * 1e9
+        next_time = log_time + self._interval + 2 * self._jitter
+        return next_time > self._stamp(0) + self._params.max_lag * 1e9
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""

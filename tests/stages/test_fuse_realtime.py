@@ -109,9 +109,9 @@ def test_running_lengths_become_those_of_the_whole() -> None:
     poses[300, 1] += 5.0
     poses[17] = np.nan
     pairs = np.array([[0, 1]], np.int32)
-    running = RunningLengths(pairs)
+    running = RunningLengths(pairs, np.arange(2, dtype=np.int32))
     for k, pose in enumerate(poses):
-        running.update(pose, variances[k], 10**9 + k * 33 * MS)
+        running.update(pose, variances[k])
     assert running.lengths == pytest.approx(measured_lengths(poses, variances, pairs), abs=0.002)
     assert running.lengths == pytest.approx(0.25, abs=0.003)
 
