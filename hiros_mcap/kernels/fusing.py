@@ -300,7 +300,7 @@ def _excess(dt: float, agility: float, surprise: Floats) -> float:
     surprise[0] *= keep
     surprise[1] *= keep
     mean = (surprise[0] + 1.0) / (surprise[1] + 1.0)  # one more that is as expected
-    return max(1.0, mean) ** 2
+    return float(max(1.0, mean) ** 2)
 
 
 @kernel

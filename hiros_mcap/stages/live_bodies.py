@@ -185,7 +185,7 @@ class RecentMotion:
         if stamp >= self._next and len(self._poses) >= FEWEST_POSES:
             self._next = stamp + round(_RENEWED * 1e9)
             poses = np.stack(self._poses)
-            known = ~np.isnan(poses).any(axis=2).all(axis=0)
+            known: Flags = np.asarray(~np.isnan(poses).any(axis=2).all(axis=0))
             some, noise = poses[:, known], np.stack(self._variances)[:, known]
             self._motion = (motion_of(some, noise), known) if known.any() else None
 
