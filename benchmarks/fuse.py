@@ -30,7 +30,7 @@ from hiros_mcap.simulate.write_log import write_log
 FUSE: Mapping[str, tuple[str, ...]] = {
     "all steps": (),
     "no offsets of cameras": ("fuse.offset=0",),
-    "a look-ahead of 0.1 s": ("fuse.lookahead=0.1",),
+    "a look-ahead of 0.1 s": ("fuse.lookahead=0.1", "fuse.window=0"),
     "no rigid groups": ("constrain.rigid=false",),
     "no prior": ("constrain.prior=false",),
     "noise learned": ("fuse.learn=true",),

@@ -33,7 +33,9 @@ class EllipsoidCoverage:
         )
 
 
-def coverage_of(matches: Matches, told: Deviations, model: SkeletonModel) -> EllipsoidCoverage | None:
+def coverage_of(
+    matches: Matches, told: Deviations, model: SkeletonModel
+) -> EllipsoidCoverage | None:
     """Compare errors with stated deviations; None if no joint has both."""
     scaled = []
     rows = zip(matches.stamps, matches.ids, matches.poses, matches.true_poses, strict=True)

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydantic import Field
@@ -34,7 +34,8 @@ from hiros_mcap.skeletons import (
 _DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 SURE = 0.005  # m; added to the deviations that weight a length
 OUTLIER = 4.0  # robust standard deviations
-FEWEST = 10  # poses that give a length
+FEWEST = 30  # poses that give a length
+_MORE = 1.25  # times as many poses give new lengths
 
 
 class ConstrainParams(Params):
@@ -106,6 +107,23 @@ def constrain_blocks(
         yield bodies.constrain(held)
 
 
+@dataclass
+class _Body:
+    """The body of one person."""
+
+    lengths: Floats
+    """(K,) m; 0 = not measured."""
+    first: int
+    last: int = 0
+    """When the person was first and last seen, ns."""
+    poses: list[Floats] = field(default_factory=list)
+    variances: list[Floats] = field(default_factory=list)
+    """What the lengths are measured from, until they are known."""
+    measured: int = 0
+    """Poses at the last measurement."""
+    known: bool = False
+
+
 class _Bodies:
     """What is known of everybody's body."""
 
@@ -117,18 +135,17 @@ class _Bodies:
         self._lateral = symmetry_of(model).lateral
         self._links = model.links
         self._pairs = constant_pairs(model, rigid=params.rigid)
-        self._people: dict[int, tuple[Floats, float, int]] = {}
-        """Person -> lengths (K,), m; the seconds that gave them; when they were last seen, ns."""
+        self._people: dict[int, _Body] = {}
 
     def constrain(self, held: list[Part]) -> Block:
         """Correct the poses of a window."""
         out = join(held)
         variances = own_variances(out)
-        seconds = self._params.window / len(out)
+        stamps = np.repeat(out.stamps, np.diff(out.rows).ravel())
         for person in np.unique(out.people.ids):
             if person != UNTRACKED:
                 rows = np.flatnonzero(out.people.ids == person)
-                self._measure(int(person), out, rows, variances, seconds)  # 1
+                self._measure(int(person), out, rows, variances, stamps[rows])  # 1
                 self._correct(int(person), out, rows, variances)  # 2 and 3
         self._forget(int(out.stamps[-1]))
         log_times = np.full(len(out), out.log_times[-1])
@@ -136,27 +153,32 @@ class _Bodies:
         return replace(out, log_times=log_times, uncertainty=known)
 
     def _measure(
-        self, person: int, out: Block, rows: Stamps, variances: Floats, seconds: float
+        self, person: int, out: Block, rows: Stamps, variances: Floats, stamps: Stamps
     ) -> None:
         """Measure the lengths of a person as long as they are not well known."""
-        lengths, known, _ = self._people.get(person, (np.zeros(len(self._pairs)), 0.0, 0))
-        if known < self._params.enough:
-            positions = out.people.markers[rows][:, :, POSITION]
-            found = measured_lengths(positions, variances[rows], self._pairs)
-            new = len(rows) * seconds
-            weight = np.where(lengths > 0, known / (known + new), 0.0)
-            lengths = np.where(np.isnan(found), lengths, weight * lengths + (1 - weight) * found)
-            known += new
-            if known >= self._params.enough:
-                self._events.note(int(out.stamps[0]), "limbs calibrated", person=person)
-        self._people[person] = lengths, known, int(out.stamps[-1])
+        body = self._people.setdefault(person, _Body(np.zeros(len(self._pairs)), int(stamps[0])))
+        body.last = int(stamps[-1])
+        if body.known:
+            return
+        body.poses.append(out.people.markers[rows][:, :, POSITION])
+        body.variances.append(variances[rows])
+        body.known = body.last - body.first >= self._params.enough * 1e9
+        n = sum(map(len, body.poses))
+        if body.known or n >= _MORE * body.measured:
+            body.measured = n
+            poses, own = np.concatenate(body.poses), np.concatenate(body.variances)
+            found = measured_lengths(poses, own, self._pairs)
+            body.lengths = np.where(np.isnan(found), body.lengths, found)
+        if body.known:
+            body.poses, body.variances = [], []
+            self._events.note(body.last, "limbs calibrated", person=person)
 
     def _correct(self, person: int, out: Block, rows: Stamps, variances: Floats) -> None:
         """Project onto the lengths; move towards what the person does; project again."""
         from hiros_mcap.stages.pose_prior import shrink_noise
 
         markers, sweeps = out.people.markers, self._params.sweeps
-        lengths = np.column_stack([self._people[person][0], np.ones(len(self._pairs))])
+        lengths = np.column_stack([self._people[person].lengths, np.ones(len(self._pairs))])
         project = self._kernels.project_all
         project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
         if self._params.prior:
@@ -166,7 +188,7 @@ class _Bodies:
 
     def _forget(self, now: int) -> None:
         """Forget who was not seen for ten minutes: somebody who returns has the same body."""
-        self._people = {p: k for p, k in self._people.items() if now - k[2] < 600 * 10**9}
+        self._people = {p: b for p, b in self._people.items() if now - b.last < 600 * 10**9}
 
 
 def own_variances(block: Block) -> Floats:

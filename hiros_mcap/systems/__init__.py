@@ -35,7 +35,7 @@ SYSTEMS: dict[str, System] = {
         _HIROS_SECTIONS,
     ),
     "fuse": System(
-        "one Kalman smoother per joint over all cameras, limb lengths, confidence from accuracy",
+        "ours: one Kalman smoother per joint over all cameras, limb lengths",
         fuse,
         ("T", "TM", "TMF"),
         ("track", "merge", "fuse", "constrain", "filter"),

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from builders import Room, room
+from builders import Room, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
@@ -203,3 +203,15 @@ def test_the_learned_white_noise_is_the_simulated_one() -> None:
     assert np.sqrt(ratio) == pytest.approx(2, rel=0.15)
     white = np.sqrt(noise.joints[0] * noise.cameras["a"])
     assert white == pytest.approx(0.004, rel=0.15)
+
+
+def test_the_causal_variant_knows_nothing_of_the_future() -> None:
+    """What was logged before the log is cut is the same without the rest of the log."""
+    where = walk()
+    cut = replace(where, frames=where.frames[:300])
+    end = max(frame.log_time for frame in cut.frames)
+    whole = [f for f in result(where, "fuse-realtime") if f.log_time < end]
+    part = [f for f in result(cut, "fuse-realtime") if f.log_time < end]
+    assert len(whole) == len(part) > 40
+    assert all(map(same, whole, part))
+    assert np.median([f.log_time - f.stamp for f in whole]) < 300_000_000

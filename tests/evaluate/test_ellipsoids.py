@@ -1,0 +1,72 @@
+"""How well markers are known: written, read back, and compared with a truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from hiros_mcap.config import load_config
+from hiros_mcap.evaluate.ellipsoids import coverage_of
+from hiros_mcap.evaluate.logs import evaluate_log, find_truth
+from hiros_mcap.evaluate.match import Matches
+from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, read_uncertainty
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.skeletons import SkeletonModel
+
+MODEL = SkeletonModel.of(["A", "B"], [])
+
+
+def matches(error: float, n: int = 4000) -> Matches:
+    poses = np.random.default_rng(0).normal(0, error, (n, 2, 3))
+    return Matches(
+        stamps=list(range(n)), ids=[7] * n, poses=list(poses), true_poses=list(np.zeros_like(poses))
+    )
+
+
+@pytest.mark.parametrize(("error", "within"), [(0.01, 0.68), (0.02, 0.17), (0.005, 0.997)])
+def test_coverage_of_normal_errors(error: float, within: float) -> None:
+    told = {(stamp, 7): {0: 0.01, 1: 0.01} for stamp in range(4000)}
+    found = coverage_of(matches(error), told, MODEL)
+    assert found is not None
+    assert found.within_68 == pytest.approx(within, abs=0.03)
+    assert found.ratio == pytest.approx(error / 0.01, rel=0.03)
+
+
+def test_joints_without_a_deviation_do_not_count() -> None:
+    told = {(stamp, 7): {0: 0.01, 1: np.nan} for stamp in range(10)}
+    found = coverage_of(matches(0.01, 20), told, MODEL)
+    assert found is not None
+    assert found.joints == 10
+    assert coverage_of(matches(0.01, 20), {}, MODEL) is None
+
+
+def test_a_result_of_fuse_says_how_well_it_is_known(tmp_path: Path) -> None:
+    log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
+    write_log(log, SimulateParams(people=1, cameras=3, seconds=4, seed=5))
+    config = load_config(system="fuse")
+    process(log, out, config=config, options=ProcessOptions(system="fuse"))
+    told = read_uncertainty(out)
+    with out.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        groups = [m[3] for m in reader.iter_decoded_messages([UNCERTAINTY_TOPIC])]
+    assert len(told) == sum(len(group.skeletons) for group in groups) > 90
+    assert len(groups[0].cameras) == 3
+    assert all(0 < d < 0.3 for d in groups[-20].skeletons[0].deviations)
+    truth = find_truth(out)
+    assert truth is not None
+    result = evaluate_log(out, truth)["/hiros/filtered"]
+    assert result.coverage is not None
+    assert 0.5 < result.coverage.within_68 < 1
+
+
+def test_a_result_of_hiros_says_nothing(tmp_path: Path) -> None:
+    log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
+    write_log(log, SimulateParams(people=1, cameras=2, seconds=1, seed=5))
+    process(log, out)
+    assert read_uncertainty(out) == {}
