@@ -45,7 +45,7 @@ class ConstrainParams(Params):
         10.0,
         ge=0,
         description="Seconds of each person that give the limb lengths, and that are corrected at "
-        "once. 0 = each pose by those before it.",
+        "once. In fuse-realtime, 0: each pose by those before it.",
     )
     enough: float = advanced(
         5.0, ge=0, description="Seconds after which the lengths of a person stay as they are."
@@ -88,12 +88,6 @@ def constrain_blocks(
     The same frames with other positions, m, and orientations, logged when their window ended.
     """
     params = params or ConstrainParams()
-    if params.window == 0:
-        from hiros_mcap.stages.live_bodies import LiveBodies
-
-        live = LiveBodies(model, params, Events() if events is None else events)
-        yield from map(live.constrain, blocks)
-        return
     bodies = _Bodies(model, params, Events() if events is None else events)
     held: list[Part] = []
     for block in blocks:

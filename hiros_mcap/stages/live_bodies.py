@@ -10,6 +10,7 @@ What :mod:`hiros_mcap.stages.constrain` learns from a window, this learns on the
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,17 @@ _LEFT = 1.0  # s unseen after which the motion is learned anew
 _FORGET = 600.0  # s; somebody who returns has the same body
 
 
+def constrain_live(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: ConstrainParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Block]:
+    """Do what :func:`hiros_mcap.stages.constrain.constrain_blocks` does, without waiting."""
+    bodies = LiveBodies(model, params or ConstrainParams(), Events() if events is None else events)
+    yield from map(bodies.constrain, blocks)
+
+
 class LiveBodies:
     """What is known of everybody's body so far."""
 
@@ -40,7 +52,7 @@ class LiveBodies:
         symmetry = symmetry_of(model)
         self._links, self._lateral, self._mirror = model.links, symmetry.lateral, symmetry.mirror
         self._pairs = constant_pairs(model, rigid=params.rigid)
-        self._people: dict[int, _Body] = {}
+        self._people: dict[int, _LiveBody] = {}
 
     def constrain(self, block: Block) -> Block:
         """Correct the poses of a block, one after the other; each is logged when it came."""
@@ -55,12 +67,12 @@ class LiveBodies:
             self._forget(stamp)
         return replace(out, uncertainty=surer(out, variances, self._links))
 
-    def _body(self, person: int, stamp: int) -> _Body:
+    def _body(self, person: int, stamp: int) -> _LiveBody:
         """Return what is known of who is seen at ``stamp``, ns."""
         body = self._people.get(person)
         if body is None:
             lengths, recent = RunningLengths(self._pairs, self._mirror), RecentMotion(self._lateral)
-            body = self._people[person] = _Body(lengths, recent, stamp, stamp)
+            body = self._people[person] = _LiveBody(lengths, recent, stamp, stamp)
         elif stamp - body.last > _LEFT * 1e9:
             body.recent = RecentMotion(self._lateral)
         before = (body.last - body.first) * 1e-9
@@ -70,7 +82,7 @@ class LiveBodies:
             self._events.note(stamp, "limbs calibrated", person=person)
         return body
 
-    def _correct(self, body: _Body, markers: Floats, row: int, variances: Floats) -> None:
+    def _correct(self, body: _LiveBody, markers: Floats, row: int, variances: Floats) -> None:
         """Project onto the lengths; move towards what the person does; project again."""
         rows, sweeps = np.array([row]), self._params.sweeps
         if body.last - body.first <= self._params.enough * 1e9:
@@ -191,7 +203,7 @@ class RecentMotion:
 
 
 @dataclass
-class _Body:
+class _LiveBody:
     """What is known of one person."""
 
     lengths: RunningLengths
