@@ -23,7 +23,7 @@ from hiros_mcap.kernels.link_lengths import project_all
 from hiros_mcap.skeletons import POSITION, Flags, Floats, Ints, SkeletonModel
 from hiros_mcap.stages.constrain import FEWEST, OUTLIER, SURE, ConstrainParams, own_variances, surer
 from hiros_mcap.stages.pose_prior import FEWEST as FEWEST_POSES
-from hiros_mcap.stages.pose_prior import Motion, estimated, local_frames, motion_of
+from hiros_mcap.stages.pose_prior import PoseSpace, estimated, local_frames, motion_of
 
 _RATE = 15.0  # Hz; a prior needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first prior, and between two
@@ -162,7 +162,7 @@ class RecentMotion:
         self._variances: list[Floats] = []
         self._next = self._pushed = 0
         """When the prior is due, and when the last pose was kept, ns."""
-        self._motion: tuple[Motion, Flags] | None = None
+        self._motion: tuple[PoseSpace, Flags] | None = None
         """With the markers that any pose had."""
 
     def shrink(self, positions: Floats, variances: Floats, stamp: int) -> Floats:

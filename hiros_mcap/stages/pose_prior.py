@@ -69,7 +69,7 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     return frames, origins
 
 
-class Motion(NamedTuple):
+class PoseSpace(NamedTuple):
     """In which directions the poses of a window vary by more than noise does."""
 
     mean: Floats
@@ -78,7 +78,7 @@ class Motion(NamedTuple):
     """(N, R) directions times the standard deviation along each; P = B B' + free variance."""
 
 
-def motion_of(positions: Floats, variances: Floats) -> Motion:
+def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
     """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise."""
     y = positions.reshape(len(positions), -1)
     absent = np.isnan(y)
@@ -90,10 +90,10 @@ def motion_of(positions: Floats, variances: Floats) -> Motion:
     _, scales, directions = np.linalg.svd(off / noise, full_matrices=False)
     excess = scales**2 / len(y) - _EXCESS
     used = excess > 0
-    return Motion(mean, noise[:, None] * directions[used].T * np.sqrt(excess[used]))
+    return PoseSpace(mean, noise[:, None] * directions[used].T * np.sqrt(excess[used]))
 
 
-def estimated(motion: Motion, positions: Floats, variances: Floats) -> Floats:
+def estimated(motion: PoseSpace, positions: Floats, variances: Floats) -> Floats:
     """Estimate poses (T, M, 3) as mu + P (P + V)^-1 (y - mu), V from the variances (T, M)."""
     mean, basis = motion
     y = positions.reshape(len(positions), -1)
