@@ -81,6 +81,8 @@ class JointNoise(NamedTuple):
     """Time constant of the offsets, s."""
     freedom: float
     """Degrees of freedom of Student's t."""
+    agility: float
+    """Time, s, over which failing predictions let a joint accelerate more; 0 = never."""
 
 
 class JointStates(NamedTuple):
@@ -92,6 +94,15 @@ class JointStates(NamedTuple):
     """(R, M, 2 + C, 2 + C); 0 = the joint was never seen."""
     times: Floats
     """(R, M) s."""
+    surprises: Floats
+    """(R, M, 2) sum of the squared normalized innovations of late, and of their weights."""
+
+    @classmethod
+    def unknown(cls, people: int, markers: int, cameras: int) -> JointStates:
+        """Return states of joints that nobody has seen."""
+        r, m, n = people, markers, OFFSETS + cameras
+        shapes = (r, m, n, 3), (r, m, n, n), (r, m), (r, m, 2)
+        return cls(*[np.zeros(shape) for shape in shapes])
 
 
 class FusedPoses(NamedTuple):
@@ -131,21 +142,23 @@ class FusionWork(NamedTuple):
     """(N, 3) and (N, N) state; the adjoint and its covariance on the way back."""
     row: Floats
     """(N,)."""
+    surprise: Floats
+    """(2,) of the joint; see JointStates."""
 
     @classmethod
     def of(cls, steps: int, size: int) -> FusionWork:
         """Make room."""
         t, n = steps, size
-        shapes = (t,), (t, n), (t, n), (t, 3), (t, 3), (t,), (n, 3), (n, n), (n,)
+        shapes = (t,), (t, n), (t, n), (t, 3), (t, 3), (t,), (n, 3), (n, n), (n,), (2,)
         return cls(*[np.zeros(shape) for shape in shapes])
 
 
 SIGHTINGS = named_tuple(Sightings, I1, I1, I1, I1, F3, F2)
 STEPS = named_tuple(Steps, F1, I1, F3, F2)
-NOISE = named_tuple(JointNoise, F1, F1, types.float64, types.float64)
-STATES = named_tuple(JointStates, F4, F4, F2)
+NOISE = named_tuple(JointNoise, F1, F1, types.float64, types.float64, types.float64)
+STATES = named_tuple(JointStates, F4, F4, F2, F3)
 POSES = named_tuple(FusedPoses, F3, F3, F2)
-WORK = named_tuple(FusionWork, F1, F2, F2, F2, F2, F1, F2, F2, F1)
+WORK = named_tuple(FusionWork, F1, F2, F2, F2, F2, F1, F2, F2, F1, F1)
 
 
 @kernel(types.int64(BUFFERS, PEOPLE, J1, I1, J1, SIGHTINGS))
@@ -195,6 +208,7 @@ def _load(states: JointStates, row: int, m: int, work: FusionWork) -> None:
     for i in range(len(work.mean)):
         _copy(states.means[row, m, i], work.mean[i])
         _copy(states.covariances[row, m, i], work.covariance[i])
+    _copy(states.surprises[row, m], work.surprise)
 
 
 @kernel
@@ -203,6 +217,7 @@ def _save(states: JointStates, row: int, m: int, time: float, work: FusionWork) 
     for i in range(len(work.mean)):
         _copy(work.mean[i], states.means[row, m, i])
         _copy(work.covariance[i], states.covariances[row, m, i])
+    _copy(work.surprise, states.surprises[row, m])
     states.times[row, m] = time
 
 
@@ -262,6 +277,8 @@ def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> 
     scaled = square / variance
     likelihood = -1.5 * math.log(variance) - 0.5 * (freedom + 3.0) * math.log1p(scaled / freedom)
     weight = min((freedom + 3.0) / (freedom + scaled), 1.0)
+    work.surprise[0] += weight * scaled / 3.0  # 1 on average; an outlier counts at most so much
+    work.surprise[1] += 1.0
     variance += steps.variances[t, m] * (1.0 / weight - 1.0)
     work.information[t] = 1.0 / variance
     for i in range(n):
@@ -272,6 +289,18 @@ def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> 
         for j in range(n):
             p[i, j] -= gain * h[j]
     return likelihood
+
+
+@kernel
+def _excess(dt: float, agility: float, surprise: Floats) -> float:
+    """Let the memory of surprises fade by ``dt``; return by how much the acceleration grows."""
+    if agility <= 0.0:
+        return 1.0
+    keep = math.exp(-dt / agility)
+    surprise[0] *= keep
+    surprise[1] *= keep
+    mean = (surprise[0] + 1.0) / (surprise[1] + 1.0)  # one more that is as expected
+    return float(max(1.0, mean) ** 2)
 
 
 @kernel
@@ -308,12 +337,14 @@ def _forward(
             if first == len(steps.times) or steps.times[t] < steps.times[first] - _EARLY:
                 continue
             started, time = True, steps.times[t]
+            work.surprise[:] = 0.0
             _start(steps.positions[first, m], offset_variance, x, p)
         dt = max(steps.times[t] - time, 0.0)
         time = max(steps.times[t], time)
         work.intervals[t] = dt
         if dt > 0.0:
-            _predict(dt, q, offset_variance, noise.time, work)
+            excess = _excess(dt, noise.agility, work.surprise)
+            _predict(dt, q * excess, offset_variance, noise.time, work)
         if is_pose:
             work.information[t] = p[POSITION, POSITION]
             _copy(p[POSITION], work.gains[t])

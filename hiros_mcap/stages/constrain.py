@@ -32,9 +32,9 @@ from hiros_mcap.skeletons import (
 )
 
 _DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
-_SURE = 0.005  # m; added to the deviations that weight a length
-_OUTLIER = 4.0  # robust standard deviations
-_FEWEST = 30  # poses that give a length
+SURE = 0.005  # m; added to the deviations that weight a length
+OUTLIER = 4.0  # robust standard deviations
+FEWEST = 30  # poses that give a length
 _MORE = 1.25  # times as many poses give new lengths
 
 
@@ -44,8 +44,8 @@ class ConstrainParams(Params):
     window: float = Field(
         10.0,
         ge=0,
-        description="Seconds that are corrected at once. 0 = each pose as it comes, without a "
-        "prior; the limb lengths are those measured so far.",
+        description="Seconds of each person that give the limb lengths, and that are corrected at "
+        "once. In fuse-realtime, 0: each pose by those before it.",
     )
     enough: float = advanced(
         5.0, ge=0, description="Seconds after which the lengths of a person stay as they are."
@@ -143,24 +143,8 @@ class _Bodies:
                 self._correct(int(person), out, rows, variances)  # 2 and 3
         self._forget(int(out.stamps[-1]))
         log_times = np.full(len(out), out.log_times[-1])
-        known = self._surer(out, variances)
+        known = surer(out, variances, self._links)
         return replace(out, log_times=log_times, uncertainty=known)
-
-    def _surer(self, out: Block, variances: Floats) -> Uncertainty | None:
-        """Return the uncertainty after the projection; confidences follow it."""
-        known, people = out.uncertainty, out.people
-        if known is None:
-            return None
-        left = variances * left_by_lengths(variances, self._links) + known.shared**2
-        # 1 / c - 1 is proportional to the variance.
-        ratio = left / known.deviations**2
-        people.marker_confidences[:] = 1 / (1 + (1 / people.marker_confidences - 1) * ratio)
-        seen = ~np.isnan(people.marker_confidences)
-        total = np.where(seen, people.marker_confidences, 0.0).sum(axis=1)
-        count = seen.sum(axis=1)
-        people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        deviations = np.where(np.isnan(known.deviations), np.nan, np.sqrt(left))
-        return known._replace(deviations=deviations)
 
     def _measure(
         self, person: int, out: Block, rows: Stamps, variances: Floats, stamps: Stamps
@@ -210,6 +194,23 @@ def own_variances(block: Block) -> Floats:
     return np.where(np.isnan(variances), _DEFAULT_DEVIATION**2, np.maximum(variances, 1e-8))
 
 
+def surer(out: Block, variances: Floats, links: Ints) -> Uncertainty | None:
+    """Return the uncertainty after the projection onto ``links``; confidences follow it."""
+    known, people = out.uncertainty, out.people
+    if known is None:
+        return None
+    left = variances * left_by_lengths(variances, links) + known.shared**2
+    # 1 / c - 1 is proportional to the variance.
+    ratio = left / known.deviations**2
+    people.marker_confidences[:] = 1 / (1 + (1 / people.marker_confidences - 1) * ratio)
+    seen = ~np.isnan(people.marker_confidences)
+    total = np.where(seen, people.marker_confidences, 0.0).sum(axis=1)
+    count = seen.sum(axis=1)
+    people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    deviations = np.where(np.isnan(known.deviations), np.nan, np.sqrt(left))
+    return known._replace(deviations=deviations)
+
+
 def left_by_lengths(variances: Floats, links: Ints) -> Floats:
     """(P, M) Share of the variance that known lengths of ``links`` (L, 2) leave.
 
@@ -239,15 +240,15 @@ def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Float
     noise = variances[:, a] + variances[:, b]
     known = ~np.isnan(squares)
     squares = np.where(known, squares, np.nan)
-    enough = known.sum(axis=0) >= _FEWEST
+    enough = known.sum(axis=0) >= FEWEST
     lengths = np.full(len(pairs), np.nan)
     if not enough.any():
         return lengths
     squares, noise, known = squares[:, enough], noise[:, enough], known[:, enough]
     middle = np.nanmedian(squares, axis=0)
     spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
-    clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
-    weights = known / (noise + 2 * _SURE**2)
+    clipped = np.clip(squares, middle - OUTLIER * spread, middle + OUTLIER * spread)
+    weights = known / (noise + 2 * SURE**2)
     mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
     stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
     lengths[enough] = np.sqrt(mean - 3 * np.minimum(stated, np.nanvar(np.sqrt(clipped), axis=0)))

@@ -24,7 +24,7 @@ from hiros_mcap.kernels import state_space
 from hiros_mcap.kernels.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
 
@@ -90,6 +90,11 @@ class FilterParams(Params):
         True,
         description="Give each link its mean length in the input. Smoothing each joint separately "
         "shortens limbs that swing.",
+    )
+    keep_positions: bool = advanced(
+        False,
+        description="Leave markers where they are, because an earlier stage has smoothed them; "
+        "only their velocities and accelerations, and the links, are filtered.",
     )
     length_time: float = advanced(
         2.0,
@@ -197,9 +202,13 @@ class _SkeletonFilter:
                 average_lengths(people, steps, past, self._links, self._params.length_time)
         if plan.done:
             out, steps = join(plan.done), plan.estimates()
+            given = out.people.markers[:, :, POSITION].copy()
             # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
             self._method.estimate(out.people, steps, past, settings, work)
-            if self._params.keep_lengths:
+            if self._params.keep_positions:
+                positions = out.people.markers[:, :, POSITION]
+                positions[:] = np.where(np.isnan(given), positions, given)
+            elif self._params.keep_lengths:
                 restore_lengths(out.people, steps, past, self._links)
             yield replace(out, log_times=np.array(plan.log_times, np.int64))
         self._forget()

@@ -12,6 +12,7 @@ A log of any length is smoothed in overlapping windows. Link orientations are th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +43,13 @@ class FuseParams(Params):
         description="Seconds that are smoothed at once. Results do not depend on it as long as the "
         "look-ahead is long; 0 = every instant as soon as it has its look-ahead.",
     )
+    max_lag: float = Field(
+        math.inf,
+        gt=0,
+        description="Longest time, s, from the cameras' mean time to the result's log time. A "
+        "result that would be later if it waited for the cameras' next messages has less "
+        "look-ahead.",
+    )
     learn: bool = advanced(
         False,
         description="Learn the noise of cameras and joints, and how joints move, from the log in a "
@@ -61,6 +69,19 @@ class FuseParams(Params):
     )
     offset_time: float = advanced(
         1.7, gt=0, description="Time constant, s, with which such an offset wanders."
+    )
+    freedom: float = advanced(
+        4.0,
+        gt=0,
+        description="Degrees of freedom of the noise (Student's t). With fewer, outliers count "
+        "less. 4 to 20 differ by 0 to 4 %.",
+    )
+    agility: float = advanced(
+        0.0,
+        ge=0,
+        description="Seconds over which a filter notes that its predictions fail, and then follows "
+        "faster: the density of the acceleration grows with the square of the excess. 0 = never; a "
+        "smoother sees what comes. A filter that does not look ahead is better with it.",
     )
     max_deviation: float = advanced(
         0.3,

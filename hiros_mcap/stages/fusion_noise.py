@@ -55,10 +55,9 @@ class FusionNoise:
         white = (_WHITE * factors) ** 2
         return cls(white, np.full(m, acceleration), np.full(m, offset), time)
 
-    @property
-    def motion(self) -> JointNoise:
-        """The part that the filter takes."""
-        return JointNoise(self.accelerations, self.offsets**2, self.time, FREEDOM)
+    def motion(self, freedom: float = FREEDOM, agility: float = 0.0) -> JointNoise:
+        """Return the part that the filter takes; the numbers are those of FuseParams."""
+        return JointNoise(self.accelerations, self.offsets**2, self.time, freedom, agility)
 
     def variances(
         self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]

@@ -221,8 +221,8 @@ def _likelihoods(people: Sequence[Steps], cameras: int, noise: FusionNoise) -> F
     """(M,) Log likelihood of the measurements of each joint."""
     m, n = len(noise.offsets), fusing.OFFSETS + cameras
     out, wanted = np.zeros(m), np.ones(m, np.bool_)
-    states = JointStates(np.zeros((1, m, n, 3)), np.zeros((1, m, n, n)), np.zeros((1, m)))
+    states = JointStates.unknown(1, m, cameras)
     for steps in people:
         work = FusionWork.of(len(steps.times), n)
-        fusing.likelihoods(steps, noise.motion, states, wanted, out, work)
+        fusing.likelihoods(steps, noise.motion(), states, wanted, out, work)
     return out

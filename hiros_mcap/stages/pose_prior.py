@@ -6,13 +6,16 @@ markers there is motion; an estimate between the mean pose and the measured one 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.skeletons import Flags, Floats, Ints
 
 WINDOW = 90
 """Poses, 3 s at 30 Hz."""
-_FEWEST = 30
+FEWEST = 30
+"""Poses that a prior needs."""
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
 _ABSENT = 1.0  # m2; variance of a marker that is missing
@@ -26,7 +29,7 @@ def shrink_noise(positions: Floats, variances: Floats, lateral: Ints) -> Floats:
     variances : (T, M) m2 along each axis. lateral : (K, 2) left and right slots that show the yaw.
     """
     out, weights = np.zeros_like(positions), np.zeros(len(positions))
-    if len(positions) < _FEWEST:
+    if len(positions) < FEWEST:
         return positions
     known = ~np.isnan(positions).any(axis=2).all(axis=0)
     starts = range(0, max(len(positions) - WINDOW // 2, 1), WINDOW // 2)
@@ -36,17 +39,18 @@ def shrink_noise(positions: Floats, variances: Floats, lateral: Ints) -> Floats:
         # Neighbouring windows overlap by half and are faded into each other.
         fade = np.minimum(np.arange(n), np.arange(n)[::-1]) + 1.0
         estimate = positions[part].copy()
-        if n >= _FEWEST:
-            frames, origins = _local(positions[part], lateral)
+        if n >= FEWEST:
+            frames, origins = local_frames(positions[part], lateral)
             local = np.einsum("tij,tmi->tmj", frames, positions[part] - origins)
-            local[:, known] = _wiener(local[:, known], variances[part][:, known])
+            some, noise = local[:, known], variances[part][:, known]
+            local[:, known] = estimated(motion_of(some, noise), some, noise)
             estimate = np.einsum("tij,tmj->tmi", frames, local) + origins
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
 
 
-def _local(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
+def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     """(T, 3, 3) and (T, 1, 3): yaw and centre of each pose; the world's where unknown."""
     frames = np.tile(np.eye(3), (len(positions), 1, 1))
     trunk = positions[:, lateral.ravel()] if len(lateral) else positions
@@ -65,12 +69,20 @@ def _local(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     return frames, origins
 
 
-def _wiener(positions: Floats, variances: Floats) -> Floats:
-    """Estimate mu + P (P + V)^-1 (y - mu), P from the excess of the covariance over V."""
-    shape = positions.shape
+class PoseSpace(NamedTuple):
+    """In which directions the poses of a window vary by more than noise does."""
+
+    mean: Floats
+    """(N,) mean pose."""
+    basis: Floats
+    """(N, R) directions times the standard deviation along each; P = B B' + free variance."""
+
+
+def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
+    """Find the motion in poses (T, M, 3), m, with variances (T, M): the excess over the noise."""
     y = positions.reshape(len(positions), -1)
     absent = np.isnan(y)
-    v = np.where(absent, _ABSENT, np.repeat(variances, 3, axis=1))
+    v = _of_axes(variances, absent)
     mean = np.nanmean(y, axis=0)
     off = np.where(absent, 0.0, y - mean)
     noise = np.sqrt(np.nanmean(np.where(absent, np.nan, v), axis=0))
@@ -78,14 +90,27 @@ def _wiener(positions: Floats, variances: Floats) -> Floats:
     _, scales, directions = np.linalg.svd(off / noise, full_matrices=False)
     excess = scales**2 / len(y) - _EXCESS
     used = excess > 0
-    basis = noise[:, None] * directions[used].T * np.sqrt(excess[used])
+    return PoseSpace(mean, noise[:, None] * directions[used].T * np.sqrt(excess[used]))
+
+
+def estimated(motion: PoseSpace, positions: Floats, variances: Floats) -> Floats:
+    """Estimate poses (T, M, 3) as mu + P (P + V)^-1 (y - mu), V from the variances (T, M)."""
+    mean, basis = motion
+    y = positions.reshape(len(positions), -1)
+    absent = np.isnan(y)
+    off = np.where(absent, 0.0, y - mean)
     # (B B' + D)^-1 by Woodbury, with the variances of each pose.
     rank = basis.shape[1]
-    d = _FREE**2 + v
+    d = _FREE**2 + _of_axes(variances, absent)
     pairs = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), rank * rank)
     inner = (1 / d @ pairs).reshape(len(y), rank, rank) + np.eye(rank)
     right = (off / d) @ basis
     solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
     u = (off - solved @ basis.T) / d
     estimate = mean + u @ basis @ basis.T + _FREE**2 * u
-    return np.where(absent, y, estimate).reshape(shape)
+    return np.where(absent, y, estimate).reshape(positions.shape)
+
+
+def _of_axes(variances: Floats, absent: Flags) -> Floats:
+    """(T, 3 M) Variance of each coordinate, m2."""
+    return np.where(absent, _ABSENT, np.repeat(variances, 3, axis=1))

@@ -27,6 +27,7 @@ from hiros_mcap.stages.sightings import chosen, joined
 if TYPE_CHECKING:
     from hiros_mcap.stages.fuse import FuseParams
 
+_FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
 
 
@@ -41,6 +42,7 @@ class WindowSmoother:
         cameras: Mapping[str, Floats],
     ) -> None:
         self._params, self._noise, self._places = params, noise, cameras
+        self._motion = noise.motion(params.freedom, params.agility)
         self._names: tuple[str, ...] = ()
         self._held: list[Part] = []
         self._views: list[Sightings] = []
@@ -50,23 +52,40 @@ class WindowSmoother:
         self._taken = 0
         """Time, ns, before which the filters have taken over everything."""
         self._origin: int | None = None
+        self._last_log_time: int | None = None
+        self._interval, self._jitter = 1e9 / 30, 5e6
+        """ns from one instant to the next, and its mean deviation."""
         m = model.n_markers
-        empty = JointStates(np.zeros((0, m, 2, 3)), np.zeros((0, m, 2, 2)), np.zeros((0, m)))
-        self._bank: Bank[JointStates] = Bank(empty, _FORGET)
+        self._bank: Bank[JointStates] = Bank(JointStates.unknown(0, m, 0), _FORGET)
 
     def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Block]:
         """Add instants; yield those whose window is complete."""
         self._make_room(names)
         patience = round((self._params.window + self._params.lookahead) * 1e9)
         bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
-        for i, stamp in enumerate(block.stamps.tolist()):
+        times = zip(block.stamps.tolist(), block.log_times.tolist(), strict=True)
+        for i, (stamp, log_time) in enumerate(times):
             self._origin = stamp if self._origin is None else self._origin
             some = chosen(views, slice(bounds[i], bounds[i + 1]))
             self._views.append(some._replace(instants=some.instants - i + self._count))
             self._held.append((block, i))
             self._count += 1
-            if stamp - self._stamp(0) >= patience:
+            self._count_on(log_time)
+            while self._held and (stamp - self._stamp(0) >= patience or self._is_due(log_time)):
                 yield self._smooth(self._stamp(0) + round(self._params.window * 1e9))
+
+    def _count_on(self, log_time: int) -> None:
+        """Measure how regularly instants come."""
+        if self._last_log_time is not None:
+            off = min(log_time - self._last_log_time, 10**9) - self._interval
+            self._interval += _FOLLOW * off
+            self._jitter += _FOLLOW * (abs(off) - self._jitter)
+        self._last_log_time = log_time
+
+    def _is_due(self, log_time: int) -> bool:
+        """Whether the first instant would be too late if it waited for one more."""
+        next_time = log_time + self._interval + 2 * self._jitter
+        return next_time > self._stamp(0) + self._params.max_lag * 1e9
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""
@@ -89,13 +108,13 @@ class WindowSmoother:
         for k in range(size - new, size):
             known = covariances[:, :, 0, 0] > 0
             covariances[:, :, k, k] = np.where(known, self._noise.offsets**2, 0.0)
-        self._bank.past = JointStates(means, covariances, past.times)
+        self._bank.past = past._replace(means=means, covariances=covariances)
 
     def _smooth(self, end: int) -> Block:
         """Return the held instants before ``end``, ns, or at least one, smoothed."""
         log_time = self._held[-1][0].log_times[self._held[-1][1]]
         n = max(sum(self._stamp(k) < end for k in range(len(self._held))), 1)
-        boundary = self._stamp(n) if n < len(self._held) else self._stamp(-1) + 10**15
+        boundary = self._stamp(min(n, len(self._held) - 1))  # nothing older is merged any more
         out = join(self._held[:n])
         views = joined(self._views)
         variances = self._noise.variances(views, self._names, self._places)
@@ -138,7 +157,7 @@ class WindowSmoother:
         size = self._bank.past.means.shape[2]
         own = FusedPoses.absent(len(rows), poses.variances.shape[1])
         work = fusing.FusionWork.of(len(steps.times), size)
-        fusing.smooth_joints(steps, keep, self._noise.motion, self._bank.past, row, own, work)
+        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, own, work)
         for whole, part in zip(poses, own, strict=True):
             whole[rows] = part
 

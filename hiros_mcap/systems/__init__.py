@@ -41,7 +41,7 @@ SYSTEMS: dict[str, System] = {
         ("track", "sides", "merge", "fuse", "constrain", "filter"),
     ),
     "fuse-realtime": System(
-        "fuse with a look-ahead of 0.1 s; no other stage waits for future frames",
+        "fuse without future frames: a Kalman filter per joint, lengths and motion learned live",
         fuse,
         ("T", "TM", "TMF"),
         ("track", "sides", "merge", "fuse", "constrain", "filter"),

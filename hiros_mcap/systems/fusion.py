@@ -11,6 +11,7 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.constrain import constrain_blocks
     from hiros_mcap.stages.filter import filter_blocks
     from hiros_mcap.stages.fuse import fuse_blocks
+    from hiros_mcap.stages.live_bodies import constrain_live
     from hiros_mcap.stages.track import track_blocks
 
     config = run.config
@@ -19,7 +20,8 @@ def fuse(run: Run) -> Stages:
         fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
         cameras=run.cameras, noise=run.noise,
     )  # fmt: skip
-    bodies = run.stage(constrain_blocks, config.constrain)
+    waits = config.constrain.window > 0
+    bodies = run.stage(constrain_blocks if waits else constrain_live, config.constrain)
     derivatives = run.stage(filter_blocks, config.filter)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),

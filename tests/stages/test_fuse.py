@@ -24,7 +24,7 @@ from hiros_mcap.stages.pose_prior import shrink_noise
 from hiros_mcap.systems import Run, system
 
 POINT = SkeletonModel.of(["A"], [])
-NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9)
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9, 0.0)
 
 
 def steps_of(seed: int = 0) -> Steps:
@@ -39,7 +39,7 @@ def steps_of(seed: int = 0) -> Steps:
 
 
 def smoothed(steps: Steps, keep: int = 10**9, states: JointStates | None = None) -> FusedPoses:
-    states = states or JointStates(np.zeros((1, 1, 4, 3)), np.zeros((1, 1, 4, 4)), np.zeros((1, 1)))
+    states = states or JointStates.unknown(1, 1, 2)
     out = FusedPoses.absent(int((steps.cameras == POSE).sum()), 1)
     work = FusionWork.of(len(steps.times), 4)
     fusing.smooth_joints(steps, keep, NOISE, states, 0, out, work)
@@ -87,9 +87,7 @@ def test_the_smoother_equals_regression_over_all_states() -> None:
 
 
 def test_a_window_goes_on_where_the_last_one_ended() -> None:
-    steps, states = steps_of(), JointStates(
-        np.zeros((1, 1, 4, 3)), np.zeros((1, 1, 4, 4)), np.zeros((1, 1))
-    )  # fmt: skip
+    steps, states = steps_of(), JointStates.unknown(1, 1, 2)
     smoothed(steps, 90, states)
     rest = smoothed(Steps(*[array[90:] for array in steps]), states=states)
     np.testing.assert_allclose(rest.positions, smoothed(steps).positions[30:], atol=1e-12)
@@ -106,7 +104,7 @@ def test_a_gross_outlier_moves_nothing() -> None:
     steps, robust = steps_of(), NOISE._replace(freedom=20.0)
     spoilt = steps._replace(positions=steps.positions.copy())
     spoilt.positions[90] += 1.0
-    states = JointStates(np.zeros((1, 1, 4, 3)), np.zeros((1, 1, 4, 4)), np.zeros((1, 1)))
+    states = JointStates.unknown(1, 1, 2)
     out = FusedPoses.absent(60, 1)
     fusing.smooth_joints(spoilt, 10**9, robust, states, 0, out, FusionWork.of(180, 4))
     assert np.abs(out.positions - smoothed(steps).positions).max() < 0.01
