@@ -232,7 +232,8 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
     # 0.04 s of a usual camera, and 0.1 s in all.
     "fuse-realtime": {
         "input": {"clocks": "causal"},
-        "track": {"lookahead": 0.0, "reorder": 0.002},
+        "track": {"lookahead": 0.0, "reorder": 0.002, "reidentify": 0.0},
+        "sides": {"lookahead": 0.0},
         "fuse": {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0, "freedom": 8.0, "agility": 0.07},
         "constrain": {"window": 0.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0, "keep_positions": True},

@@ -25,8 +25,7 @@ def fuse(run: Run) -> Stages:
     derivatives = run.stage(filter_blocks, config.filter)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
-        "merged": lambda blocks: fusion(
-            sides(blocks)
-        ),  # smoothed positions, before limb lengths and prior
+        # smoothed positions, before limb lengths and prior
+        "merged": lambda blocks: fusion(sides(blocks)),
         "filtered": lambda blocks: derivatives(bodies(blocks)),  # lengths, prior; velocities
     }
