@@ -66,18 +66,13 @@ def _improved(rig: Rig, given: Mapping[int, Rigid], placement: Placement) -> Pla
     weights = 1.0 / (1.0 + chi2 / max(6.0, float(np.median(chi2))))
     turn, shift = placement
     places = rig.shifts[list(given)] @ turn.T + shift
-    hessian, slope = np.zeros((6, 6)), np.zeros(6)
-    for w, angle, off, place in zip(weights, angles, shifts, places, strict=True):
-        x, y, z = place
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        rows = np.block(
-            [
-                [np.eye(3) / np.radians(PRIOR_DEG), np.zeros((3, 3))],
-                [lever / PRIOR_M, np.eye(3) / PRIOR_M],
-            ]
-        )
-        hessian += w * rows.T @ rows
-        slope += w * rows.T @ np.concatenate([angle / np.radians(PRIOR_DEG), off / PRIOR_M])
+    rows = np.zeros((len(places), 6, 6))
+    rows[:, :3, :3] = np.eye(3) / np.radians(PRIOR_DEG)
+    rows[:, 3:, :3] = np.cross(places[:, None], np.eye(3)) / PRIOR_M
+    rows[:, 3:, 3:] = np.eye(3) / PRIOR_M
+    off = np.concatenate([angles / np.radians(PRIOR_DEG), shifts / PRIOR_M], axis=1)
+    hessian = np.einsum("k,kia,kib->ab", weights, rows, rows)
+    slope = np.einsum("k,kia,ki->a", weights, rows, off)
     step = -np.linalg.solve(hessian, slope)
     small = Rotation.from_rotvec(step[:3]).as_matrix()
     return small @ turn, small @ shift + step[3:]

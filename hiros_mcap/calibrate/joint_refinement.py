@@ -248,15 +248,6 @@ def _scale(hessian: Floats) -> Floats:
     return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
 
 
-def _inverse(hessian: Floats) -> Floats:
-    """Inverse of a Hessian whose unknowns have different units; nothing for what no data show."""
-    scale = _scale(hessian)
-    return np.asarray(
-        np.linalg.pinv(hessian * np.outer(scale, scale), rcond=1e-10, hermitian=True)
-        * np.outer(scale, scale)
-    )
-
-
 def _rotation(vector: Floats) -> Floats:
     """Rotation matrix of a rotation vector (Rodrigues)."""
     from scipy.spatial.transform import Rotation
@@ -290,7 +281,7 @@ def _jackknife(residuals: RigResiduals, points: Points, free: Flags, clusters: S
         for rows in (np.flatnonzero(clusters == one) for one in np.unique(clusters))
     ]
     hessian = np.sum([part for part, _ in equations], axis=0)
-    steps = np.stack([_inverse(hessian - part) @ slopes[0] for part, slopes in equations])
+    steps = np.stack([_solution(hessian - part, slopes[0]) for part, slopes in equations])
     return np.asarray((len(steps) - 1) / len(steps) * np.sum(steps**2, axis=0))
 
 

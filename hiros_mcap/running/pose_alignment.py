@@ -19,7 +19,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
-from hiros_mcap.calibrate.camera_views import sighting_of, view_of
+from hiros_mcap.calibrate.camera_views import sightings_of, view_of
 from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import UNLINKED, remedy
@@ -261,11 +261,14 @@ def _sightings(
     seen: dict[str, list[Sighting]] = {}
     latest: dict[str, int] = {}
     for block in clocks.correct(log.camera_blocks(spans)):
-        for i, (stamp, source, log_time, _) in enumerate(block.messages()):
+        chosen = []
+        for stamp, source, log_time, (_, i) in block.messages():
             inside = any(begin <= log_time <= until for begin, until in spans)
             if inside and not 0 <= stamp - latest.get(source, 0) < SPACING_NS:
                 latest[source] = stamp
-                seen.setdefault(source, []).append(sighting_of(block.frame(i), start))
+                chosen.append(i)
+        for i, sighting in zip(chosen, sightings_of(block, chosen, start), strict=True):
+            seen.setdefault(block.sources[i], []).append(sighting)
     times = [s.seconds for some in seen.values() for s in some]
     middle, most = float(np.median(times)) if times else 0.0, (end - start) / 1e9 + ODD_S
     return {
