@@ -16,6 +16,8 @@ PRIOR_DEG = 0.3
 PRIOR_M = 0.006
 """SD of a position that the log states, per axis."""
 ROUNDS = 20
+STILL = 1e-5
+"""A step that changes less, m or radians, is the last."""
 
 Placement = tuple[Floats, Floats]
 """Rotation (3, 3) and shift (3,) of the common frame in the fixed frame."""
@@ -30,7 +32,9 @@ def on_transforms(rig: Rig, given: Mapping[int, Rigid]) -> Placement:
     starts = [_by_camera(rig, c, pose) for c, pose in given.items()]
     best = min(starts, key=lambda start: float(np.log1p(_deviations(rig, given, start)[2]).sum()))
     for _ in range(ROUNDS):
-        best = _improved(rig, given, best)
+        before, best = best, _improved(rig, given, best)
+        if max(np.abs(a - b).max() for a, b in zip(before, best, strict=True)) < STILL:
+            break
     return best
 
 

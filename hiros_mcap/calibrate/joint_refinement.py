@@ -224,7 +224,7 @@ def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> 
     hessian, slopes = normal_equations(residuals, points.seconds, free)
     step = np.zeros(free.shape)
     step[free] = -_solution(hessian, slopes[0])
-    turns = np.stack([_rotation(vector) for vector in step[:, :3]])
+    turns = _rotations(step[:, :3])
     return Rig(
         turns @ rig.rotations,
         rig.shifts + step[:, 3:6],
@@ -248,11 +248,11 @@ def _scale(hessian: Floats) -> Floats:
     return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
 
 
-def _rotation(vector: Floats) -> Floats:
-    """Rotation matrix of a rotation vector (Rodrigues)."""
+def _rotations(vectors: Floats) -> Floats:
+    """(C, 3, 3) rotation matrices of (C, 3) rotation vectors (Rodrigues)."""
     from scipy.spatial.transform import Rotation
 
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Floats:

@@ -46,7 +46,7 @@ from hiros_mcap.calibrate.verdict import (
 from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-INSTANTS = 80
+INSTANTS = 60
 POINTS = 6000
 """Joints at instants that are enough; more people need fewer instants."""
 GATES_M = (0.5, 0.25)
