@@ -88,7 +88,10 @@ def sightings_of(block: Block, frames: Sequence[int], middle: int) -> list[Sight
     bounds = [(begin, end) for begin, end in block.rows[list(frames)].tolist()]
     ends = np.cumsum([0, *(end - begin for begin, end in bounds)]).tolist()
     rows = np.concatenate([np.zeros(0, np.int64), *(np.arange(*each) for each in bounds)])
-    positions, known = block.people.markers[rows, :, POSITION], block.people.marker_confidences[rows]
+    positions, known = (
+        block.people.markers[rows, :, POSITION],
+        block.people.marker_confidences[rows],
+    )
     confidences = np.where(np.isnan(known), 1.0, known)
     absent = np.isnan(positions).any(axis=2) | (confidences <= 0.0)
     weights = np.where(absent, 0.0, confidences**CONFIDENCE_POWER)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector, to_matrix, to_vector
 from hiros_mcap.calibrate.floor import Floor
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.skeletons import Floats
@@ -48,13 +48,11 @@ def _deviations(
     rig: Rig, given: Mapping[int, Rigid], placement: Placement
 ) -> tuple[Floats, Floats, Floats]:
     """(K, 3) rotation and (K, 3) shift of each camera against the log, and (K,) chi squared."""
-    from scipy.spatial.transform import Rotation
-
     turn, shift = placement
     cameras = list(given)
     turned = turn @ rig.rotations[cameras]
-    wanted = np.stack([to_matrix(pose.xyzw) for pose in given.values()])
-    angles = Rotation.from_matrix(turned @ np.swapaxes(wanted, 1, 2)).as_rotvec()
+    wanted = to_matrix(np.stack([pose.xyzw for pose in given.values()]))
+    angles = to_vector(from_matrix(turned @ np.swapaxes(wanted, 1, 2)))
     places = rig.shifts[cameras] @ turn.T + shift
     shifts = places - np.stack([pose.translation for pose in given.values()])
     chi2 = np.sum((angles / np.radians(PRIOR_DEG)) ** 2, axis=1)
@@ -63,8 +61,6 @@ def _deviations(
 
 def _improved(rig: Rig, given: Mapping[int, Rigid], placement: Placement) -> Placement:
     """Return the placement after one Gauss-Newton step; it turns about the cameras' middle."""
-    from scipy.spatial.transform import Rotation
-
     angles, shifts, chi2 = _deviations(rig, given, placement)
     # All poses may be worse than the prior says; only those that are worse than most count less.
     weights = 1.0 / (1.0 + chi2 / max(6.0, float(np.median(chi2))))
@@ -78,7 +74,7 @@ def _improved(rig: Rig, given: Mapping[int, Rigid], placement: Placement) -> Pla
     hessian = np.einsum("k,kia,kib->ab", weights, rows, rows)
     slope = np.einsum("k,kia,ki->a", weights, rows, off)
     step = -np.linalg.solve(hessian, slope)
-    small = Rotation.from_rotvec(step[:3]).as_matrix()
+    small = to_matrix(from_vector(step[:3]))
     return small @ turn, small @ shift + step[3:]
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
 from hiros_mcap.kernels.grouping import Groups
@@ -224,7 +225,7 @@ def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> 
     hessian, slopes = normal_equations(residuals, points.seconds, free)
     step = np.zeros(free.shape)
     step[free] = -_solution(hessian, slopes[0])
-    turns = _rotations(step[:, :3])
+    turns = to_matrix(from_vector(step[:, :3]))
     return Rig(
         turns @ rig.rotations,
         rig.shifts + step[:, 3:6],
@@ -246,13 +247,6 @@ def _solution(hessian: Floats, slopes: Floats) -> Floats:
 def _scale(hessian: Floats) -> Floats:
     """(F,) units in which a Hessian has ones on its diagonal."""
     return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
-
-
-def _rotations(vectors: Floats) -> Floats:
-    """(C, 3, 3) rotation matrices of (C, 3) rotation vectors (Rodrigues)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Floats:
