@@ -61,7 +61,7 @@ def to_matrix(xyzw: Floats) -> Floats:
 
 
 def from_matrix(matrices: Floats) -> Floats:
-    """Unit quaternions, (..., 4), w >= 0, of rotation matrices, (..., 3, 3).
+    """Return unit quaternions, (..., 4), w >= 0, of rotation matrices, (..., 3, 3).
 
     4 q q' is linear in the matrix; its row with the largest diagonal is q, up to a factor.
     """
@@ -81,13 +81,13 @@ def from_matrix(matrices: Floats) -> Floats:
 
 
 def from_vector(vectors: Floats) -> Floats:
-    """Unit quaternions, (..., 4), of rotation vectors, (..., 3), rad."""
+    """Return unit quaternions, (..., 4), of rotation vectors, (..., 3), rad."""
     half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.concatenate([0.5 * np.sinc(half / np.pi) * vectors, np.cos(half)], axis=-1)
 
 
 def to_vector(xyzw: Floats) -> Floats:
-    """Rotation vectors, (..., 3), rad, at most pi long, of unit quaternions, (..., 4)."""
+    """Return rotation vectors, (..., 3), rad, at most pi long, of unit quaternions, (..., 4)."""
     short = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
     half = np.arctan2(np.linalg.norm(short[..., :3], axis=-1, keepdims=True), short[..., 3:])
     return np.asarray(2.0 * short[..., :3] / np.sinc(half / np.pi))
