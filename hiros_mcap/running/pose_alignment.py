@@ -29,7 +29,7 @@ from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.summary import PoseSummary
 
-LONGEST_S, SHORTEST_S = 20.0, 10.0
+LONGEST_S, SHORTEST_S = 20.0, 12.0
 """So many seconds of a log are read, in stretches: half of it, within these limits."""
 STRETCHES = 5
 ENOUGH = 0.75
