@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.params import Params, explain, is_advanced
+from hiros_mcap.params import Params, advanced, explain, is_advanced
 from hiros_mcap.stages.associate import AssociateParams
 from hiros_mcap.stages.cluster import ClusterParams
 from hiros_mcap.stages.constrain import ConstrainParams
@@ -61,6 +61,12 @@ class InputParams(Params):
         description="How the cameras' clocks are judged. lookahead: by the whole log and by the "
         "people in it. causal: each message by those before it, as a live system has to. off: "
         "stamps are taken as they are.",
+    )
+    poses: Literal["refined", "given"] = advanced(
+        "refined",
+        description="The cameras' poses. refined: compared with the people before the run, better "
+        "ones are used (--calibrate). given: those of the log or of --extrinsics, as published "
+        "methods take them.",
     )
 
 
@@ -164,6 +170,7 @@ _AS_PUBLISHED: dict[str, Any] = {
 }
 
 _PAPER: Table = {
+    "input": {"poses": "given"},
     # A detection that no track takes is a person at once; nothing waits for later frames.
     "track": {
         "orientation_weight": 1.0,

@@ -59,9 +59,11 @@ def run_experiment(people: int, action: str, config: Config, seconds: float) -> 
         scene = {"people": people, "action": action, "seconds": seconds, "seed": people}
         write_log(log, SimulateParams.model_validate(scene))
         truth = load_truth(log)
-        summary = process(log, out, config=config, options=ProcessOptions(keep=()))
+        summary = process(log, out, config=config, options=ProcessOptions(calibrate="off", keep=()))
         full = evaluate_log(out, truth, ["/hiros/tracked", "/hiros/filtered"])
-        process(log, out, config=config, options=ProcessOptions(stages="TMF", keep=()))
+        process(
+            log, out, config=config, options=ProcessOptions(stages="TMF", calibrate="off", keep=())
+        )
         short = evaluate_log(out, truth, ["/hiros/filtered"])
     results = (full["/hiros/tracked"], short["/hiros/filtered"], full["/hiros/filtered"])
     frames = max(summary.written["/hiros/merged"], 1)

@@ -56,8 +56,41 @@ def angle(a_xyzw: Floats, b_xyzw: Floats) -> Floats:
 
 def to_matrix(xyzw: Floats) -> Floats:
     """Rotation matrices, (..., 3, 3), of unit quaternions, (..., 4)."""
-    columns = [rotate(xyzw, unit) for unit in np.eye(3)]
-    return np.stack(columns, axis=-1)
+    rows = rotate(np.asarray(xyzw)[..., None, :], np.eye(3))
+    return np.ascontiguousarray(np.swapaxes(rows, -1, -2))
+
+
+def from_matrix(matrices: Floats) -> Floats:
+    """Return unit quaternions, (..., 4), w >= 0, of rotation matrices, (..., 3, 3).
+
+    4 q q' is linear in the matrix; its row with the largest diagonal is q, up to a factor.
+    """
+    m = np.asarray(matrices, np.float64)
+    products = np.empty((*m.shape[:-2], 4, 4))
+    products[..., :3, :3] = m + np.swapaxes(m, -1, -2)
+    trace = np.trace(m, axis1=-2, axis2=-1)
+    for i in range(3):
+        products[..., i, i] = 1.0 + 2.0 * m[..., i, i] - trace
+        j, k = (i + 1) % 3, (i + 2) % 3
+        products[..., i, 3] = products[..., 3, i] = m[..., k, j] - m[..., j, k]
+    products[..., 3, 3] = 1.0 + trace
+    best = np.diagonal(products, axis1=-2, axis2=-1).argmax(axis=-1)
+    rows = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
+    rows = np.where(rows[..., 3:] < 0.0, -rows, rows)
+    return np.asarray(rows / np.linalg.norm(rows, axis=-1, keepdims=True))
+
+
+def from_vector(vectors: Floats) -> Floats:
+    """Return unit quaternions, (..., 4), of rotation vectors, (..., 3), rad."""
+    half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.concatenate([0.5 * np.sinc(half / np.pi) * vectors, np.cos(half)], axis=-1)
+
+
+def to_vector(xyzw: Floats) -> Floats:
+    """Return rotation vectors, (..., 3), rad, at most pi long, of unit quaternions, (..., 4)."""
+    short = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
+    half = np.arctan2(np.linalg.norm(short[..., :3], axis=-1, keepdims=True), short[..., 3:])
+    return np.asarray(2.0 * short[..., :3] / np.sinc(half / np.pi))
 
 
 def slerp(a_xyzw: Floats, b_xyzw: Floats, share: float) -> Floats:

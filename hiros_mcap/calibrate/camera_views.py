@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +11,10 @@ import numpy as np
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
 from hiros_mcap.errors import LogError
+from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log
 from hiros_mcap.kernels.local_line import Tracklet
-from hiros_mcap.skeletons import Frame, Ints
+from hiros_mcap.skeletons import POSITION, Frame, Ints
 
 HALF_WIDTH_S = 0.1
 """Half of the time over which a joint's path is taken for a line; more for slow cameras."""
@@ -77,20 +78,29 @@ def _sightings(log: Log) -> dict[Camera, tuple[list[Sighting], list[float]]]:
     seen: dict[Camera, tuple[list[Sighting], list[float]]] = defaultdict(lambda: ([], []))
     for frame in _best_parts(log):
         sightings, late = seen[frame.source, frame.frame_id.lstrip("/")]
-        sightings.append(sighting_of(frame, middle))
+        sightings += sightings_of(Block.of(frame), [0], middle)
         late.append((frame.log_time - frame.stamp) / 1e9)
     return seen
 
 
-def sighting_of(frame: Frame, middle: int) -> Sighting:
-    """Return whom a frame shows. Seconds count from ``middle``, ns."""
-    known = frame.marker_confidences
+def sightings_of(block: Block, frames: Sequence[int], middle: int) -> list[Sighting]:
+    """Return whom some frames of a block show. Seconds count from ``middle``, ns."""
+    bounds = [(begin, end) for begin, end in block.rows[list(frames)].tolist()]
+    ends = np.cumsum([0, *(end - begin for begin, end in bounds)]).tolist()
+    rows = np.concatenate([np.zeros(0, np.int64), *(np.arange(*each) for each in bounds)])
+    positions, known = (
+        block.people.markers[rows, :, POSITION],
+        block.people.marker_confidences[rows],
+    )
     confidences = np.where(np.isnan(known), 1.0, known)
-    positions = np.array(frame.positions)
     absent = np.isnan(positions).any(axis=2) | (confidences <= 0.0)
     weights = np.where(absent, 0.0, confidences**CONFIDENCE_POWER)
     positions[absent] = np.nan
-    return Sighting((frame.stamp - middle) / 1e9, positions, weights)
+    seconds = ((block.stamps[list(frames)] - middle) / 1e9).tolist()
+    return [
+        Sighting(time, positions[begin:end], weights[begin:end])
+        for time, begin, end in zip(seconds, ends, ends[1:], strict=False)
+    ]
 
 
 def _best_parts(log: Log) -> Iterator[Frame]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector, to_matrix, to_vector
 from hiros_mcap.calibrate.floor import Floor
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.skeletons import Floats
@@ -16,6 +16,8 @@ PRIOR_DEG = 0.3
 PRIOR_M = 0.006
 """SD of a position that the log states, per axis."""
 ROUNDS = 20
+STILL = 1e-5
+"""A step that changes less, m or radians, is the last."""
 
 Placement = tuple[Floats, Floats]
 """Rotation (3, 3) and shift (3,) of the common frame in the fixed frame."""
@@ -30,7 +32,9 @@ def on_transforms(rig: Rig, given: Mapping[int, Rigid]) -> Placement:
     starts = [_by_camera(rig, c, pose) for c, pose in given.items()]
     best = min(starts, key=lambda start: float(np.log1p(_deviations(rig, given, start)[2]).sum()))
     for _ in range(ROUNDS):
-        best = _improved(rig, given, best)
+        before, best = best, _improved(rig, given, best)
+        if max(np.abs(a - b).max() for a, b in zip(before, best, strict=True)) < STILL:
+            break
     return best
 
 
@@ -44,13 +48,11 @@ def _deviations(
     rig: Rig, given: Mapping[int, Rigid], placement: Placement
 ) -> tuple[Floats, Floats, Floats]:
     """(K, 3) rotation and (K, 3) shift of each camera against the log, and (K,) chi squared."""
-    from scipy.spatial.transform import Rotation
-
     turn, shift = placement
     cameras = list(given)
     turned = turn @ rig.rotations[cameras]
-    wanted = np.stack([to_matrix(pose.xyzw) for pose in given.values()])
-    angles = Rotation.from_matrix(turned @ np.swapaxes(wanted, 1, 2)).as_rotvec()
+    wanted = to_matrix(np.stack([pose.xyzw for pose in given.values()]))
+    angles = to_vector(from_matrix(turned @ np.swapaxes(wanted, 1, 2)))
     places = rig.shifts[cameras] @ turn.T + shift
     shifts = places - np.stack([pose.translation for pose in given.values()])
     chi2 = np.sum((angles / np.radians(PRIOR_DEG)) ** 2, axis=1)
@@ -59,27 +61,20 @@ def _deviations(
 
 def _improved(rig: Rig, given: Mapping[int, Rigid], placement: Placement) -> Placement:
     """Return the placement after one Gauss-Newton step; it turns about the cameras' middle."""
-    from scipy.spatial.transform import Rotation
-
     angles, shifts, chi2 = _deviations(rig, given, placement)
     # All poses may be worse than the prior says; only those that are worse than most count less.
     weights = 1.0 / (1.0 + chi2 / max(6.0, float(np.median(chi2))))
     turn, shift = placement
     places = rig.shifts[list(given)] @ turn.T + shift
-    hessian, slope = np.zeros((6, 6)), np.zeros(6)
-    for w, angle, off, place in zip(weights, angles, shifts, places, strict=True):
-        x, y, z = place
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        rows = np.block(
-            [
-                [np.eye(3) / np.radians(PRIOR_DEG), np.zeros((3, 3))],
-                [lever / PRIOR_M, np.eye(3) / PRIOR_M],
-            ]
-        )
-        hessian += w * rows.T @ rows
-        slope += w * rows.T @ np.concatenate([angle / np.radians(PRIOR_DEG), off / PRIOR_M])
+    rows = np.zeros((len(places), 6, 6))
+    rows[:, :3, :3] = np.eye(3) / np.radians(PRIOR_DEG)
+    rows[:, 3:, :3] = np.cross(places[:, None], np.eye(3)) / PRIOR_M
+    rows[:, 3:, 3:] = np.eye(3) / PRIOR_M
+    off = np.concatenate([angles / np.radians(PRIOR_DEG), shifts / PRIOR_M], axis=1)
+    hessian = np.einsum("k,kia,kib->ab", weights, rows, rows)
+    slope = np.einsum("k,kia,ki->a", weights, rows, off)
     step = -np.linalg.solve(hessian, slope)
-    small = Rotation.from_rotvec(step[:3]).as_matrix()
+    small = to_matrix(from_vector(step[:3]))
     return small @ turn, small @ shift + step[3:]
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
 from hiros_mcap.kernels.grouping import Groups
@@ -224,7 +225,7 @@ def _stepped(rig: Rig, residuals: RigResiduals, points: Points, free: Flags) -> 
     hessian, slopes = normal_equations(residuals, points.seconds, free)
     step = np.zeros(free.shape)
     step[free] = -_solution(hessian, slopes[0])
-    turns = np.stack([_rotation(vector) for vector in step[:, :3]])
+    turns = to_matrix(from_vector(step[:, :3]))
     return Rig(
         turns @ rig.rotations,
         rig.shifts + step[:, 3:6],
@@ -246,22 +247,6 @@ def _solution(hessian: Floats, slopes: Floats) -> Floats:
 def _scale(hessian: Floats) -> Floats:
     """(F,) units in which a Hessian has ones on its diagonal."""
     return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
-
-
-def _inverse(hessian: Floats) -> Floats:
-    """Inverse of a Hessian whose unknowns have different units; nothing for what no data show."""
-    scale = _scale(hessian)
-    return np.asarray(
-        np.linalg.pinv(hessian * np.outer(scale, scale), rcond=1e-10, hermitian=True)
-        * np.outer(scale, scale)
-    )
-
-
-def _rotation(vector: Floats) -> Floats:
-    """Rotation matrix of a rotation vector (Rodrigues)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Floats:
@@ -290,7 +275,7 @@ def _jackknife(residuals: RigResiduals, points: Points, free: Flags, clusters: S
         for rows in (np.flatnonzero(clusters == one) for one in np.unique(clusters))
     ]
     hessian = np.sum([part for part, _ in equations], axis=0)
-    steps = np.stack([_inverse(hessian - part) @ slopes[0] for part, slopes in equations])
+    steps = np.stack([_solution(hessian - part, slopes[0]) for part, slopes in equations])
     return np.asarray((len(steps) - 1) / len(steps) * np.sum(steps**2, axis=0))
 
 

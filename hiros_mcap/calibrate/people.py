@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, angle, to_matrix
+from hiros_mcap.body.rotations import Rigid, angle, from_matrix, to_matrix
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.agreement import camera_distances
@@ -291,10 +291,8 @@ def _merged(found: Found, n_markers: int) -> tuple[Floats, Floats]:
 def _camera(
     view: CameraView, k: int, rig: Rig, found: Found, given: Rigid | None
 ) -> CalibratedCamera:
-    from scipy.spatial.transform import Rotation
-
     evidence, errors = found.evidence[k], found.errors[k]
-    turn = Rotation.from_matrix(rig.rotations[k]).as_quat(canonical=True)
+    turn = from_matrix(rig.rotations[k])
     pose = Rigid(turn, rig.shifts[k])
     moved_deg = moved_m = NAN
     if given is not None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, angle, to_matrix
+from hiros_mcap.body.rotations import Rigid, angle, from_matrix, to_matrix
 from hiros_mcap.calibrate.agreement import camera_distances, shared_view
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.evidence import anchored
@@ -46,7 +46,7 @@ from hiros_mcap.calibrate.verdict import (
 from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-INSTANTS = 80
+INSTANTS = 60
 POINTS = 6000
 """Joints at instants that are enough; more people need fewer instants."""
 GATES_M = (0.5, 0.25)
@@ -169,15 +169,13 @@ def _judged(
     refined: Refinement, given: Mapping[int, Rigid], anchor: int | None
 ) -> dict[int, RefinedPose]:
     """Return the poses in the fixed frame, with the verdicts, of cameras that all fit."""
-    from scipy.spatial.transform import Rotation
-
     known = given if anchor is None else {anchor: given[anchor]}
     rig = moved(refined.rig, on_transforms(refined.rig, known))
     middle = float(np.median(rig.clocks[refined.timed])) if refined.timed.any() else 0.0
     better = refined.certainty > CERTAIN
     found = {}
     for k, evidence in enumerate(refined.evidence):
-        turn = Rotation.from_matrix(rig.rotations[k]).as_quat(canonical=True)
+        turn = from_matrix(rig.rotations[k])
         pose, errors = Rigid(turn, rig.shifts[k]), refined.errors[k]
         degrees, metres = np.linalg.norm(errors[:3]), np.linalg.norm(errors[3:6])
         far = angle(pose.xyzw, given[k].xyzw) > MOVED * degrees or (

@@ -182,13 +182,17 @@ def with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
 
 
 def _calibration(config: Config, options: ProcessOptions) -> Calibration:
-    """Return how a run refines the poses: a causal one cannot."""
-    if config.input.clocks != "causal":
+    """Return how a run refines the poses: a causal one cannot, and a published one does not."""
+    given = config.input.poses == "given"
+    if config.input.clocks != "causal" and not given:
         return options.calibrate
     if options.calibrate == "require":
         raise ConfigError(
-            "--calibrate require has no effect: a causal run does not refine poses; find them with "
-            "hiros calibrate people and pass them with --extrinsics"
+            "--calibrate require contradicts input.poses=given, which the presets paper and "
+            "upstream set"
+            if given
+            else "--calibrate require has no effect: a causal run does not refine poses; find them "
+            "with hiros calibrate people and pass them with --extrinsics"
         )
     return "off"
 

@@ -19,7 +19,7 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid, angle
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
-from hiros_mcap.calibrate.camera_views import sighting_of, view_of
+from hiros_mcap.calibrate.camera_views import sightings_of, view_of
 from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import UNLINKED, remedy
@@ -29,11 +29,11 @@ from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.summary import PoseSummary
 
-LONGEST_S = 20.0
-"""A longer log is represented by stretches of so many seconds together."""
+LONGEST_S, SHORTEST_S = 20.0, 12.0
+"""So many seconds of a log are read, in stretches: half of it, within these limits."""
 STRETCHES = 5
-ENOUGH_S = 15.0
-"""If the stretches show people for a shorter time, the whole log is read."""
+ENOUGH = 0.75
+"""If the stretches show people in a smaller share of their time, more of the log is read."""
 MOST_S = 120.0
 SPACING_NS = 45_000_000
 """More frames tell little: the slow part of a detector's errors is the larger one."""
@@ -233,10 +233,12 @@ def _refined(
 
 def _best_sightings(log: Log, clocks: ClockAlignment) -> Mapping[str, list[Sighting]]:
     """Return whom the cameras see, at corrected times, in enough of the log."""
-    parts = stretches(*log.span, LONGEST_S, STRETCHES)
+    start, end = log.span
+    seconds = float(np.clip((end - start) / 2e9, SHORTEST_S, LONGEST_S))
+    parts = stretches(start, end, seconds, STRETCHES)
     seen = _sightings(log, clocks, parts)
-    if len(parts) > 1 and _seconds_with_people(seen) < ENOUGH_S:
-        seen = _sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
+    if len(parts) > 1 and _seconds_with_people(seen) < ENOUGH * seconds:
+        seen = _sightings(log, clocks, stretches(start, end, MOST_S, STRETCHES))
     return seen
 
 
@@ -261,11 +263,14 @@ def _sightings(
     seen: dict[str, list[Sighting]] = {}
     latest: dict[str, int] = {}
     for block in clocks.correct(log.camera_blocks(spans)):
-        for i, (stamp, source, log_time, _) in enumerate(block.messages()):
+        chosen = []
+        for stamp, source, log_time, (_, i) in block.messages():
             inside = any(begin <= log_time <= until for begin, until in spans)
             if inside and not 0 <= stamp - latest.get(source, 0) < SPACING_NS:
                 latest[source] = stamp
-                seen.setdefault(source, []).append(sighting_of(block.frame(i), start))
+                chosen.append(i)
+        for i, sighting in zip(chosen, sightings_of(block, chosen, start), strict=True):
+            seen.setdefault(block.sources[i], []).append(sighting)
     times = [s.seconds for some in seen.values() for s in some]
     middle, most = float(np.median(times)) if times else 0.0, (end - start) / 1e9 + ODD_S
     return {

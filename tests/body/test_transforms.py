@@ -64,6 +64,20 @@ def test_products_and_rotations_are_those_of_scipy():
     np.testing.assert_allclose(rotations.rotate(a, vectors), rotated, atol=1e-12)
 
 
+def test_rotation_vectors_and_matrices_are_those_of_scipy():
+    turns = Rotation.random(200, rng=3)
+    vectors = np.concatenate(
+        [turns.as_rotvec(), np.eye(3) * math.pi, np.zeros((1, 3)), [[1e-9] * 3]]
+    )
+    turns = Rotation.from_rotvec(vectors)
+    found = rotations.from_vector(vectors)
+    np.testing.assert_allclose(rotations.to_matrix(found), turns.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(np.sum(rotations.from_matrix(turns.as_matrix()) * turns.as_quat(), axis=1)), 1.0
+    )
+    np.testing.assert_allclose(rotations.to_vector(found), vectors, atol=1e-12)
+
+
 def test_the_angle_ignores_the_sign_of_a_quaternion():
     assert rotations.angle(np.array(QUARTER), -np.array(QUARTER)) == pytest.approx(0, abs=1e-7)
     assert rotations.angle(np.array(QUARTER), np.array(NONE)) == pytest.approx(math.pi / 2)

@@ -10,6 +10,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
@@ -203,6 +204,19 @@ def test_a_causal_run_cannot_refine(
     with pytest.raises(ConfigError, match="causal run does not refine"):
         options = ProcessOptions("hiros-realtime", calibrate="require")
         process(log, config=None, options=options)
+
+
+@pytest.mark.parametrize("preset", ["paper", "upstream"])
+def test_published_methods_take_the_poses_as_given(
+    preset: str, scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    given = true | {"camera_2": turned(true["camera_2"], 2.0, 0.05)}
+    log = write(tmp_path / "log.mcap", scene, detections[:90], given)
+    for name in ("hiros", "malaguti", "lee"):
+        config = load_config(preset=preset, system=name)
+        assert process(log, config=config, options=ProcessOptions(name)).poses == ()
+        with pytest.raises(ConfigError, match="contradicts input.poses=given"):
+            process(log, config=config, options=ProcessOptions(name, calibrate="require"))
 
 
 def test_info_names_the_poses_that_do_not_fit(
