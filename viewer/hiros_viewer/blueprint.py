@@ -83,7 +83,7 @@ def overview(content: Content) -> rrb.Container:
                 *([_moves()] if content.has_moves else []),
                 _counts(content),
             ),
-            row_shares=[4, 1],
+            row_shares=[3, 1],
         )
     angles = _tabs(content, [_angles(content, person) for person in content.people])
     speed = _series("Speed, m/s", _all(content, "/speed/**"))
@@ -340,7 +340,7 @@ def _series(name: str, contents: Sequence[str], values: tuple[float, float] | No
         name=name,
         plot_legend=legend,
         axis_x=_whole(),
-        axis_y=rrb.ScalarAxis(range=values),
+        axis_y=None if values is None else rrb.ScalarAxis(range=values),
     )
 
 
