@@ -388,6 +388,11 @@ class _Camera(BaseModel):
     translation: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
     since: Annotated[int, Field(ge=0)] = 0
+    verdict: str = ""
+    reason: str = ""
+    error_deg: float | None = None
+    error_mm: float | None = None
+    residual_mm: float | None = None
 
 
 class _Extrinsics(BaseModel):
@@ -410,8 +415,9 @@ def read_extrinsics(path: str | Path) -> TransformTree:
         translation = [0.0, 0.0, 2.5]             # m, position of the camera in its parent
         quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
 
-    A camera that was moved has a second entry with ``since``, a log time in ns. A table ``[clock]``
-    may follow; see :func:`read_clocks`.
+    A camera that was moved has a second entry with ``since``, a log time in ns. What a calibration
+    tells about a pose may follow it; see :func:`read_camera_entries`. A table ``[clock]`` may
+    follow, too; see :func:`read_clocks`.
 
     Raises ConfigError naming the file and the key.
     """
@@ -434,6 +440,41 @@ def read_clocks(path: str | Path) -> dict[str, float]:
     ``hiros calibrate people`` writes it. Raises ConfigError as :func:`read_extrinsics` does.
     """
     return _extrinsics(Path(path)).clock
+
+
+class CameraEntry(NamedTuple):
+    """One pose in a file of ``hiros calibrate``, and what the calibration tells about it."""
+
+    frame: str
+    pose: Rigid
+    """In the parent that the file names."""
+    since: int
+    """Log time, ns, at which the camera was moved to this pose; 0 = it always stood there."""
+    verdict: str
+    """Good, doubtful, ...; "" in a file that somebody else wrote."""
+    reason: str
+    """Why it is doubtful, "" otherwise."""
+    errors: tuple[float, float, float]
+    """Standard errors, degrees and mm, and residual, mm; NaN where the file has none."""
+
+
+def read_camera_entries(path: str | Path) -> list[CameraEntry]:
+    """Read what a file tells about each pose; raises as :func:`read_extrinsics` does."""
+    return [
+        CameraEntry(
+            camera.frame,
+            Rigid(np.array(camera.quaternion_xyzw), np.array(camera.translation)),
+            camera.since,
+            camera.verdict,
+            camera.reason,
+            (_or_nan(camera.error_deg), _or_nan(camera.error_mm), _or_nan(camera.residual_mm)),
+        )
+        for camera in _extrinsics(Path(path)).camera
+    ]
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _extrinsics(path: Path) -> _Extrinsics:

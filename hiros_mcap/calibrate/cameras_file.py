@@ -13,6 +13,13 @@ from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.outputs import CAMERAS_MARK, write_text
 
+_ERRORS = {
+    "error_deg": "standard error of the orientation",
+    "error_mm": "standard error of the position",
+    "residual_mm": "how far what it sees is from what the others see",
+}
+"""Keys of a camera, of which each is written if it is known."""
+
 
 def save_cameras(path: Path, found: PeopleCalibration | BallCalibration | BoardReport) -> None:
     """Write the file, or nothing at all; raises LogError if it cannot be written."""
@@ -34,19 +41,23 @@ def cameras_toml(found: PeopleCalibration | BallCalibration | BoardReport) -> st
 
 
 def _camera(camera: CameraResult, pose: Rigid, parent: str) -> list[str]:
-    comment = _said(camera.verdict, camera.reason)
-    if camera.verdict == "impossible":
-        comment += "; the pose is the log's"
-    elif not math.isnan(camera.error_deg):
-        comment += f"; standard error {camera.error_deg:.2f} degrees, {camera.error_mm:.0f} mm"
     since = getattr(camera, "since", 0)
     lines = [
-        f"[[camera]]  # {comment}",
+        "[[camera]]",
         f"frame = {_text(camera.frame)}",
         f"parent = {_text(parent)}",
         f"translation = [{', '.join(f'{x:.5f}' for x in pose.translation)}]  # m",
         f"quaternion_xyzw = [{', '.join(f'{x:.7f}' for x in pose.xyzw)}]",
     ]
+    lines.append(f"verdict = {_text(camera.verdict)}")
+    if camera.verdict == "impossible":
+        lines[-1] += "  # the pose is the log's"
+    if camera.reason:
+        lines.append(f"reason = {_text(camera.reason)}")
+    for key, comment in _ERRORS.items():
+        value = getattr(camera, key)
+        if not math.isnan(value) and camera.verdict != "impossible":
+            lines.append(f"{key} = {value:.2f}  # {comment}")
     if since:
         lines.append(f"since = {since}  # ns since 1970, log time: the camera was moved then")
     return lines

@@ -27,7 +27,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
-from hiros_viewer.columns import TIMELINE, Poses
+from hiros_viewer.columns import TIMELINE, Line, Poses, ScalarRows
 from hiros_viewer.displacement import EarlierPoses
 from hiros_viewer.palette import SIDES, shade
 from hiros_viewer.scene import Scene
@@ -353,6 +353,44 @@ def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) ->
     assert set(people.ravel()) <= {0.0, 1.0, 2.0}
 
 
+def test_a_curve_ends_before_a_pause_and_begins_anew() -> None:
+    curve = ScalarRows([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
+    second = 1_000_000_000
+    curve.extend(np.array([0, second // 10]), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    curve.extend(np.array([5 * second]), np.array([[5.0, 6.0]]))
+    assert curve.stamps == [0, second // 10, second // 10 + 1, 5 * second]
+    expected = [1.0, 2.0, 3.0, 4.0, np.nan, np.nan, 5.0, 6.0]
+    np.testing.assert_array_equal(curve.values, expected)
+
+
+def test_a_single_curve_ends_before_a_pause() -> None:
+    curve = ScalarRows([Line("camera", (0, 0, 0))])
+    for second in (0, 10):
+        curve.add(second * 1_000_000_000, float(second))
+    np.testing.assert_array_equal(curve.values, [0.0, np.nan, 10.0])
+
+
+def test_millimetres_look_small_on_the_axis_of_a_limb(processed: Path) -> None:
+    import rerun as rr
+
+    content = replaying.replay([processed], rr.RecordingStream("test"))
+    low, high = content.ranges["limbs/thigh"]
+    assert 0.25 <= high - low < 0.5 and 0.3 < (low + high) / 2 < 0.6
+    angles = [axis for kind, axis in content.ranges.items() if kind.startswith("angles/")]
+    assert all(low < 0.0 and high > 100.0 for low, high in angles)
+
+
+def test_who_is_there_for_longest_is_seen_first(processed: Path) -> None:
+    import rerun as rr
+
+    frames, model, _ = read_channel(processed, "/hiros/filtered")
+    scene = Scene(rr.RecordingStream("test"), model)
+    for k, person in enumerate([4, 4, 7, 7, 7]):
+        frame = frames[k]
+        scene.stage("filtered", frame.replace(ids=np.array([person] + [-1] * (frame.n_people - 1))))
+    assert scene.longest == 7
+
+
 def test_the_tree(recording: Path) -> None:
     found = entities(recording)
     for path in (
@@ -609,20 +647,25 @@ def test_a_golden_log_is_overlaid_at_the_same_time(processed: Path, tmp_path: Pa
 
 def test_a_calibration_shows_poses_before_and_after(tmp_path: Path) -> None:
     with open_log(CROSSING) as log:
-        poses = {c.frames[0]: log.pose_of(c) for c in log.cameras}
+        poses, start = {c.frames[0]: log.pose_of(c) for c in log.cameras}, log.span[0]
     file, target = tmp_path / "cameras.toml", tmp_path / "moved.rrd"
     lines = []
     for name, pose in poses.items():
         assert pose is not None
         moved = (pose.translation + [0.03 * (name == "camera_1"), 0, 0]).tolist()  # noqa: RUF005
-        lines += ["[[camera]]  # improved; standard error 0.08 degrees, 4 mm"]
+        lines += ["[[camera]]"]
         lines += [f'frame = "{name}"', 'parent = "world"', f"translation = {moved}"]
-        lines += [f"quaternion_xyzw = {pose.xyzw.tolist()}"]
+        lines += [f"quaternion_xyzw = {pose.xyzw.tolist()}", 'verdict = "improved"']
+        lines += ["error_deg = 0.08", "error_mm = 4.2", "residual_mm = 17.0"]
+    again = [line for line in lines[-9:] if not line.startswith("translation")]
+    lines += [*again, "translation = [9.0, 0.0, 0.0]", f"since = {start + 2_500_000_000}"]
     file.write_text("\n".join(lines))
     arguments = ["view", str(CROSSING), "--calibration", str(file), "--save", str(target), "-q"]
     assert run(arguments) == 0
     (table,) = texts(target, "/calibration", "TextDocument:text")
-    assert "| camera_1 | 30 mm | 0.00° | improved; standard error 0.08 degrees, 4 mm |" in table
+    assert "| camera_1 | 30 mm | 0.00° | improved | 0.08°, 4 mm | 17 mm |" in table
+    (moved_row,) = [line for line in table.splitlines() if ", from 2.5 s on |" in line]
+    assert "| 0.00° | improved |" in moved_row
     assert "| camera_0 | 0 mm |" in table
     assert {"/world/before/camera_1/view", "/world/moved/camera_1"} <= entities(target)
     assert run([*arguments, "--extrinsics", str(file)]) == 2

@@ -49,6 +49,10 @@ class Content:
     """Whether the truth is drawn in the room, where it makes the result thin."""
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
+    longest: int = 0
+    """Who of the people is there for longest: whose curves are seen first."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Kind of curve -> from where to where its axis goes; other axes fit their curves."""
 
     @property
     def final(self) -> str:
@@ -77,13 +81,13 @@ def overview(content: Content) -> rrb.Container:
             _room(content, "Room", shown=[content.final]),
             rrb.Horizontal(
                 *([_moves()] if content.has_moves else []),
-                _series("People per camera", ["/people/**"]),
+                _counts(content),
             ),
-            row_shares=[4, 1],
+            row_shares=[3, 1],
         )
-    angles = rrb.Tabs(*(_angles(content, person) for person in content.people))
+    angles = _tabs(content, [_angles(content, person) for person in content.people])
     speed = _series("Speed, m/s", _all(content, "/speed/**"))
-    side = [angles, speed, _series("People per camera", ["/people/**"])]
+    side = [angles, speed, _counts(content)]
     if content.has_moves:
         side.append(_moves())
     if len(content.prefixes) == 2:
@@ -94,6 +98,7 @@ def overview(content: Content) -> rrb.Container:
         origin="/",
         contents=[*_all(content, "/state/**"), "/views/**"],
         name="People in the result, and when a camera's view is wrong",
+        time_view=_whole(),
     )
     return rrb.Vertical(
         rrb.Horizontal(
@@ -102,7 +107,7 @@ def overview(content: Content) -> rrb.Container:
             column_shares=[4, 3],
         ),
         rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
-        row_shares=[3.3, 1],
+        row_shares=[2.8, 1],
     )
 
 
@@ -146,7 +151,7 @@ def person(content: Content) -> rrb.Container:
     if not tabs or content.is_raw:
         return overview(content)
     return rrb.Horizontal(
-        _room(content, "Room", shown=[content.final]), rrb.Tabs(*tabs), column_shares=[1, 1]
+        _room(content, "Room", shown=[content.final]), _tabs(content, tabs), column_shares=[1, 1]
     )
 
 
@@ -158,11 +163,14 @@ def cameras(content: Content) -> rrb.Container:
         _room(content, camera, shown=[content.final], cameras=[camera], seen_by=camera)
         for camera in content.cameras
     ]
-    below = [_series("People per camera", ["/people/**"])]
+    below = [_counts(content)]
     if not content.is_raw:
         table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
         wrong = rrb.StateTimelineView(
-            origin="/", contents=["/views/**"], name="When a camera's view is wrong"
+            origin="/",
+            contents=["/views/**"],
+            name="When a camera's view is wrong",
+            time_view=_whole(),
         )
         below = [table, _series("Distance to the result, mm", ["/residual/**"]), wrong]
     return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
@@ -198,7 +206,8 @@ def _room(
 ) -> Any:
     """Return a 3D view of the stages in ``shown`` and detections of ``cameras`` (None = all).
 
-    It looks from the camera ``seen_by`` if its pose is known, else at the people.
+    It looks from the camera ``seen_by`` if its pose is known, else at the people; the result is
+    thin then, so that the camera's own detections are seen beside it.
     Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
     """
     import rerun as rr
@@ -213,7 +222,9 @@ def _room(
     if len(shown) > 1:
         what += _all(content, f"/displacement/{shown[0]}/**")
         overrides = _compared_looks(content, *shown)
-    elif content.shows_truth:
+        earlier = _paths(content, shown[0])
+        what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
+    elif shown and (content.shows_truth or seen_by):
         overrides = _thin_looks(content, *shown)
     if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
@@ -240,6 +251,7 @@ def _room(
         if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
             target = eye + ahead
         what.append(f"- /world/cameras/{seen_by}/**")
+        what += [f"- /world/cameras/{other}/name" for other in content.cameras]  # they hide people
     return rrb.Spatial3DView(
         origin="/",
         contents=what,
@@ -299,15 +311,49 @@ def _all(content: Content, pattern: str) -> list[str]:
     return [f"{prefix}{pattern}" for prefix in content.prefixes]
 
 
-def _series(name: str, contents: Sequence[str]) -> Any:
+def _tabs(content: Content, views: Sequence[Any]) -> Any:
+    """Return a tab for each person; that of who is there for longest is open."""
+    import rerun.blueprint as rrb
+
+    people = list(content.people)
+    first = people.index(content.longest) if content.longest in people else 0
+    return rrb.Tabs(*views, active_tab=first)
+
+
+def _counts(content: Content) -> Any:
+    """Return the curves of how many people each camera reports."""
+    return _series("People per camera", ["/people/**"], content.ranges.get("people"))
+
+
+def _series(name: str, contents: Sequence[str], values: tuple[float, float] | None = None) -> Any:
     """Return a view of curves without a legend, which would cover them.
 
     The room and the lanes tell the colours; the viewer names the curve under the pointer.
+    ``values`` is the range of the axis; None = it fits the curves.
     """
     import rerun.blueprint as rrb
 
     legend = rrb.PlotLegend(visible=False)
-    return rrb.TimeSeriesView(origin="/", contents=list(contents), name=name, plot_legend=legend)
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=list(contents),
+        name=name,
+        plot_legend=legend,
+        axis_x=_whole(),
+        axis_y=None if values is None else rrb.ScalarAxis(range=values),
+    )
+
+
+def _whole() -> Any:
+    """Return a time axis from the first to the last row, on every timeline.
+
+    The viewer's own choice ends where it had read to when it was opened.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    ever = rr.TimeRangeBoundary.infinite()
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
 
 
 def _key() -> Any:
@@ -330,6 +376,7 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
         _series(
             f"{part.capitalize()}, {unit}",
             _all(content, f"/{kind}/{person}/{part.replace(' ', '_')}"),
+            content.ranges.get(f"{kind}/{part}"),
         )
         for part in parts
     ]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import re
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,53 +10,72 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.transforms import CameraEntry, read_camera_entries
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.log import Log, open_log
 
-# What `hiros calibrate` writes: the verdict and the standard errors of a camera are a comment.
-_REMARK = re.compile(r"^\[\[camera\]\][ \t]*#[ \t]*(.+)\r?\nframe = (\".*\")", re.MULTILINE)
+_HEADER = ("camera", "moved", "turned", "verdict", "standard error", "residual")
 
 
 @dataclass(frozen=True, slots=True)
 class CameraMove:
-    """One camera's poses in the fixed frame."""
+    """A camera's pose before and after a calibration, or before and after somebody moved it."""
 
     name: str
     before: Rigid | None
     """By the log's transforms; None if it has none."""
     after: Rigid
     """By the file."""
-    remark: str
-    """What the file says about it: verdict, standard errors; "" if it says nothing."""
+    entry: CameraEntry
+    """What the file says about the pose after."""
+    since_s: float = 0.0
+    """Seconds from the log's start at which the camera was moved there; 0 = at once."""
 
     def row(self) -> tuple[str, ...]:
-        """Return name, how far it moved and turned, and the remark, as text."""
+        """Return name, how far it moved and turned, and what the file says, as text."""
+        name = f"{self.name}, from {self.since_s:.1f} s on" if self.since_s else self.name
+        return name, *self._difference(), *_told(self.entry)
+
+    def _difference(self) -> tuple[str, str]:
         if self.before is None:
-            return self.name, "-", "-", self.remark
+            return "-", "-"
         moved = 1000 * float(np.linalg.norm(self.after.translation - self.before.translation))
         cosine = min(1.0, abs(float(self.after.xyzw @ self.before.xyzw)))
-        return (
-            self.name,
-            f"{moved:.0f} mm",
-            f"{np.degrees(2 * np.arccos(cosine)):.2f}°",
-            self.remark,
-        )
+        return f"{moved:.0f} mm", f"{np.degrees(2 * np.arccos(cosine)):.2f}°"
+
+
+def _told(entry: CameraEntry) -> tuple[str, str, str]:
+    """Return verdict, standard errors and residual; "-" where the file has none."""
+    verdict = f"{entry.verdict} ({entry.reason})" if entry.reason else entry.verdict
+    degrees, error, residual = entry.errors
+    errors = "-" if math.isnan(degrees + error) else f"{degrees:.2f}°, {error:.0f} mm"
+    return verdict or "-", errors, "-" if math.isnan(residual) else f"{residual:.0f} mm"
 
 
 def camera_moves(path: Path, file: Path, after: Mapping[str, Rigid]) -> list[CameraMove]:
     """Compare the poses of a log's cameras with those of a file, ``after`` by frame.
 
-    Raises LogError if the log cannot be read.
+    A camera that was moved in the middle of the log has a second row, with the file's first pose
+    as the one before.
+
+    Raises LogError if the log cannot be read, ConfigError if the file cannot.
     """
     with open_log(path, topics=["*"], output_prefix="/none") as log:
         before = {frame: pose for frame in after if (pose := _pose(log, frame)) is not None}
-    remarks = {
-        json.loads(frame): remark for remark, frame in _REMARK.findall(file.read_text("utf-8"))
-    }
-    return [
-        CameraMove(frame, before.get(frame), pose, remarks.get(frame, ""))
-        for frame, pose in after.items()
-    ]
+        start = log.span[0]
+    moves: list[CameraMove] = []
+    first: dict[str, Rigid] = {}
+    for entry in read_camera_entries(file):
+        if entry.frame not in after:
+            continue
+        if entry.since:
+            seconds, origin = (entry.since - start) / 1e9, first.get(entry.frame)
+            moves.append(CameraMove(entry.frame, origin, entry.pose, entry, seconds))
+        else:
+            first[entry.frame] = entry.pose
+            name = entry.frame
+            moves.append(CameraMove(name, before.get(name), after[name], entry))
+    return moves
 
 
 def _pose(log: Log, frame: str) -> Rigid | None:
@@ -70,7 +88,6 @@ def _pose(log: Log, frame: str) -> Rigid | None:
 
 def move_table(moves: Sequence[CameraMove]) -> str:
     """Return the poses before and after as Markdown."""
-    header = ["camera", "moved", "turned", "the file says"]
-    lines = [header, ["---"] * len(header), *(move.row() for move in moves)]
+    lines = [_HEADER, ["---"] * len(_HEADER), *(move.row() for move in moves)]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     return f"{table}\n\nGrey cameras: where the log has them. Coloured: where the file has them."

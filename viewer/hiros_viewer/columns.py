@@ -17,6 +17,8 @@ TIMELINE = "seconds from start"
 STAMP = "stamp"
 """The same instants as dates."""
 HIDDEN = -1
+PAUSE_NS = 500_000_000
+"""A curve is not drawn across a longer time without values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,17 +179,31 @@ class ScalarRows(Rows):
 
     lines: Sequence[Line]
     values: list[float] = field(default_factory=list)
-    """len(lines) of each row, row by row."""
+    """len(lines) of each row, row by row; NaN ends a curve before a pause."""
+    last: int | None = None
+    """Stamp of the newest row."""
 
     def add(self, stamp: int, value: float) -> None:
         """Append a row of the only curve."""
-        self.stamps.append(stamp)
-        self.values.append(value)
+        if self.last is not None and stamp - self.last > PAUSE_NS:
+            self._append(self.last + 1, [float("nan")])
+        self._append(stamp, [value])
 
     def extend(self, stamps: Stamps, values: Floats) -> None:
         """Append rows (T, len(lines))."""
-        self.stamps += stamps.tolist()
-        self.values += values.ravel().tolist()
+        if not len(stamps):
+            return
+        rows = values.reshape(len(stamps), len(self.lines))
+        before = np.concatenate([[stamps[0] if self.last is None else self.last], stamps[:-1]])
+        pauses = np.flatnonzero(stamps - before > PAUSE_NS)
+        self.last = int(stamps[-1])
+        self.stamps += np.insert(stamps, pauses, before[pauses] + 1).tolist()
+        self.values += np.insert(rows, pauses, np.nan, axis=0).ravel().tolist()
+
+    def _append(self, stamp: int, values: Sequence[float]) -> None:
+        self.last = stamp
+        self.stamps.append(stamp)
+        self.values += values
 
     def sent(self) -> None:
         """Forget the rows."""

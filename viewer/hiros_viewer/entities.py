@@ -154,7 +154,7 @@ class Entities:
         import rerun as rr
 
         for move in moves:
-            if move.before is not None:
+            if move.before is not None and not move.since_s:
                 path = f"/world/before/{path_part(move.name)}"
                 look = "", BEFORE, BEFORE  # a name would cover that of the pose after
                 self._frustum(path, move.before, look)

@@ -90,9 +90,9 @@ def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread
     axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
     wide = np.nanmax(values, initial=0.0) / 8
     for row, value in enumerate(values):
-        text, colour = f" {value:.1f}", "white" if value > wide else "black"
-        if not np.isnan(value):
-            axes.text(0, row, text, va="center", fontsize=8, color=colour)
+        if not np.isnan(value):  # beside a bar that is too short for it
+            x, colour = (0.0, "white") if value > wide else (value, "black")
+            axes.text(x, row, f" {value:.1f}", va="center", fontsize=8, color=colour)
     axes.set_xlim(0, None)
     axes.invert_yaxis()
     axes.margins(y=0.01)

@@ -44,6 +44,10 @@ MOST_FRAMES = 18_000
 """Of a channel of a long log: ten minutes at 30 Hz, an hour at 5 Hz."""
 LONGEST_STEP_S = 0.2
 """Between frames that are drawn: people who were not seen for longer are hidden."""
+LIMB_AXIS_M = 0.25
+"""Least length of an axis of limbs: millimetres look small."""
+ANGLE_AXIS_DEG = (0.0, 100.0)
+"""What every axis of angles shows: two numbers stand beside it then."""
 _NAMES = "AB"
 
 
@@ -352,7 +356,25 @@ def content_of(scenes: list[Scene]) -> Content:
         shows_truth=any(scene.shows_truth for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
         has_moves=any(scene.has_moves for scene in scenes),
+        longest=scenes[0].longest,
+        ranges=axis_ranges(scenes),
     )
+
+
+def axis_ranges(scenes: Sequence[Scene]) -> dict[str, tuple[float, float]]:
+    """Return the axes of angles, limbs and counts, by kind of curve.
+
+    Everybody's axis is the same, and never so narrow that millimetres look large.
+    """
+    axes = {"people": (-0.2, max(scene.most_people for scene in scenes) + 0.4)}
+    for kind in {kind for scene in scenes for kind in scene.ranges}:
+        found = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
+        low, high = min(low for low, _ in found), max(high for _, high in found)
+        if kind.startswith("angles/"):
+            low, high = min(low, ANGLE_AXIS_DEG[0]), max(high, ANGLE_AXIS_DEG[1])
+        margin = max(0.05 * (high - low), (LIMB_AXIS_M - (high - low)) / 2)
+        axes[kind] = low - margin, high + margin
+    return axes
 
 
 def recording_name(logs: list[Path | str]) -> str:

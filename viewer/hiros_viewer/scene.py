@@ -23,7 +23,7 @@ Rows are collected and sent in columns, a batch at a time, so that memory stays 
 from __future__ import annotations
 
 import heapq
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -123,8 +123,12 @@ class Scene:
         """What to compare the last stage with, on the markers of the model."""
         self.shows_truth = False
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
+        self.most_people = 0
+        """In one detection message."""
         self.has_moves = False
         """Whether poses before and after a calibration were drawn."""
+        self.ranges: dict[str, tuple[float, float]] = {}
+        """Kind of curve, as "limbs/thigh" -> where most of its values are."""
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
         self._layer, self._prefix = layer, layer.prefix
@@ -154,6 +158,8 @@ class Scene:
         self._waiting: list[tuple[int, int, str, Floats]] = []
         """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
         self._alive: set[int] = set()
+        self._lengths = Counter[int]()
+        """Frames of the last stage that everybody is in."""
         self._root = _root_slot(model)
         self._entities = Entities(recording, model, self._root, layer)
         self._limbs = limb_links(model)
@@ -167,6 +173,12 @@ class Scene:
     def cameras(self) -> list[str]:
         """Names of the cameras, in the order of their colours."""
         return list(self._detections)
+
+    @property
+    def longest(self) -> int:
+        """Who is there for longest in the last stage."""
+        people = self._lengths
+        return max(people, key=people.__getitem__, default=0)
 
     @property
     def stages(self) -> list[str]:
@@ -202,6 +214,7 @@ class Scene:
         self._hide_after_pause(rows, frame.stamp)
         rows.add(frame)
         self._curve("/people", camera).add(frame.stamp, len(frame.ids))
+        self.most_people = max(self.most_people, len(frame.ids))
         if self.final:
             positions = np.ascontiguousarray(frame.positions)
             heapq.heappush(self._waiting, (frame.stamp, self._n_detections, camera, positions))
@@ -284,6 +297,7 @@ class Scene:
         self._hide_gone(rows, ids, frame.stamp, GONE_NS if name == "tracked" else 0)
         if name == self.final:
             self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
+            self._lengths.update(person for person in ids if person != UNTRACKED)
             self._states(ids, frame.stamp)
             if self.truth is not None and self.truth.covers(frame.stamp):
                 self._match(frame, self.truth)
@@ -492,13 +506,15 @@ class Scene:
         return lines
 
     def _extend_sides(
-        self, path: str, names: Sequence[str], stamps: Stamps, values: Floats
+        self, kind: str, person: int, names: Sequence[str], stamps: Stamps, values: Floats
     ) -> None:
         """Add to curves (T, len(names)); what is left and right of one joint shares an entity."""
+        path = f"{self._prefix}/{kind}/{person_part(person)}"
         parts = [split_side(name)[0] for name in names]
         for part in dict.fromkeys(parts):
             columns = [k for k, own in enumerate(parts) if own == part]
             lines = self._side_lines([names[k] for k in columns])
+            self._widen(f"{kind}/{part}", values[:, columns])
             self._extend(f"{path}/{part.replace(' ', '_')}", lines, stamps, values[:, columns])
 
     def _derive_curves(self, person: int, rows: PersonRows, stamps: Stamps, poses: Floats) -> None:
@@ -507,11 +523,10 @@ class Scene:
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
         angles = continued(jumping, rows.last_angles)
         rows.last_angles = angles[-1]
-        path = person_part(person)
-        self._extend_sides(f"{self._prefix}/angles/{path}", MAIN_ANGLES, stamps, np.degrees(angles))
+        self._extend_sides("angles", person, MAIN_ANGLES, stamps, np.degrees(angles))
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
-            self._extend_sides(f"{self._prefix}/limbs/{path}", tuple(self._limbs), stamps, lengths)
+            self._extend_sides("limbs", person, tuple(self._limbs), stamps, lengths)
         moments, roots = stamps, poses[:, self._root]
         if rows.last_root is not None:
             moments = np.insert(moments, 0, rows.last_root[0])
@@ -521,7 +536,16 @@ class Scene:
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
         lines = [self._person_line(person)]
-        self._extend(f"{self._prefix}/speed/{path}", lines, moments[1:][steady], speeds)
+        path = f"{self._prefix}/speed/{person_part(person)}"
+        self._extend(path, lines, moments[1:][steady], speeds)
+
+    def _widen(self, kind: str, values: Floats) -> None:
+        """Note where curves are, all but their outliers."""
+        known = values[~np.isnan(values)]
+        if known.size:
+            low, high = np.percentile(known, [0.5, 99.5])
+            past = self.ranges.get(kind, (low, high))
+            self.ranges[kind] = min(past[0], float(low)), max(past[1], float(high))
 
     def _extend(self, path: str, lines: Sequence[Line], stamps: Stamps, values: Floats) -> None:
         self._scalars.setdefault(path, ScalarRows(lines)).extend(stamps, values)
