@@ -122,10 +122,21 @@ class LiveLog(Log):
         info = next(info for info in channels_of(self.reader) if info.id == ident)
         if takes(info, self._topics):
             self._join(info, message)
-        elif is_of_other_detector(info) and is_selected(topic, self._topics, OUTPUT_PREFIX):
+        elif self._may_be_missed(info):
             self._probe(info, message)
         else:
             self._refused[ident] = ""
+
+    def look_for_other_detectors(self) -> None:
+        """Look for people of other detectors in what was heard before the log was open."""
+        missed = {info.id: info for info in channels_of(self.reader) if self._may_be_missed(info)}
+        for message in self.reader.preface:
+            if message.channel_id in missed and message.channel_id not in self._refused:
+                self._probe(missed[message.channel_id], message)
+
+    def _may_be_missed(self, info: ChannelInfo) -> bool:
+        selected = is_selected(info.topic, self._topics, OUTPUT_PREFIX)
+        return selected and is_of_other_detector(info)
 
     def _probe(self, info: ChannelInfo, message: Message) -> None:
         """Look for people of another detector, which are not read; markers may be anything."""
@@ -211,13 +222,16 @@ def open_live(
     try:
         log = listener.log or attempt()
     except LogError as error:
-        others = sorted({i.schema for i in channels_of(reader) if is_of_other_detector(i)})
-        if others and not any(takes(info, None) for info in channels_of(reader)):
-            fault = f"has no SkeletonGroups of cameras, but {', '.join(others)}; {_ONLY_GROUPS}"
+        channels = channels_of(reader)
+        if channels and topics is None and not any(takes(info, None) for info in channels):
+            seen = {i.schema for i in channels if is_selected(i.topic, None, OUTPUT_PREFIX)}
+            held = ", ".join(sorted(seen)) or "results or truths"
+            fault = f"has no SkeletonGroups of cameras, but {held}; {_ONLY_GROUPS}"
             raise LogError(fault, path=reader.path) from None
         if error.path is not None:
             raise
         raise type(error)(error.fault, path=reader.path, topic=error.topic) from None
+    log.look_for_other_detectors()
     reader.listeners.append(log.hear)
     return log
 
