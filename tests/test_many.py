@@ -15,6 +15,7 @@ from hiros_cli.app import run
 from hiros_cli.many_logs import exit_code
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.places import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, ProcessJob
@@ -224,6 +225,25 @@ def test_results_among_the_recordings_are_no_recordings(walking: Path, tmp_path:
     assert process(tmp_path / "out", tmp_path / "again") == 0
     (record,) = records_of(tmp_path / "again").values()
     assert (record["verdict"], record["files"]) == ("skipped", {})
+
+
+def test_a_truth_among_the_recordings_is_no_recording(walking: Path, tmp_path: Path) -> None:
+    shutil.copy(walking, tmp_path / "walk.mcap")
+    keep(walking, tmp_path / "walk.truth.mcap", "/truth")
+    keep(walking, tmp_path / "detector_off.mcap", "/tf_static")
+    assert process(tmp_path, tmp_path / "out") == 2
+    verdicts = {name: one["verdict"] for name, one in records_of(tmp_path / "out").items()}
+    assert verdicts == {"walk": "done", "walk.truth": "skipped", "detector_off": "failed"}
+
+
+def keep(source: Path, target: Path, prefix: str) -> None:
+    """Copy the channels of a log that begin with ``prefix``."""
+    with McapReader(source) as reader, McapWriter(target) as writer:
+        for message in reader.messages():
+            channel = reader.channels[message.channel_id]
+            if channel.topic.startswith(prefix):
+                writer.write_message(writer.adopt(channel, reader.schema(channel)), message)
+        writer.commit()
 
 
 @pytest.mark.parametrize("text", ["{}", "[1]", "no", '{"schema": "hiros.manifest", "version": 9}'])

@@ -49,6 +49,8 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
         )
     if not is_file(source) and follow:
         raise ConfigError(f"{source}: --follow is for a file; this input is live anyway")
+    if is_file(source) and not Path(source).exists():
+        raise ConfigError(f"{source}: does not exist yet; start the recording first")
     if is_file(source) and not Path(source).is_file():
         raise ConfigError(f"{source}: only an MCAP file can be followed")
     if not is_file(source) and output is None:

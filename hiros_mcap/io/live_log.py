@@ -20,10 +20,18 @@ from typing import Any
 import hiros_schemas
 from hiros_mcap.body.transforms import TransformTree, parse_tf, read_extrinsics
 from hiros_mcap.errors import LogError, SchemaError
-from hiros_mcap.io.channels import TF_TOPICS, ChannelInfo, channels_of, select_skeletons
+from hiros_mcap.io.channels import (
+    OUTPUT_PREFIX,
+    TF_TOPICS,
+    ChannelInfo,
+    channels_of,
+    is_selected,
+    select_skeletons,
+)
 from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
+from hiros_mcap.io.detectors.conversion import is_of_other_detector, people_finder
 from hiros_mcap.io.log import CameraChannel, Log, look_into
 from hiros_mcap.summary import quantity
 
@@ -34,6 +42,9 @@ _PATIENCE_S = 10.0
 """How long after the first skeletons transforms may come."""
 _MOST = 20_000
 """Messages that are kept while nobody is there: about two minutes of five cameras."""
+_PROBED = 100
+"""Messages of another detector's type that are decoded to see whether they show people."""
+_ONLY_GROUPS = "live input reads SkeletonGroups only; record the log, then process the file"
 
 
 class LiveLog(Log):
@@ -58,6 +69,10 @@ class LiveLog(Log):
         self._reads_transforms = not extrinsics
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
+        self._finders: dict[int, Callable[[Message], bool]] = {}
+        """Channel of another detector -> whether a message of it shows people."""
+        self._probed: Counter[int] = Counter()
+        """Messages of other detectors that showed nobody, by channel."""
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
 
@@ -107,8 +122,35 @@ class LiveLog(Log):
         info = next(info for info in channels_of(self.reader) if info.id == ident)
         if takes(info, self._topics):
             self._join(info, message)
+        elif self._may_be_missed(info):
+            self._probe(info, message)
         else:
             self._refused[ident] = ""
+
+    def look_for_other_detectors(self) -> None:
+        """Look for people of other detectors in what was heard before the log was open."""
+        missed = {info.id: info for info in channels_of(self.reader) if self._may_be_missed(info)}
+        for message in self.reader.preface:
+            if message.channel_id in missed and message.channel_id not in self._refused:
+                self._probe(missed[message.channel_id], message)
+
+    def _may_be_missed(self, info: ChannelInfo) -> bool:
+        selected = is_selected(info.topic, self._topics, OUTPUT_PREFIX)
+        return selected and is_of_other_detector(info)
+
+    def _probe(self, info: ChannelInfo, message: Message) -> None:
+        """Look for people of another detector, which are not read; markers may be anything."""
+        try:
+            if info.id not in self._finders:
+                self._finders[info.id] = people_finder(self.reader, info)
+        except LogError:
+            self._refused[info.id] = ""
+            return
+        if self._finders[info.id](message):
+            self._refused[info.id] = f"{info.topic}: {info.schema} not used: {_ONLY_GROUPS}"
+        self._probed[info.id] += 1
+        if self._probed[info.id] == _PROBED:
+            self._refused.setdefault(info.id, "")
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""
@@ -180,9 +222,16 @@ def open_live(
     try:
         log = listener.log or attempt()
     except LogError as error:
+        channels = channels_of(reader)
+        if channels and topics is None and not any(takes(info, None) for info in channels):
+            seen = {i.schema for i in channels if is_selected(i.topic, None, OUTPUT_PREFIX)}
+            held = ", ".join(sorted(seen)) or "results or truths"
+            fault = f"has no SkeletonGroups of cameras, but {held}; {_ONLY_GROUPS}"
+            raise LogError(fault, path=reader.path) from None
         if error.path is not None:
             raise
         raise type(error)(error.fault, path=reader.path, topic=error.topic) from None
+    log.look_for_other_detectors()
     reader.listeners.append(log.hear)
     return log
 

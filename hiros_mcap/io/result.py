@@ -293,6 +293,21 @@ def is_result(path: str | os.PathLike[str]) -> bool:
         return False
 
 
+def is_truth(path: str | os.PathLike[str]) -> bool:
+    """Whether an MCAP file holds the skeletons of a truth and no others.
+
+    False if it cannot be read, and for bags.
+    """
+    if kind_of(Path(path)):
+        return False
+    try:
+        with open_reader(path) as reader:
+            own = _own_channels(reader)
+    except LogError:
+        return False
+    return bool(own.truths) and not own.results and not own.detections
+
+
 class _OwnChannels(NamedTuple):
     """Which skeleton channels a log has."""
 

@@ -22,7 +22,7 @@ from hiros_mcap.evaluate.scored import check_scorable, results_of
 from hiros_mcap.io.export.files import export
 from hiros_mcap.io.export.marker_set import load_marker_set, renamed
 from hiros_mcap.io.overview import look
-from hiros_mcap.io.result import is_result, open_result
+from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
@@ -92,9 +92,11 @@ class ProcessJob:
         return tuple(p for p in (self.options.extrinsics, self.options.limbs_in) if p is not None)
 
     def run(self, log: Path, target: Path) -> Finding:
-        """Process a recording. A result of hiros is skipped."""
+        """Process a recording. A result of hiros and a truth are skipped."""
         if is_result(log):
             return Finding(verdict="skipped", error="is a result of hiros, not a recording")
+        if is_truth(log):
+            return Finding(verdict="skipped", error="is a truth, not a recording")
         # Which files may be replaced was asked before the first log.
         summary = process(log, target, config=self.config, options=self.options, force=True)
         values = {

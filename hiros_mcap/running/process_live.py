@@ -121,6 +121,10 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
         raise ConfigError("--two-pass reads the whole log first, which live input does not allow")
     if options.recover or options.strict:
         raise ConfigError("--recover and --strict are for files; live input is read as it comes")
+    if config.input.model or config.input.unit != "m":
+        raise ConfigError(
+            "--model and --unit are for files; live input has SkeletonGroups in metres"
+        )
     if config.input.clocks == "off":
         return config
     return config.model_copy(update={"input": config.input.model_copy(update={"clocks": "causal"})})

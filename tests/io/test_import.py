@@ -200,6 +200,12 @@ def test_a_joint_is_linked_to_the_nearest_one_above() -> None:
         ('axes = ["x", "x", "z"]', "axes: should be x, y and z in some order"),
         ("colour = 3", "colour: "),
         ("unit = ", "not a TOML file"),
+        (
+            '[columns]\nposition = "{joint}_{ax}"',
+            "columns.position: should have {joint} and {axis}",
+        ),
+        ('[columns]\nperson = "who"', "no column who; the mapping file says"),
+        ('[joints]\nA = "HEAD"\nB = "HEAD"', "joints: should give each joint another name"),
         ('[time]\ncolumn = "frame"', "no column frame; the mapping file says"),
     ],
 )

@@ -12,10 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from detector_logs import azure, kinect_v2, only, scene, together, write_ros2
 from mcap.reader import NonSeekingReader
 from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader
 
+from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container import McapReader, Message
 from hiros_mcap.io.container.live_input import McapInput
@@ -228,6 +230,45 @@ def test_what_is_no_mcap_is_refused(data: bytes) -> None:
         run_live(lambda descriptor: os.write(descriptor, data) and None)
 
 
+@pytest.fixture(scope="module")
+def two_detectors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A log with SkeletonGroups of a camera beside an Azure Kinect, and one of Azure Kinects."""
+    folder = tmp_path_factory.mktemp("detectors")
+    made = scene(folder / "scene.mcap", people=1, cameras=2, seconds=3.0)
+    mixed = together(only("camera_0", azure), only("camera_1", kinect_v2))
+    return write_ros2(folder / "mixed.mcap", made, mixed), write_ros2(
+        folder / "azure.mcap", made, azure
+    )
+
+
+def by_topic(messages: Sent) -> Sent:
+    """Order messages by topic, the transforms first."""
+    return sorted(
+        messages, key=lambda m: (not m[0].startswith("/tf"), m[0] == "/camera_1/skeletons")
+    )
+
+
+@pytest.mark.parametrize("order", [list, by_topic])
+def test_a_camera_of_another_detector_is_missed_aloud(
+    two_detectors: tuple[Path, Path], order: Callable[[Sent], Sent]
+) -> None:
+    log, _ = two_detectors
+    summary, _ = run_live(send(log, order(recorded(log))))
+    (warning,) = summary.warnings
+    assert warning.startswith("/camera_0/body_tracking_data: visualization_msgs/msg/MarkerArray")
+    assert "record the log, then process the file" in warning
+
+
+def test_a_log_of_another_detector_is_refused_with_the_remedy(
+    two_detectors: tuple[Path, Path],
+) -> None:
+    _, log = two_detectors
+    with pytest.raises(
+        LogError, match="but .*visualization_msgs/msg/MarkerArray; live input reads"
+    ):
+        run_live(send(log, recorded(log)))
+
+
 def test_a_reader_that_goes_away_ends_the_run(crossing: Path) -> None:
     end, begin = os.pipe()
     os.close(end)
@@ -333,3 +374,10 @@ def test_a_server_that_does_not_answer_is_named() -> None:
 def test_what_needs_the_whole_log_is_refused() -> None:
     with pytest.raises(ConfigError, match="are for files"):
         process_live(McapInput(0, "pipe"), None, options=ProcessOptions(strict=True))
+
+
+@pytest.mark.parametrize("changed", [{"unit": "mm"}, {"model": "kinect-v2"}])
+def test_what_converts_skeletons_is_refused(changed: dict[str, str]) -> None:
+    config = load_config(named={"--option": {"input": changed}})
+    with pytest.raises(ConfigError, match="--model and --unit are for files"):
+        process_live(McapInput(0, "pipe"), None, config=config)

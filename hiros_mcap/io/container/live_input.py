@@ -94,9 +94,14 @@ class McapInput:
                 raise LogError("is empty or not MCAP", path=self.name) from None
             self.is_cut = not self._stopped
         except (InvalidMagic, struct.error):
-            raise LogError("is not MCAP", path=self.name) from None
+            raise LogError(
+                "is not MCAP; live input takes nothing else: name a bag as a file", path=self.name
+            ) from None
         except (McapError, ZstdError, ValueError, RuntimeError, MemoryError) as error:
-            raise LogError(f"damaged: {error}", path=self.name) from None
+            raise LogError(
+                f"damaged: {error}; save the input as a file and use --recover",
+                path=self.name,
+            ) from None
 
     def read(self, size: int) -> bytes:
         """Wait for as many bytes; nothing if the input ends before. Raises LogError."""

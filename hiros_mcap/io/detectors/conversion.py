@@ -97,6 +97,29 @@ class _Source(NamedTuple):
         )
 
 
+def is_of_other_detector(info: ChannelInfo) -> bool:
+    """Whether a channel has a type that a reader converts; transforms do not count."""
+    known = {name for kind in detector_readers() for name in kind.types}
+    return _short(info) in known - {_SKELETONS, _TRANSFORMS, _OLD_TRANSFORMS}
+
+
+def people_finder(reader: McapReader, info: ChannelInfo) -> Callable[[Message], bool]:
+    """Return what tells whether a message of another detector shows people.
+
+    Raises LogError for a definition that cannot be used.
+    """
+    source = _source(reader, info, selected=True)
+    readers = [kind() for kind in detector_readers()]
+
+    def shows_people(message: Message) -> bool:
+        with suppress(LogError):
+            found = _read(readers, source.message(message)) or ()
+            return any(one.frame.n_people for one in found)
+        return False
+
+    return shows_people
+
+
 class Faults(NamedTuple):
     """Messages of a topic that cannot be decoded."""
 

@@ -61,6 +61,8 @@ def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     if not names:
         c = mapping.columns
         needed += [c.joint, c.x, c.y, c.z]
+    if "person" in mapping.columns.model_fields_set:
+        needed.append(mapping.columns.person)
     if missing := [name for name in needed if name not in columns]:
         raise ConfigError(
             f"{path}: line 1: no column {', '.join(missing)}; the mapping file says how the "

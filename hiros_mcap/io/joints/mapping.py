@@ -72,6 +72,15 @@ class ColumnMapping(BaseModel):
     people: str = "people"
     joints: str = "joints"
 
+    @field_validator("position")
+    @classmethod
+    def _is_pattern(cls, position: str) -> str:
+        filled = position.replace("{joint}", "").replace("{axis}", "")
+        one_of_each = position.count("{joint}") == position.count("{axis}") == 1
+        if position and (not one_of_each or "{" in filled or "}" in filled):
+            raise ValueError('should have {joint} and {axis}, as "{joint}_{axis}"')
+        return position
+
 
 class FileMapping(BaseModel):
     """What one file means."""
@@ -96,6 +105,13 @@ class FileMapping(BaseModel):
         if np.linalg.det(rotation_of(axes)) < 0:
             raise ValueError("should not mirror people: change one sign")
         return axes
+
+    @field_validator("joints")
+    @classmethod
+    def _are_distinct(cls, joints: dict[str, str]) -> dict[str, str]:
+        if len(set(joints.values())) < len(joints):
+            raise ValueError("should give each joint another name")
+        return joints
 
     def rotated(self, positions: Floats) -> Floats:
         """Return positions (..., 3) of the file in the axes of the log."""
