@@ -54,10 +54,6 @@ _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
 _UNCLEAR = 0.5  # cosine of a view's facing with the decided one, below which another view decides
-_SAME_SIDES = 2.0  # weight of what was decided before: a view that differs by 60 degrees is unclear
-_NEW_SHARE = 0.3  # of a view in the sides that are remembered
-_STALE = 500_000_000  # ns: sides that were seen longer ago say nothing
-_TRUSTED = 0.3  # probability that a label is wrong, below which labels are kept in doubt
 _PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
 
 PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
@@ -96,16 +92,13 @@ class Looks(NamedTuple):
     """(N, 2) mean position of the markers, m."""
     cues: Floats
     """(N, CUES * 2) vectors that point forwards, m; 0 = not known."""
-    spans: Floats
-    """(N, P * 3) vectors between the P pairs of mirrored markers, m; 0 = not known."""
 
     @classmethod
-    def allocate(cls, n: int, pairs: int = 0) -> Looks:
-        """Make room; without ``pairs``, spans are not measured."""
+    def allocate(cls, n: int) -> Looks:
+        """Make room."""
         cells, stamps, cameras, rows = np.zeros((4, n), np.int64)
         facing, centres, cues = np.empty((n, 2)), np.empty((n, 2)), np.zeros((n, CUES * 2))
-        spans = np.zeros((n, pairs * 3))
-        return cls(cells, stamps, cameras, rows, facing, np.empty(n), centres, cues, spans)
+        return cls(cells, stamps, cameras, rows, facing, np.empty(n), centres, cues)
 
     @classmethod
     def joined(cls, parts: Sequence[Looks]) -> Looks:
@@ -141,20 +134,15 @@ class FacingPast(NamedTuple):
     """(S, CELLS, 3) sum of the centres of their views, m, and the number of these."""
     next_cell: Stamps
     """(S,) place of the next one in the ring."""
-    spans: Floats
-    """(S, P * 3) Looks.spans of the last views on their right sides, a mean that forgets, m."""
-    span_stamps: Stamps
-    """(S,) when they were seen, ns."""
 
     @classmethod
-    def empty(cls, pairs: int) -> FacingPast:
+    def empty(cls) -> FacingPast:
         """Return arrays with no rows."""
         n = np.zeros(0, np.int64)
         views, cells = np.zeros((0, VIEWS), np.int64), np.zeros((0, CELLS), np.int64)
         return cls(
             n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
             np.zeros((0, VIEWS, 2 + CUES * 2)), n, cells, np.zeros((0, CELLS, 3)), n,
-            np.zeros((0, pairs * 3)), n,
         )  # fmt: skip
 
 
@@ -193,7 +181,7 @@ class Facings(NamedTuple):
     """What was decided on N views."""
 
     facing: Floats
-    """(N, 2) the way the person faces; the length, up to 1, tells how sure that is."""
+    """(N, 2) unit vector: the way the person faces."""
     swapped: Flags
     """(N,) whether the view's left and right are exchanged."""
 
@@ -208,8 +196,8 @@ class Facings(NamedTuple):
 
 
 _MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2)
-_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2, F2)
-_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1, F2, I1)
+_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2)
+_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1)
 _TABLES = named_tuple(FacingTables, F2, F2, F2)
 _FACINGS = named_tuple(Facings, F2, B1)
 
@@ -269,20 +257,6 @@ def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -
 
 
 @kernel
-def _measure_spans(positions: Floats, mirror: Ints, out: Floats) -> None:
-    """Vectors between the markers of each pair."""
-    k = 0
-    for m in range(len(mirror)):
-        other = mirror[m]
-        if other <= m or k == len(out):
-            continue
-        for c in range(3):
-            span = positions[other, c] - positions[m, c]
-            out[k + c] = 0.0 if math.isnan(span) else span
-        k += 3
-
-
-@kernel
 def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, float]:
     """Vector from a to b, or from the line between them to a joint, m; NaN if not known."""
     x = positions[b, 0] - positions[a, 0]
@@ -304,7 +278,7 @@ def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, f
 def measure(
     people: People, rows: Stamps, axes: Floats, markers: FacingMarkers, looks: Looks
 ) -> None:
-    """Measure facing, width, centre, cues and spans of the ``rows`` of ``people``.
+    """Measure facing, width, centre and cues of the ``rows`` of ``people``.
 
     ``axes`` (2, 3) span the horizontal plane; a positive turn leads from the first to the second.
     """
@@ -317,7 +291,6 @@ def measure(
         looks.facing[i, 1] = x / width if width > 1e-6 else np.nan
         _centre(positions, axes, looks.centres[i])
         _measure_cues(positions, axes, markers.vectors, looks.cues[i])
-        _measure_spans(positions, markers.mirror, looks.spans[i])
 
 
 # What is learned from one view after the other.
@@ -407,23 +380,15 @@ def _squash(x: float) -> float:
     return squashed
 
 
-@inlined
-def _line_reliability(looks: Looks, i: int, past: FacingPast) -> float:
-    """How far the line through shoulders and hips is trusted: 0 if it is short, at most 1."""
-    if math.isnan(looks.facing[i, 0]):
-        return 0.0
-    wide: float = looks.widths[i] / past.widths[looks.rows[i]]
-    reliability: float = min(max((wide - 0.25) / 0.5, 0.0), 1.0)
-    return reliability
-
-
 @kernel
 def _weigh(
     looks: Looks, i: int, weight: float, past: FacingPast, tables: FacingTables, out: Floats
 ) -> None:
     """Write the logarithm of the likelihood of view ``i`` for every facing."""
-    x, y, cues = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i]
-    reliable = _line_reliability(looks, i, past)
+    row, cues = looks.rows[i], looks.cues[i]
+    x, y, reliable = looks.facing[i, 0], looks.facing[i, 1], 0.0
+    if not math.isnan(x):
+        reliable = min(max((looks.widths[i] / past.widths[row] - 0.25) / 0.5, 0.0), 1.0)
     doubt, sharpness = _doubt(tables.agreement), 2.0 * _LINE_SHARPNESS * reliable
     for b in range(_HALF if reliable > 0.0 else 0):
         cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
@@ -551,13 +516,13 @@ def _multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
 
 @kernel
 def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
-    """Mean of the directions; its length, up to 1, tells how sure it is."""
-    x = y = total = 0.0
+    """Circular mean, a unit vector."""
+    x = y = 0.0
     for b in range(BINS):
         x += belief[b] * tables.directions[b, 0]
         y += belief[b] * tables.directions[b, 1]
-        total += belief[b]
-    out[0], out[1] = x / total, y / total
+    length = max(math.sqrt(x * x + y * y), 1e-12)
+    out[0], out[1] = x / length, y / length
 
 
 @kernel
@@ -579,13 +544,6 @@ def _open_cell(cell: int, past: FacingPast, row: int, tables: FacingTables, work
 
 
 @inlined
-def _unit(x: float, y: float) -> tuple[float, float]:
-    """Return the unit vector along (x, y)."""
-    length = max(math.sqrt(x * x + y * y), 1e-12)
-    return x / length, y / length
-
-
-@inlined
 def _is_swapped(own: float, other: float, between: float) -> bool:
     """Whether a view is mirrored.
 
@@ -600,10 +558,10 @@ def _is_swapped(own: float, other: float, between: float) -> bool:
 
 
 @kernel
-def _contradicts_now(looks: Looks, i: int, past: FacingPast, out: Facings) -> bool:
-    """Whether view ``i`` contradicts the facing, beside views that came before it."""
+def _decide_now(looks: Looks, i: int, past: FacingPast, out: Facings) -> None:
+    """Decide on view ``i`` beside those that came before it."""
     row, x, y = looks.rows[i], looks.facing[i, 0], looks.facing[i, 1]
-    fx, fy = _unit(out.facing[i, 0], out.facing[i, 1])
+    fx, fy = out.facing[i, 0], out.facing[i, 1]
     surest = between = 0.0
     for v in range(VIEWS):
         if (
@@ -616,15 +574,15 @@ def _contradicts_now(looks: Looks, i: int, past: FacingPast, out: Facings) -> bo
         cosine = ox * fx + oy * fy
         if abs(cosine) > abs(surest):
             surest, between = cosine, ox * x + oy * y
-    return _is_swapped(x * fx + y * fy, surest, between)
+    out.swapped[i] = _is_swapped(x * fx + y * fy, surest, between)
 
 
 @kernel
-def _contradicts_among(looks: Looks, order: Stamps, j: int, out: Facings) -> bool:
-    """Judge beside all neighbours in time; ``order`` holds one person's views."""
+def _decide_among(looks: Looks, order: Stamps, j: int, out: Facings) -> None:
+    """Decide on a view beside its neighbours in time; ``order`` holds one person's views."""
     i = order[j]
     x, y = looks.facing[i, 0], looks.facing[i, 1]
-    fx, fy = _unit(out.facing[i, 0], out.facing[i, 1])
+    fx, fy = out.facing[i, 0], out.facing[i, 1]
     surest = between = 0.0
     for k in range(max(j - VIEWS, 0), min(j + VIEWS, len(order))):
         o = order[k]
@@ -634,54 +592,7 @@ def _contradicts_among(looks: Looks, order: Stamps, j: int, out: Facings) -> boo
         cosine = ox * fx + oy * fy
         if abs(cosine) > abs(surest):
             surest, between = cosine, ox * x + oy * y
-    return _is_swapped(x * fx + y * fy, surest, between)
-
-
-@kernel
-def _same_sides(looks: Looks, i: int, past: FacingPast) -> float:
-    """How far a view and the last ones agree in left and right, from -1 to 1."""
-    row = looks.rows[i]
-    age = abs(looks.stamps[i] - past.span_stamps[row])
-    if age >= _STALE:
-        return 0.0
-    own = before = both = 0.0
-    for c in range(looks.spans.shape[1]):
-        a, b = looks.spans[i, c], past.spans[row, c]
-        own, before, both = own + a * a, before + b * b, both + a * b
-    if not own * before > 0.0:
-        return 0.0
-    agreement: float = (1.0 - age / _STALE) * both / math.sqrt(own * before)
-    return agreement
-
-
-@kernel
-def _remember_sides(looks: Looks, i: int, is_swapped: bool, past: FacingPast) -> None:
-    """Bring the remembered sides to view ``i``."""
-    row = looks.rows[i]
-    is_new = abs(looks.stamps[i] - past.span_stamps[row]) >= _STALE
-    share, sign = 1.0 if is_new else _NEW_SHARE, -1.0 if is_swapped else 1.0
-    for c in range(looks.spans.shape[1]):
-        span = past.spans[row, c]
-        if looks.spans[i, c] != 0.0 or is_new:
-            past.spans[row, c] = span + share * (sign * looks.spans[i, c] - span)
-    past.span_stamps[row] = max(past.span_stamps[row], looks.stamps[i])
-
-
-@kernel
-def _is_mirrored(looks: Looks, i: int, past: FacingPast, doubt: float, out: Facings) -> bool:
-    """Whether view ``i`` of a detector with trusted labels is mirrored, by the odds of its label.
-
-    The label's likelihoods, as in :func:`_weigh`, are (1 + tanh(2 cos)) / 2 and its complement:
-    the logarithm of their ratio is 4 cos. Where the line is unclear, the joints decide: the sides
-    stay on which they move least.
-    """
-    odds = math.log((1.0 - doubt) / doubt) + _SAME_SIDES * _same_sides(looks, i, past)
-    reliable = _line_reliability(looks, i, past)
-    if reliable > 0.0:
-        x, y = looks.facing[i, 0], looks.facing[i, 1]
-        cosine = x * out.facing[i, 0] + y * out.facing[i, 1]
-        odds += 2.0 * _LABEL_SHARPNESS * reliable * cosine
-    return odds < 0.0
+    out.swapped[i] = _is_swapped(x * fx + y * fy, surest, between)
 
 
 @kernel(types.void(_LOOKS, _PAST, _TABLES, F1, _FACINGS))
@@ -710,12 +621,7 @@ def follow(
             past.evidence[row, b] += here[b]
         _multiply(past.beliefs[row], past.evidence[row], belief)
         _mean_direction(belief, tables, out.facing[i])
-        doubt = _doubt(tables.agreement)
-        if doubt < _TRUSTED:
-            out.swapped[i] = _is_mirrored(looks, i, past, doubt, out)
-        else:
-            out.swapped[i] = _contradicts_now(looks, i, past, out)
-        _remember_sides(looks, i, out.swapped[i], past)
+        _decide_now(looks, i, past, out)
 
 
 @kernel(types.void(_LOOKS, _PAST, _TABLES, F2))
@@ -870,7 +776,6 @@ def smooth(
 
     ``past`` is brought to the last cell before cell ``until``; later views come again.
     """
-    doubt = _doubt(tables.agreement)
     for p in range(len(window.ends) - 1):
         order = window.order[window.ends[p] : window.ends[p + 1]]
         row = looks.rows[order[0]]
@@ -882,14 +787,7 @@ def smooth(
         for j in range(len(order)):
             copy_row(out.facing, order[j], work.facing, work.places[j])
         for j in range(len(order)):
-            i = order[j]
-            if looks.cells[i] >= until:
-                break
-            if doubt < _TRUSTED:
-                out.swapped[i] = _is_mirrored(looks, i, past, doubt, out)
-            else:
-                out.swapped[i] = _contradicts_among(looks, order, j, out)
-            _remember_sides(looks, i, out.swapped[i], past)
+            _decide_among(looks, order, j, out)
 
 
 # Exchanging the sides.
@@ -898,10 +796,9 @@ def smooth(
 @kernel
 def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floats) -> None:
     """Mirror the toes at the plane through the ankle that is normal to the facing."""
-    f, g = _unit(facing[0], facing[1])
-    x = f * axes[0, 0] + g * axes[1, 0]
-    y = f * axes[0, 1] + g * axes[1, 1]
-    z = f * axes[0, 2] + g * axes[1, 2]
+    x = facing[0] * axes[0, 0] + facing[1] * axes[1, 0]
+    y = facing[0] * axes[0, 1] + facing[1] * axes[1, 1]
+    z = facing[0] * axes[0, 2] + facing[1] * axes[1, 2]
     for first in (POSITION, VELOCITY):
         along = x * (states[toes, first] - states[ankle, first])
         along += y * (states[toes, first + 1] - states[ankle, first + 1])

@@ -133,10 +133,7 @@ class _Sides:
         )
         self._ahead = round(params.lookahead * 1e9 / kernels.CELL)
         self._events, self._vertical = events, Vertical(cues.trunk)
-        self._pairs = int((symmetry.mirror > np.arange(len(symmetry.mirror))).sum())
-        self._bank = Bank(
-            kernels.FacingPast.empty(self._pairs), forget_after=10 + 2 * params.lookahead
-        )
+        self._bank = Bank(kernels.FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
         self._tables = kernels.FacingTables.make()
         self._cameras: dict[str, int] = {}
         self._held: list[_Piece] = []
@@ -176,7 +173,7 @@ class _Sides:
         owners = np.repeat(np.arange(len(block)), rows[:, 1] - rows[:, 0])
         tracked = block.people.ids[views] != UNTRACKED
         views, owners = views[tracked], owners[tracked]
-        looks = kernels.Looks.allocate(len(views), self._pairs)
+        looks = kernels.Looks.allocate(len(views))
         looks.stamps[:] = block.stamps[owners]
         looks.cells[:] = looks.stamps // kernels.CELL
         cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
