@@ -47,7 +47,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         (["process", "missing.mcap"], "missing.mcap: No such file or directory"),
         (["process", ""], "an argument is empty; is a variable not set?"),
         (["plot", "/"], "/: gives no name for the output; choose one with --output"),
-        (["process", "/"], "/: gives no name for the output; choose one with --output"),
+        (["process", "/"], "with many logs, name a folder for the results: -o FOLDER"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str) -> None:
