@@ -88,7 +88,7 @@ def name_ends(axes: Axes) -> None:
 def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread: Any) -> None:
     """Draw horizontal bars, the first one on top, each with its value."""
     axes.barh(list(names), values, xerr=spread, color=TRUTH, ecolor=SPREAD)
-    wide = np.nanmax(values, initial=0.0) / 8
+    wide = np.nan_to_num(values).max(initial=0.0) / 8
     for row, value in enumerate(values):
         if not np.isnan(value):  # beside a bar that is too short for it
             x, colour = (0.0, "white") if value > wide else (value, "black")
