@@ -685,11 +685,6 @@ def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
 class _SeveralModelsError(LogError):
     """The channels of a log have different skeletons, which a file is converted for."""
 
-    def __init__(self) -> None:
-        super().__init__(
-            "the cameras have different skeletons, which live input cannot fuse; record them first"
-        )
-
 
 def _learn(
     reader: McapReader, topics: Sequence[str] | None, output_prefix: str
@@ -723,7 +718,10 @@ def _learn_model(
                     taught.add(ident)
                 except OtherSkeletonError as error:
                     if ident not in taught:
-                        raise _SeveralModelsError from None
+                        raise _SeveralModelsError(
+                            "the cameras have different skeletons, which live input cannot fuse; "
+                            "record them first"
+                        ) from None
                     failed = failed or f"; first error: {topic}: {error.fault}"
                 except LogError as error:
                     failed = failed or f"; first error: {topic}: {error.fault}"

@@ -184,22 +184,24 @@ class Facings(NamedTuple):
     """(N, 2) unit vector: the way the person faces."""
     swapped: Flags
     """(N,) whether the view's left and right are exchanged."""
+    toes: Floats
+    """(N,) what was known when this was decided: see FacingTables.reliability of the toes."""
 
     @classmethod
     def allocate(cls, n: int) -> Facings:
         """Make room."""
-        return cls(np.empty((n, 2)), np.zeros(n, np.bool_))
+        return cls(np.empty((n, 2)), np.zeros(n, np.bool_), np.zeros(n))
 
     def at(self, views: slice) -> Facings:
         """Return what was decided on some of the views; the arrays are shared."""
-        return Facings(self.facing[views], self.swapped[views])
+        return Facings(self.facing[views], self.swapped[views], self.toes[views])
 
 
 _MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2)
 _LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2)
 _PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1)
 _TABLES = named_tuple(FacingTables, F2, F2, F2)
-_FACINGS = named_tuple(Facings, F2, B1)
+_FACINGS = named_tuple(Facings, F2, B1, F1)
 
 
 # What a view shows.
@@ -622,6 +624,7 @@ def follow(
         _multiply(past.beliefs[row], past.evidence[row], belief)
         _mean_direction(belief, tables, out.facing[i])
         _decide_now(looks, i, past, out)
+        out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
 
 
 @kernel(types.void(_LOOKS, _PAST, _TABLES, F2))

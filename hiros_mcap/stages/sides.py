@@ -211,6 +211,7 @@ class _Sides:
         window = _window(looks, np.concatenate([piece.evidence for piece in held]))
         work = kernels.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
         kernels.smooth(looks, window, until, self._bank.past, self._tables, work, out)
+        out.toes[:] = self._tables.reliability(kernels.TOES)
         self._decided = until
         now = int(held[-1].block.log_times.max())
         first = 0
@@ -250,8 +251,7 @@ class _Sides:
             self._copy = piece.block.people, piece.block.people.copy()
         people = self._copy[1]
         facing = facings.facing[swapped]
-        if self._tables.reliability(kernels.TOES) >= _SLAVED:
-            facing[:] = np.nan
+        facing[facings.toes[swapped] >= _SLAVED] = np.nan
         axes = self._vertical.last
         kernels.exchange_sides(people, piece.views[swapped], facing, axes, self._markers)
         by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))

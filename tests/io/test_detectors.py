@@ -26,8 +26,8 @@ from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model, name_of
 from hiros_mcap.io.detectors.body_size import unit_of
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage
-from hiros_mcap.io.detectors.fusing import union_of
 from hiros_mcap.io.detectors.joint_names import joints_of
+from hiros_mcap.io.detectors.model_fitting import union_of
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import look

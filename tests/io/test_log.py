@@ -338,7 +338,7 @@ def test_frames_and_accounts_do_not_depend_on_how_messages_are_batched(
     tmp_path, monkeypatch, together, most
 ):
     wanted = everything(odd_log(tmp_path / "whole.mcap", 1 << 22))
-    monkeypatch.setattr(McapReader.batches, "__defaults__", (None, together))
+    monkeypatch.setattr(McapReader.batches, "__defaults__", (None, together, None))
     monkeypatch.setattr(Decoder, "_MOST", most)
     found = everything(odd_log(tmp_path / "cut.mcap", 1000))
     for (frames, accounts), (expected, books) in zip(found, wanted, strict=True):

@@ -29,7 +29,7 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapReader, McapWriter, Message, Recovery, Schema
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
-from hiros_mcap.io.detectors.fusing import UNION, Fit, chosen_model
+from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
 from hiros_mcap.io.detectors.ros_types import cdr_of, decoder_of, types_of
 from hiros_mcap.io.layout import Layout, check_schema
@@ -52,7 +52,7 @@ class SkeletonChoice(NamedTuple):
     """Which skeletons results are to have, and what the log's positions mean."""
 
     model: str = ""
-    """As in :func:`hiros_mcap.io.detectors.fusing.chosen_model`."""
+    """As in :func:`hiros_mcap.io.detectors.model_fitting.chosen_model`."""
     unit: Unit = "m"
     """Of the positions in the log."""
 

@@ -36,7 +36,7 @@ _SAME_NS = 5_000_000
 
 
 @dataclass(slots=True)
-class _Body:
+class _Human:
     """The frames of one human."""
 
     number: int
@@ -62,7 +62,7 @@ class HumanFrames(DetectorReader):
     def __init__(self) -> None:
         self._model = body_model("ros4hri")
         self._parts = frozenset(self._model.marker_names)
-        self._bodies: dict[str, _Body] = {}
+        self._bodies: dict[str, _Human] = {}
         self._instants: dict[str, tuple[int, DetectorMessage]] = {}
         """By camera: the stamp, and the last message that was part of it."""
 
@@ -75,7 +75,7 @@ class HumanFrames(DetectorReader):
             if match is None:
                 continue
             part, name = match["part"], match["body"]
-            body = self._bodies.setdefault(name, _Body(len(self._bodies)))
+            body = self._bodies.setdefault(name, _Human(len(self._bodies)))
             if part in self._parts and message.topic != "/tf_static":
                 done += self._advance(body, transform.stamp, message)
                 found |= body.is_human(self._parts)
@@ -87,7 +87,7 @@ class HumanFrames(DetectorReader):
         for camera in self._instants:
             yield from self._finish(camera)
 
-    def _advance(self, body: _Body, stamp: int, message: DetectorMessage) -> Iterable[SeenPeople]:
+    def _advance(self, body: _Human, stamp: int, message: DetectorMessage) -> Iterable[SeenPeople]:
         """Note that a frame of a body has a stamp; return its camera's last instant if it ends."""
         camera = body.camera
         instant, _ = self._instants.get(camera, (0, message))
@@ -116,7 +116,7 @@ class HumanFrames(DetectorReader):
         message = replace(last, topic=f"/{camera}/bodies")
         yield seen_people(self._model, message, camera, positions, stamp=instant, ids=ids)
 
-    def _positions(self, name: str, body: _Body) -> Floats:
+    def _positions(self, name: str, body: _Human) -> Floats:
         """(M, 3) of the joints in the camera's frame; NaN where a frame is missing."""
         poses: dict[str, Rigid] = {}
         missing = np.full(3, np.nan)
@@ -128,7 +128,7 @@ class HumanFrames(DetectorReader):
         )
 
 
-def _pose(body: _Body, part: str, name: str, poses: dict[str, Rigid]) -> Rigid:
+def _pose(body: _Human, part: str, name: str, poses: dict[str, Rigid]) -> Rigid:
     """Pose of a frame in the camera's frame; ``poses`` has those that are known."""
     if part in poses:
         return poses[part]
