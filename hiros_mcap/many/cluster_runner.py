@@ -137,8 +137,15 @@ def _work(
     tasks: Sequence[tuple[Any, ...]],
     lost: Callable[[int, str], Answer],
 ) -> Iterator[tuple[int, Answer]]:
-    """Hand out the tasks in order, some ahead of time, and collect the answers."""
+    """Hand out the tasks in order, some ahead of time, and collect the answers.
+
+    A task that lost its workers may only have waited beside one that killed them. Such tasks run
+    again at the end, one at a time.
+    """
+    from distributed import KilledWorker
+
     waiting, running = list(reversed(range(len(tasks)))), dict[Any, int]()
+    suspects: list[int] = []
     try:
         while waiting or running:
             threads = sum(client.nthreads().values())
@@ -147,7 +154,16 @@ def _work(
                 running[client.submit(function, *tasks[k], pure=False)] = k
             for future in _finished(client, list(running)):
                 k = running.pop(future)
-                yield k, _answer(future, k, lost)
+                if future.status == "error" and isinstance(future.exception(), KilledWorker):
+                    suspects.append(k)
+                else:
+                    yield k, _answer(future, k, lost)
+        for k in suspects:
+            future = client.submit(function, *tasks[k], pure=False)
+            running[future] = k
+            _finished(client, [future])
+            del running[future]
+            yield k, _answer(future, k, lost)
     finally:
         client.cancel(list(running), force=True)
 

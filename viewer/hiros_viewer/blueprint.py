@@ -317,7 +317,7 @@ def _tabs(content: Content, views: Sequence[Any]) -> Any:
 
     people = list(content.people)
     first = people.index(content.longest) if content.longest in people else 0
-    return rrb.Tabs(*views, active_tab=first)
+    return rrb.Tabs(*views, active_tab=first if first < len(views) else None)
 
 
 def _counts(content: Content) -> Any:
