@@ -68,6 +68,8 @@ def needs_latching(info: ChannelInfo) -> bool:
     profiles = info.metadata.get("offered_qos_profiles", "")
     if info.topic != _STATIC or profiles == LATCHED_QOS or info.encoding != "cdr":
         return False
+    if not profiles:
+        return True
     from rosbags.interfaces import QosDurability
     from rosbags.rosbag2.errors import ReaderError
     from rosbags.rosbag2.metadata import parse_qos

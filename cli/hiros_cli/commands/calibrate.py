@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from hiros_cli.help_page import HelpfulCommand
 from hiros_cli.options import Force, Json, seconds_range
 from hiros_mcap.errors import ConfigError, LogError
+
+if TYPE_CHECKING:
+    from hiros_mcap.calibrate.ball import BallReport
+    from hiros_mcap.calibrate.board import BoardReport
+
+_Report = TypeVar("_Report", "BallReport", "BoardReport")
 
 STILL_M = 0.1
 """Detections of somebody who stands still scatter by less."""
@@ -108,7 +115,7 @@ def ball(
     ball's centres as PointStamped channels.
     """
     from hiros_cli.ball_report import show_ball
-    from hiros_cli.output import check_outputs, print_json, warn
+    from hiros_cli.output import check_outputs
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log,), force=force)
@@ -119,12 +126,7 @@ def ball(
     report = calibrate_ball(log, BallOptions(radius, ColorRange.parse(color), tuple(topic or ())))
     if output is not None:
         save_cameras(output, report.found)
-    if json:
-        print_json("calibrate.ball", report.to_dict(), report.warnings)
-    else:
-        show_ball(log, report)
-    for text in report.warnings:
-        warn(f"{log}: {text}")
+    _tell("calibrate.ball", log, report, None if json else show_ball)
 
 
 @app.command(cls=HelpfulCommand)
@@ -153,7 +155,7 @@ def board(
     Marker 1 is the origin, x points to marker 2, y towards marker 0, and z is up.
     """
     from hiros_cli.ball_report import show_board
-    from hiros_cli.output import check_outputs, print_json, warn
+    from hiros_cli.output import check_outputs
 
     log.stat()
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
@@ -165,10 +167,19 @@ def board(
     )
     if output is not None:
         save_cameras(output, report)
-    if json:
-        print_json("calibrate.board", report.to_dict(), report.warnings)
+    _tell("calibrate.board", log, report, None if json else show_board)
+
+
+def _tell(
+    command: str, log: Path, report: _Report, show: Callable[[Path, _Report], None] | None
+) -> None:
+    """Print a report by ``show``, or as JSON without it, and its warnings on stderr."""
+    from hiros_cli.output import print_json, warn
+
+    if show is None:
+        print_json(command, report.to_dict(), report.warnings)
     else:
-        show_board(log, report)
+        show(log, report)
     for text in report.warnings:
         warn(f"{log}: {text}")
 
