@@ -26,6 +26,7 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 tests: $(VENV)/.installed-dev
+	$(BIN)/hiros warmup
 	$(BIN)/pytest -n auto
 
 docs: $(VENV)/.installed-docs
