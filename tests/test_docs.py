@@ -99,8 +99,8 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def write_suite(folder: Path) -> None:
-    """Write the suite that docs/evaluating.md shows, with its recordings."""
-    page = (DOCS / "evaluating.md").read_text(encoding="utf-8")
+    """Write the suite that docs/golden.md shows, with its recordings."""
+    page = (DOCS / "golden.md").read_text(encoding="utf-8")
     suite = re.search(r"```toml\n(# suite\.toml.*?)```", page, re.DOTALL)
     assert suite is not None
     (folder / "suite.toml").write_text(suite[1], encoding="utf-8")
