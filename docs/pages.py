@@ -71,8 +71,8 @@ def _shown(output: Any) -> str:
 
 
 def changes() -> str:
-    """Return the changelog."""
-    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    """Return the changelog; its links count from the root of the repository."""
+    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "](")
 
 
 def commands() -> str:
