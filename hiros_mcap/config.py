@@ -38,7 +38,7 @@ Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
 
 MAX_BYTES = 1 << 20
-WIDTH = 88
+WIDTH = 80
 
 
 class InputParams(Params):

@@ -238,8 +238,8 @@ def quantity(n: int, noun: str) -> str:
 
 
 def number(value: float, digits: int, unit: str = "") -> str:
-    """Return a number with its unit, a dash for NaN."""
-    return "-" if math.isnan(value) else f"{value:.{digits}f}{unit}"
+    """Return a number with its unit, a dash for NaN; what rounds to 0 has no sign."""
+    return "-" if math.isnan(value) else f"{value:z.{digits}f}{unit}"
 
 
 def duration(seconds: float) -> str:
