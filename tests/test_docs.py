@@ -47,6 +47,7 @@ def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
     root: Any = typer.main.get_command(app)
     for name in root.commands:
         assert f"## hiros {name}" in pages["reference/commands.md"]
+    assert "Usage: hiros process [OPTIONS] LOG...\n" in pages["reference/commands.md"]
     for section, field in Config.model_fields.items():
         for name in type(field.default).model_fields:
             assert f"| `{name}` |" in pages["reference/parameters.md"], section
