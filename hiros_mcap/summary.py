@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hiros_mcap.errors import ConfigError
@@ -169,10 +170,12 @@ class Summary:
     """What else a user should know, one line each."""
 
     def __repr__(self) -> str:
-        target = f" -> {self.target}" if self.target else ""
+        source, target = Path(self.source).name, ""
+        if self.target:
+            target = f" -> {Path(self.target).name}"
         people = "1 person" if len(self.people) == 1 else f"{len(self.people)} people"
         return (
-            f"<Summary {self.source}{target}: {people}, {self.log_s:.1f} s of log in "
+            f"<Summary {source}{target}: {people}, {self.log_s:.1f} s of log in "
             f"{self.wall_s:.1f} s, {quantity(len(self.warnings), 'warning')}>"
         )
 
