@@ -71,17 +71,16 @@ def _shown(output: Any) -> str:
 
 
 def changes() -> str:
-    """Return the changelog."""
-    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    """Return the changelog; its links count from the root of the repository."""
+    return (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "](")
 
 
 def commands() -> str:
     """Return what ``--help`` of every command says."""
-    import typer
+    from hiros_cli.commands import program
 
-    from hiros_cli.commands import app
-
-    root: Any = typer.main.get_command(app)
+    root = program()
+    above = root.make_context("hiros", [], resilient_parsing=True)
     parts = [
         "# Commands",
         "Exit codes: 0 done, 1 `hiros check` found a difference, 2 bad input or usage (one line on "
@@ -89,8 +88,8 @@ def commands() -> str:
         "signal n. Warnings go to stderr, also with `--quiet`.",
     ]
     for name, command in _leaves(root, "hiros"):
-        context = command.make_context(name, ["--help"], resilient_parsing=True)
-        context.info_name = name
+        own = name.removeprefix("hiros ")
+        context = command.make_context(own, [], above, resilient_parsing=True)
         formatter = context.make_formatter()
         formatter.width = WIDTH
         command.format_help(context, formatter)

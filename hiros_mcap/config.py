@@ -38,7 +38,7 @@ Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
 
 MAX_BYTES = 1 << 20
-WIDTH = 88
+WIDTH = 80
 
 
 class InputParams(Params):
@@ -334,7 +334,7 @@ def read_toml(path: Path) -> Table:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
         if len(raw) > MAX_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes")
+            raise ConfigError(f"{path}: is no configuration: larger than {MAX_BYTES >> 20} MiB")
         return tomllib.loads(raw.decode())
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error

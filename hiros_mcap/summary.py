@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hiros_mcap.errors import ConfigError
@@ -169,10 +170,12 @@ class Summary:
     """What else a user should know, one line each."""
 
     def __repr__(self) -> str:
-        target = f" -> {self.target}" if self.target else ""
+        source, target = Path(self.source).name, ""
+        if self.target:
+            target = f" -> {Path(self.target).name}"
         people = "1 person" if len(self.people) == 1 else f"{len(self.people)} people"
         return (
-            f"<Summary {self.source}{target}: {people}, {self.log_s:.1f} s of log in "
+            f"<Summary {source}{target}: {people}, {self.log_s:.1f} s of log in "
             f"{self.wall_s:.1f} s, {quantity(len(self.warnings), 'warning')}>"
         )
 
@@ -238,8 +241,8 @@ def quantity(n: int, noun: str) -> str:
 
 
 def number(value: float, digits: int, unit: str = "") -> str:
-    """Return a number with its unit, a dash for NaN."""
-    return "-" if math.isnan(value) else f"{value:.{digits}f}{unit}"
+    """Return a number with its unit, a dash for NaN; what rounds to 0 has no sign."""
+    return "-" if math.isnan(value) else f"{value:z.{digits}f}{unit}"
 
 
 def duration(seconds: float) -> str:

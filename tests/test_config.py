@@ -159,7 +159,7 @@ def test_a_wrong_assignment_says_what_would_be_right(assignment: str, said: str)
         (b"[filter\n", "not TOML: "),
         (b"\xff", "not TOML: "),
         (b"a = " + b"[" * 100_000, "not TOML: "),
-        (b"#" * (1 << 21), "larger than"),
+        (b"#" * (1 << 21), "is no configuration: larger than 1 MiB"),
     ],
 )
 def test_a_wrong_file_is_named_with_its_fault(content: bytes, said: str, tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
     root: Any = typer.main.get_command(app)
     for name in root.commands:
         assert f"## hiros {name}" in pages["reference/commands.md"]
+    assert "Usage: hiros process [OPTIONS] LOG...\n" in pages["reference/commands.md"]
     for section, field in Config.model_fields.items():
         for name in type(field.default).model_fields:
             assert f"| `{name}` |" in pages["reference/parameters.md"], section
@@ -99,8 +100,8 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def write_suite(folder: Path) -> None:
-    """Write the suite that docs/evaluating.md shows, with its recordings."""
-    page = (DOCS / "evaluating.md").read_text(encoding="utf-8")
+    """Write the suite that docs/golden.md shows, with its recordings."""
+    page = (DOCS / "golden.md").read_text(encoding="utf-8")
     suite = re.search(r"```toml\n(# suite\.toml.*?)```", page, re.DOTALL)
     assert suite is not None
     (folder / "suite.toml").write_text(suite[1], encoding="utf-8")

@@ -41,18 +41,12 @@ def text(node: ast.expr) -> str:
     return "..."
 
 
-def is_raised(node: ast.AST) -> bool:
-    match node:
-        case ast.Raise(exc=ast.Call(func=ast.Name(id=name), args=[_, *_])):
-            return name in ERRORS
-    return False
-
-
 def errors(tree: ast.Module) -> Iterator[str]:
-    """Yield the text of every error that is raised with a literal."""
+    """Yield the text of every error that is made with a literal."""
     for node in ast.walk(tree):
-        if is_raised(node):
-            yield text(node.exc.args[0])  # type: ignore[attr-defined]
+        match node:
+            case ast.Call(func=ast.Name(id=name), args=[message, *_]) if name in ERRORS:
+                yield text(message)
 
 
 def notes(tree: ast.Module) -> Iterator[str]:

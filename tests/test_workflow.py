@@ -1,4 +1,4 @@
-"""The GitHub workflow of docs/evaluating.md, run step by step in a fresh checkout.
+"""The GitHub workflow of docs/golden.md, run step by step in a fresh checkout.
 
 Nothing is downloaded: the install step is left out, and ``hiros`` is the code under test. With
 ``HIROS_WHEEL=FILE`` the install step runs, too, and ``hiros`` is what it installs; .ci/run does so.
@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parent.parent
-DOCUMENT = ROOT / "docs" / "evaluating.md"
+DOCUMENT = ROOT / "docs" / "golden.md"
 WHEEL = os.environ.get("HIROS_WHEEL", "")
 SUITE = """
 [[log]]

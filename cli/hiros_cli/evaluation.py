@@ -44,7 +44,7 @@ def show_truth(
 def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:
     """Print what a log says about itself."""
     out = console()
-    say(out, f"{log}: no truth; each camera against the result of the others", "bold")
+    say(out, f"{log}: each camera against the result of the others, without a truth", "bold")
     title = "Distance of each left-out camera, mm"
     show_table(out, title, score_tables.left_out_table(scores.cameras))
     pairs = [(a, b, number(mm, 1)) for (a, b), mm in scores.disagreement.items()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -61,7 +62,8 @@ class HelpfulCommand(TyperCommand):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
-                groups.setdefault(_group_of(parameter), []).append(record)
+                name, text = record
+                groups.setdefault(_group_of(parameter), []).append((name, _plain(text)))
         titles = sorted(groups, key=lambda title: title != "Arguments")
         titles.remove(_REST)
         titles.insert(1 if len(groups[_REST]) > 1 else len(titles), _REST)  # all have --help
@@ -78,6 +80,13 @@ class HelpfulCommand(TyperCommand):
 
 
 _REST = "Options"
+_RANGE = re.compile(r"; [^;]*x[<>]=?[^;]*\]$")
+_BRACKETS = re.compile(r"\[default: \((.*)\)\]$")
+
+
+def _plain(text: str) -> str:
+    """Put click's remark plainly: ``[default: (0); x>=0]`` becomes ``[default: 0]``."""
+    return _BRACKETS.sub(r"[default: \1]", _RANGE.sub("]", text))
 
 
 def _group_of(parameter: Any) -> str:

@@ -19,7 +19,9 @@ from hiros_mcap.summary import (
     number,
 )
 
-PIPE_WIDTH = 160
+PIPE_WIDTH = 1000
+_SPACE = 2
+"""Between columns."""
 
 
 def console() -> Console:
@@ -55,15 +57,33 @@ def note(out: Console, text: str) -> None:
 def show_table(
     out: Console, title: str, content: tuple[Sequence[str], Sequence[Sequence[str]]]
 ) -> None:
-    """Print a title and a table, header and rows: the first column is text, the others numbers."""
+    """Print a title and a table, header and rows: the first column is text, the others numbers.
+
+    Columns for which the terminal is too narrow follow below, beside the first column again.
+    """
     header, rows = content
     say(out, title, "bold", "\n")
-    out.print(table(header[0], *(f">{name}" for name in header[1:]), rows=rows))
+    for chosen in _fitting([header, *rows], out.width):
+        shown = [[row[column] for column in chosen] for row in rows]
+        names = [header[column] for column in chosen[1:]]
+        out.print(table(header[0], *(f">{name}" for name in names), rows=shown))
+
+
+def _fitting(rows: Sequence[Sequence[str]], width: int) -> list[list[int]]:
+    """Return the columns of each part of a table whose parts are at most ``width`` wide."""
+    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+    parts, used = [[0]], first
+    for column, size in enumerate(others, start=1):
+        if len(parts[-1]) > 1 and used + _SPACE + size > width:
+            parts, used = [*parts, [0]], first
+        parts[-1].append(column)
+        used += _SPACE + size
+    return parts
 
 
 def table(*columns: str, rows: Iterable[Sequence[str]]) -> Table:
     """Plain table; a column whose header starts with ">" is aligned to the right."""
-    result = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    result = Table(box=None, pad_edge=False, padding=(0, _SPACE, 0, 0), header_style="bold")
     for column in columns:
         side = "right" if column.startswith(">") else "left"
         result.add_column(column.lstrip(">"), justify=side, overflow="fold")  # type: ignore[arg-type]

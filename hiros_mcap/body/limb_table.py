@@ -144,7 +144,7 @@ class LimbTable:
         except ValidationError as error:
             where, what = explain(error)
             names = [name for name in where if name != "[key]"]
-            raise ConfigError(f"{origin}: {'.'.join(names)} {what}") from error
+            raise ConfigError(f"{origin}: {'.'.join(names)}: {what}") from error
         return cls(people, origin)
 
 

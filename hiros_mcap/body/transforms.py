@@ -424,8 +424,8 @@ def read_extrinsics(path: str | Path) -> TransformTree:
     path = Path(path)
     cameras = _extrinsics(path).camera
     tree = TransformTree()
-    for k, camera in enumerate(cameras):
-        _add_camera(tree, camera, f"{path}: camera.{k}")
+    for camera in cameras:
+        _add_camera(tree, camera, f"{path}: {camera.frame}")
     for camera in cameras:
         try:
             tree.root(camera.frame)
@@ -496,10 +496,11 @@ def _extrinsics(path: Path) -> _Extrinsics:
 def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:
     x, y, z = camera.translation
     qx, qy, qz, qw = camera.quaternion_xyzw
-    if abs(math.hypot(qx, qy, qz, qw) - 1) > _DENORMALISED:
-        raise ConfigError(f"{where}.quaternion_xyzw: its length is not 1")
+    length = math.hypot(qx, qy, qz, qw)
+    if abs(length - 1) > _DENORMALISED:
+        raise ConfigError(f"{where}: quaternion_xyzw: its length is {length:g}, not 1")
     if camera.frame in tree._edges and not camera.since:
-        raise ConfigError(f"{where}.frame: {camera.frame!r} occurs twice")
+        raise ConfigError(f"{where}: this frame occurs twice")
     transform = Transform(0, camera.parent, camera.frame, (x, y, z), (qx, qy, qz, qw))
     tree.add(transform, static=True, log_time=camera.since)
 

@@ -68,7 +68,7 @@ def people_table(scores: Mapping[str, Scores]) -> Table:
             *map(str, (s.frames, s.silent, s.missing)),
             "-" if s.false is None else str(s.false),
             str(s.switches),
-            *(number(v, 4) for v in (s.tracking.mota, s.tracking.idf1, s.tracking.hota)),
+            *(number(v, 3) for v in (s.tracking.mota, s.tracking.idf1, s.tracking.hota)),
         )
         for topic, s in scores.items()
     ]

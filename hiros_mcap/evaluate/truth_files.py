@@ -116,15 +116,18 @@ class _CsvRows:
 
 def _read_table(path: Path) -> _CsvRows:
     try:
-        rows = list(csv.DictReader(lines_of(path)))
+        reader = csv.DictReader(lines_of(path))
+        columns, rows = set(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
-    columns = set(rows[0]) if rows else set()
     needed = {"time", "marker", "x", "y", "z"}
     if columns & {*_LINK, *_QUATERNION}:
         needed |= {*_LINK, *_QUATERNION}
     if missing := needed - columns:
-        raise ConfigError(f"{path}: line 1: no column {', '.join(sorted(missing))}")
+        raise ConfigError(
+            f"{path}: line 1: no column {', '.join(sorted(missing))} "
+            f"(there are: {', '.join(reader.fieldnames or ())})"
+        )
     table = _CsvRows()
     for line, row in enumerate(rows, start=2):
         stamp = number_of(row["time"], f"{path}: line {line}")

@@ -175,22 +175,25 @@ class Log:
         frames = [name for camera in self.cameras for name in camera.frames]
         if not frames:  # no camera sent anything
             return self._fixed_frame or ""
+        self.check_fixed_frame()
         with _named(self.path):
-            self._check_name({*frames, *self.transforms.frames})
             fixed = self._fixed_frame or self.transforms.common_root(frames)
             for name in frames:
                 self.transforms.lookup(name, fixed, 0)
         return fixed
 
-    def _check_name(self, known: Collection[str]) -> None:
-        """Raise LogError for a fixed frame that was named and is not there."""
+    def check_fixed_frame(self) -> None:
+        """Raise LogError if results are to be in a frame that the log does not have."""
+        known = {name for camera in self.cameras for name in camera.frames}
+        known |= set(self.transforms.frames)
         if self._fixed_frame and self._fixed_frame not in known and any(known):
             names = sorted(filter(None, known))
             near = difflib.get_close_matches(self._fixed_frame, names, n=1)
             guess = f"; did you mean {near[0]!r}?" if near else ""
             raise LogError(
                 f"has no frame {self._fixed_frame!r} for the results to be in{guess} (there are: "
-                f"{', '.join(names)})"
+                f"{', '.join(names)})",
+                path=self.path,
             )
 
     def pose_of(self, camera: CameraChannel) -> Rigid | None:

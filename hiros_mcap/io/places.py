@@ -58,7 +58,9 @@ class LocalPlace:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            fault = f"is no folder that can be written: {error.strerror or error}"
+            is_file = isinstance(error, FileExistsError | NotADirectoryError)
+            reason = "it is a file" if is_file else error.strerror or error
+            fault = f"is no folder that can be written: {reason}"
             raise LogError(fault, path=self._folder) from None
 
     def sizes(self) -> Mapping[str, int]:

@@ -105,10 +105,13 @@ class _Fixed(NamedTuple):
 def find_missing_poses(log: Log, mode: Calibration) -> PoseAlignment | None:
     """Find the poses of a log that has none; return None if it has.
 
-    Raises LogError if the people do not tell them.
+    Raises LogError if the people do not tell them, or the log has no frame of the name that the
+    user gave for the results.
     """
     if mode == "off":
         return None
+    if log.transforms.frames:
+        log.check_fixed_frame()
     try:
         _ = log.fixed_frame
     except LogError as error:

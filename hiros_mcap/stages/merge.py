@@ -134,9 +134,9 @@ class MergeParams(Params):
         1.0,
         ge=0,
         le=5,
-        description="Longest time, s, for which a person continues whom others hide from every "
-        "camera that looks there. The confidences fall to 0 over this time. Nobody is carried whom "
-        "a camera should see. 0 = off (paper).",
+        description="Longest time, s, for which results go on while other people hide a person "
+        "from every camera that looks there. The confidences fall to 0 over this time. Results do "
+        "not go on if a camera should see the person. 0 = off (paper).",
     )
 
 

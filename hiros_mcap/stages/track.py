@@ -109,15 +109,15 @@ class TrackParams(Params):
         30.0,
         ge=0,
         description="Longest absence, s, after which a person may get the old id back. Limb "
-        "lengths, place, time and the number of people must make it probable (90 %). With look-"
-        "ahead, the decision waits for 0.8 of it. 0 = whoever comes back has a new id.",
+        "lengths, place, time and the number of people must make it probable (90 %). The "
+        "decision waits for 0.8 of track.lookahead. 0 = whoever comes back has a new id.",
     )
     max_jump: float = advanced(
         0.3,
         gt=0,
         description="A detection is left out if its markers are on average farther, m, from their "
         "track than this, although the track was just seen (plus 3 m/s for longer intervals). "
-        "Detectors distort people who are about to be hidden. A camera that insists for half a "
+        "Detectors distort people who are about to be hidden. A camera that repeats it for half a "
         "second is believed. inf = off (paper).",
     )
     min_distance: float = advanced(
@@ -194,8 +194,8 @@ class TrackParams(Params):
     confirm_alone: float = advanced(
         1.0,
         ge=0,
-        description="The same of a body that stands still where none of the other cameras looks. "
-        "Beyond the look-ahead, the person has no id at first.",
+        description="The same for a body that stands still where none of the other cameras looks. "
+        "If it is longer than the look-ahead, the person's first frames have no id.",
     )
     contradiction: float = advanced(
         0.5,

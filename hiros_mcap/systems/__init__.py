@@ -35,13 +35,13 @@ SYSTEMS: dict[str, System] = {
         _HIROS_SECTIONS,
     ),
     "fuse": System(
-        "ours: one Kalman smoother per joint over all cameras, limb lengths",
+        "ours: a Kalman smoother per joint over all cameras, limb lengths",
         fuse,
         ("T", "TM", "TMF"),
         ("track", "sides", "merge", "fuse", "constrain", "filter"),
     ),
     "fuse-realtime": System(
-        "fuse without future frames: a Kalman filter per joint, lengths and motion learned live",
+        "fuse without future frames; learns lengths and motion on the way",
         fuse,
         ("T", "TM", "TMF"),
         ("track", "sides", "merge", "fuse", "constrain", "filter"),

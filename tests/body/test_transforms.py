@@ -279,7 +279,7 @@ def test_extrinsics_are_read_from_toml_and_json(tmp_path):
     [
         ({"translation": [1, 2]}, r"camera\.0\.translation"),
         ({"translation": [1, 2, "x"]}, r"camera\.0\.translation\.2"),
-        ({"quaternion_xyzw": [0, 0, 0, 2]}, r"camera\.0\.quaternion_xyzw: its length is not 1"),
+        ({"quaternion_xyzw": [0, 0, 0, 2]}, "c: quaternion_xyzw: its length is 2, not 1"),
         ({"frame": ""}, r"camera\.0\.frame"),
         ({"rotation": []}, r"camera\.0\.rotation: there is no such key"),
     ],

@@ -118,7 +118,8 @@ def test_y_up_becomes_z_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "fault"),
     [
-        ("a.csv", "time,x,y,z\n0,1,2,3\n", "line 1: no column marker"),
+        ("a.csv", "time,x,y,z\n0,1,2,3\n", "line 1: no column marker .there are: time, x, y, z"),
+        ("a.csv", "time,marker,x,y\n", "line 1: no column z "),
         ("a.csv", CSV.replace("1.5", "high", 1), "line 3: 'high' is not a number"),
         ("a.csv", CSV + "0.5,2,Neck,3,0,1.5\n", "line 6: Neck twice"),
         ("a.csv", "time,marker,x,y,z\n1,A,0,0,0\n", "two increasing times"),

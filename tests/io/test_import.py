@@ -222,6 +222,12 @@ def test_a_wrong_mapping_is_one_line(
     assert not (tmp_path / "log.mcap").exists()
 
 
+def test_a_file_of_a_header_alone_has_its_columns(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,person,markr,x,y,z\n")
+    with pytest.raises(ConfigError, match=r"no column joint; .*: time, person, markr, x, y, z\)"):
+        import_joints([tmp_path / "a.csv"], tmp_path / "log.mcap")
+
+
 def test_two_files_of_one_camera_are_refused(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     files = [small(tmp_path / "a.csv"), small(tmp_path / "b" / "a.csv")]

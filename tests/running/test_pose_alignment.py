@@ -196,6 +196,16 @@ def test_too_little_for_poses_from_nothing_says_what_to_record(
     assert not (tmp_path / "out.mcap").exists()
 
 
+def test_a_misspelt_fixed_frame_is_an_error_and_no_reason_to_find_poses(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
+    log = write(tmp_path / "log.mcap", scene, some, true)
+    config = load_config(overrides=["input.fixed_frame=lap"])
+    with pytest.raises(LogError, match=r"has no frame 'lap' .*; did you mean 'lab'\? \(.*\)$"):
+        process(log, tmp_path / "out.mcap", config=config)
+
+
 def test_a_causal_run_cannot_refine(
     scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
 ) -> None:

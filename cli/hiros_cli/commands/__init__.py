@@ -100,8 +100,7 @@ def dispatch(arguments: list[str]) -> int:
         # As a path it would be the current folder; it is a shell variable that is not set.
         if not argument and not before.startswith("-"):
             raise ConfigError("an argument is empty; is a variable not set?")
-    command: Any = typer.main.get_command(app)
-    _show_plain_arguments(command)
+    command = program()
     if completing.VARIABLE in os.environ:
         return completing.answer(command)
     try:
@@ -115,6 +114,13 @@ def dispatch(arguments: list[str]) -> int:
         # The only exit that typer still makes by itself: its reader has closed the pipe.
         raise BrokenPipeError from error
     return code if isinstance(code, int) else 0
+
+
+def program() -> Any:
+    """Return the root of the commands, as ``hiros`` runs and shows them."""
+    command: Any = typer.main.get_command(app)
+    _show_plain_arguments(command)
+    return command
 
 
 def _show_plain_arguments(command: Any) -> None:

@@ -182,18 +182,16 @@ def _cameras(overview: Overview) -> Any:
 
     return table(
         "Camera",
-        "Channel",
         ">Rate",
         ">Longest gap",
-        ">People",
+        ">People (mean)",
         "Frame",
         rows=[
             (
                 row.name,
-                row.topic,
                 number(row.rate_hz, 1, " Hz"),
                 number(row.longest_gap_s, 2, " s"),
-                f"{row.least_people} to {row.most_people}, mean {number(row.mean_people, 2)}",
+                f"{row.least_people} to {row.most_people} ({number(row.mean_people, 2)})",
                 _frame(row),
             )
             for row in overview.cameras

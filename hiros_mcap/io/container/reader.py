@@ -35,7 +35,7 @@ from hiros_mcap.io.container.records import (
     Message,
     Schema,
 )
-from hiros_mcap.io.container.scan import REMEDY, Contents, scan
+from hiros_mcap.io.container.scan import Contents, remedy, scan
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 
 _AHEAD = 2
@@ -338,7 +338,8 @@ class McapReader:
         except (FormatError, struct.error, ValueError, OverflowError) as fault:
             where_from = "messages" if chunk.loose else "chunk"
             raise LogError(
-                f"damaged {where_from} at byte {chunk.offset}: {fault}; {REMEDY}", path=self.path
+                f"damaged {where_from} at byte {chunk.offset}: {fault}; {remedy(self.path)}",
+                path=self.path,
             ) from None
         except MemoryError:
             raise LogError("is too large for the memory", path=self.path) from None
@@ -408,7 +409,7 @@ class McapReader:
         if stats is not None and stats.message_count != total:
             raise LogError(
                 f"damaged: the statistics claim {stats.message_count} messages, there are {total}; "
-                f"{REMEDY}",
+                f"{remedy(self.path)}",
                 path=self.path,
             )
         return dict(counts)

@@ -6,10 +6,12 @@ file may add definitions, and wherever it contradicts the data the file is refus
 
 from __future__ import annotations
 
+import shlex
 import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 from hiros_mcap.errors import LogError
@@ -20,13 +22,17 @@ from hiros_mcap.io.container.records import FormatError, Opcode
 
 MAX_RECORD = 64 * 2**20
 """Largest definition, metadata or summary record that is read, bytes."""
-REMEDY = "`hiros recover FILE -o OUT` saves what is readable"
 _RUN = 1 << 20
 _AHEAD = 1 << 14
 _INDEX = struct.Struct("<HI")  # channel and bytes of a message index
 _NAMES = 1 << 18
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)
+
+
+def remedy(path: Path | str) -> str:
+    """Return what helps against a damaged file."""
+    return f"`hiros recover {shlex.quote(str(path))}` saves what is readable"
 
 
 @dataclass(slots=True)
@@ -117,7 +123,8 @@ class Scan:
             self._agreement()
         except (FormatError, struct.error) as fault:
             raise LogError(
-                f"damaged at byte {self.at}: {fault}; {REMEDY}", path=self.file.path
+                f"damaged at byte {self.at}: {fault}; {remedy(self.file.path)}",
+                path=self.file.path,
             ) from None
         except MemoryError:
             raise LogError("is too large for the memory", path=self.file.path) from None
@@ -216,7 +223,7 @@ class Scan:
     def _truncated(self, where: str) -> LogError:
         return LogError(
             f"truncated: the file ends at byte {self.file.size}, {where} at byte {self.at}; "
-            f"the recording was cut off; {REMEDY}",
+            f"the recording was cut off; {remedy(self.file.path)}",
             path=self.file.path,
         )
 

@@ -52,10 +52,10 @@ def _trc_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
 
 def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
     try:
-        rows = list(csv.DictReader(lines_of(path)))
+        reader = csv.DictReader(lines_of(path))
+        columns, rows = list(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
-    columns = list(rows[0]) if rows else []
     names = _wide_names(columns, mapping.columns)
     needed = [] if mapping.time.rate else [mapping.time.column]
     if not names:
