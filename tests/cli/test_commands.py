@@ -212,18 +212,32 @@ def test_two_cores_share_the_compilation_of_a_run() -> None:
     assert largest < 0.6 * sum(map(len, sources.values()))
 
 
-def test_a_run_compiles_nothing_that_was_not_compiled_before_it(tmp_path: Path) -> None:
-    folder = tmp_path / "kernels"
+def test_what_is_compiled_in_advance_is_not_compiled_again(tmp_path: Path) -> None:
+    folder, module = tmp_path / "kernels", "hiros_mcap.kernels.local_line"
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    code = "from hiros_cli.compiling import RUN, prepare; prepare(quiet=True, roots=RUN)"
-    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
-    compiled = {path.name for path in folder.rglob("*.nb?")}
-    assert any(name.startswith("merging.") for name in compiled)
-    log, out = "sample_data/one_person_walking.mcap", tmp_path / "o.mcap"
-    command = [sys.executable, "-m", "hiros_cli", "process", log, "-o", str(out)]
-    done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
-    assert done.stderr == ""
-    assert {path.name for path in folder.rglob("*.nb?")} == compiled
+    found = []
+    for code in (
+        f"from hiros_cli.compiling import prepare; prepare(quiet=True, roots=[{module!r}])",
+        f"import {module}",
+    ):
+        subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+        found.append({path.name for path in folder.rglob("*.nb?")})
+    assert found[0] == found[1]
+    assert any(name.startswith("local_line.") for name in found[0])
+
+
+def test_a_run_uses_no_other_kernels_than_those_compiled_before_it(tmp_path: Path) -> None:
+    log, out = "sample_data/one_person_walking.mcap", str(tmp_path / "o.mcap")
+    code = (
+        "import sys; from hiros_cli.app import run; "
+        f"run(['process', {log!r}, '-o', {out!r}, '--quiet']); print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    prefix = "hiros_mcap.kernels."
+    used = {name.removeprefix(prefix) for name in done.stdout.split() if name.startswith(prefix)}
+    sources = kernels.sources()
+    assert {"tracking", "merging"} <= used
+    assert used & sources.keys() <= needed_by(RUN, sources).keys()
 
 
 def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(
