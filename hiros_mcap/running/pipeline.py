@@ -123,6 +123,7 @@ def process(
             _consume(blocks, log, progress or Silent())
             watch.charge("read", log.reader.cpu_s)
             clocks.tell(run.events)
+            poses.tell(run.events)
             if options.strict:
                 _refuse_skipped(log, report.summary(None))
             with watch.timing("write"):
