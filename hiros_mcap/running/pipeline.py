@@ -26,6 +26,7 @@ from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.pose_alignment import align_poses, find_missing_poses
+from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import (
     Calibration,
     ProcessOptions,
@@ -119,6 +120,8 @@ def process(
         with open_output(path, log, run, chain, options, moved=poses.replaced) as output:
             sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
             detections = clocks.correct(log.blocks())
+            if follows_poses(config, options):
+                detections = PoseFollower(log, poses).correct(detections)
             blocks = stream(detections, run, chain, watch, sinks)
             _consume(blocks, log, progress or Silent())
             watch.charge("read", log.reader.cpu_s)
@@ -183,7 +186,7 @@ def with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
 
 
 def _calibration(config: Config, options: ProcessOptions) -> Calibration:
-    """Return how a run refines the poses: a causal one cannot, and a published one does not."""
+    """Return how the poses are refined before a run: a causal or published one does not wait."""
     given = config.input.poses == "given"
     if config.input.clocks != "causal" and not given:
         return options.calibrate
@@ -192,10 +195,16 @@ def _calibration(config: Config, options: ProcessOptions) -> Calibration:
             "--calibrate require contradicts input.poses=given, which the presets paper and "
             "upstream set"
             if given
-            else "--calibrate require has no effect: a causal run does not refine poses; find them "
-            "with hiros calibrate people and pass them with --extrinsics"
+            else "--calibrate require needs the whole log at once, and a causal run refines poses "
+            "as it goes on; find them with hiros calibrate people and pass them with --extrinsics"
         )
     return "off"
+
+
+def follows_poses(config: Config, options: ProcessOptions) -> bool:
+    """Whether a run refines the poses as it goes on, by what was seen before."""
+    causal = config.input.clocks == "causal" and config.input.poses != "given"
+    return causal and options.calibrate != "off"
 
 
 def _with_found_clocks(config: Config, found: Mapping[str, float]) -> Config:

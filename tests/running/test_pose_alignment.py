@@ -196,12 +196,12 @@ def test_too_little_for_poses_from_nothing_says_what_to_record(
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_causal_run_cannot_refine(
+def test_a_causal_run_cannot_look_first(
     scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
 ) -> None:
     log = write(tmp_path / "log.mcap", scene, detections[:90], true)
     assert process(log, options=ProcessOptions("hiros-realtime")).poses == ()
-    with pytest.raises(ConfigError, match="causal run does not refine"):
+    with pytest.raises(ConfigError, match="a causal run refines poses as it goes on"):
         options = ProcessOptions("hiros-realtime", calibrate="require")
         process(log, config=None, options=options)
 
