@@ -317,6 +317,15 @@ class TransformTree:
         found = [change for name in above for change in self._edges[name].changes]
         return sorted(found, key=lambda change: (change.log_time, change.child))
 
+    def change_times(self, frames: Iterable[str]) -> list[int]:
+        """Return the log times, ns, at which static poses between ``frames`` and roots change.
+
+        Unlike :meth:`changes_above` they include changes that :meth:`with_poses` brought.
+        """
+        above = {name for frame in frames for name in self._path(frame)[:-1]}
+        static = (self._edges[name] for name in above if self._edges[name].static)
+        return sorted({time for edge in static for time, _ in list(edge.samples())[1:]})
+
     def _chain(self, names: list[str], times: tuple[int, int]) -> Rigid:
         """Pose of the first frame in the parent of the last, at a stamp and a log time."""
         pose = Rigid.identity()

@@ -118,6 +118,17 @@ def test_the_result_holds_both_poses_and_an_event(
     assert (event.source, event.is_warning) == ("camera_2", True)
 
 
+def test_the_viewer_draws_both_poses(done: tuple[Summary, Path]) -> None:
+    import rerun.chunk
+
+    drawn = done[1].with_suffix(".rrd")
+    assert run(["view", str(done[1]), "--save", str(drawn), "--quiet"]) == 0
+    chunks = rerun.chunk.RrdReader(str(drawn)).stream().to_chunks()
+    paths = {chunk.entity_path.replace("\\", "") for chunk in chunks}
+    name = f"camera_2 from {done[0].poses[3].since_s:.1f} s"
+    assert {"/world/cameras/camera_2", f"/world/cameras/{name}"} <= paths
+
+
 def test_the_terminal_lists_both_parts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["process", str(log), "-o", str(log.with_name("again.mcap"))]) == 0
     printed = capsys.readouterr()
