@@ -20,19 +20,15 @@ from hiros_mcap.calibrate.camera_change import (
     find_change,
     located,
     part_of,
-    two_pose_gains,
 )
 from hiros_mcap.calibrate.camera_views import CameraView, view_of
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
-from hiros_mcap.calibrate.joint_refinement import common_points, residuals_of
 from hiros_mcap.calibrate.refinement import (
-    GATES_M,
     RefinedPose,
     refine_poses,
     refine_together,
-    rig_of,
 )
-from hiros_mcap.calibrate.sampling import CELL_S, Rig, instants_of
+from hiros_mcap.calibrate.sampling import CELL_S, Rig
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.fixed_cameras import (
@@ -46,7 +42,6 @@ from hiros_mcap.skeletons import Ints
 
 GAIN = 0.3
 """A camera whose misfit falls by this share with a second pose may have been moved."""
-INSTANTS = 60
 LEAST_M = 0.03
 """A second pose brings people nearer by this, in both parts: views of real detectors differ by
 1 to 2 cm."""
@@ -95,7 +90,7 @@ def split_moved(log: Log, clocks: ClockAlignment, posed: PosedViews) -> PosedVie
     Where no camera was moved, or the log does not tell, ``posed`` itself is returned.
     """
     mirror = symmetry_of(log.model).mirror
-    left = suspects(posed, mirror, log.fixed_frame)
+    left = suspects(posed, log.fixed_frame)
     if not left:
         return posed
     seen = read_sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
@@ -107,28 +102,23 @@ def split_moved(log: Log, clocks: ClockAlignment, posed: PosedViews) -> PosedVie
         tried.add(left[0])
         split = splitter.split(result, left[0])
         # What a moved camera does to the others is over when its parts are known.
-        left = left if split is result else suspects(split, mirror, log.fixed_frame)
+        left = left if split is result else suspects(split, log.fixed_frame)
         result, left = split, [name for name in left if name not in tried]
     return result if result.moves else posed
 
 
-def suspects(posed: PosedViews, mirror: Ints, fixed_frame: str) -> list[str]:
+def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
     """Return the cameras that may have been moved: those that do not fit, then the others.
 
     Of two cameras that do not fit each other, it is taken to be the second.
     """
-    cameras, found = posed.cameras, posed.found
-    free = [c for c, camera in enumerate(cameras) if camera.frame != fixed_frame]
-    if len(cameras) == 2:
+    pairs = zip(posed.cameras, posed.found, strict=True)
+    free = [(camera.name, one) for camera, one in pairs if camera.frame != fixed_frame]
+    if len(posed.cameras) == 2:
         free = free[-1:]
-    rig = rig_of([_pose(camera, one) for camera, one in zip(cameras, found, strict=True)])
-    instants = instants_of(posed.views, INSTANTS)
-    points = common_points(posed.views, rig, instants, mirror, GATES_M[0])
-    gains = two_pose_gains(residuals_of(points, rig), points)
-    odd = [c for c in free if not found[c].fits]
-    rest = [c for c in free if found[c].fits and gains[c] > GAIN]
-    ranked = odd + sorted(rest, key=lambda c: -float(gains[c]))
-    return [cameras[c].name for c in ranked]
+    odd = [name for name, one in free if not one.fits]
+    rest = {name: one.gain for name, one in free if one.fits and one.gain > GAIN}
+    return odd + sorted(rest, key=lambda name: -rest[name])
 
 
 class _Splitter:
