@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.transforms import read_clocks
@@ -41,6 +42,9 @@ from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
+
+if TYPE_CHECKING:
+    from hiros_mcap.stages.fusion_noise import FusionNoise
 
 __all__ = [
     "ProcessOptions",
@@ -228,7 +232,23 @@ def set_up(log: Log, config: Config, options: ProcessOptions) -> Run:
             )
     limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
     cameras = camera_positions(log)
-    return Run(log.model, config, Events(), limbs, cameras, log.fixed_frame, options.system)
+    noise = _given_noise(log, config, options)
+    return Run(log.model, config, Events(), limbs, cameras, log.fixed_frame, options.system, noise)
+
+
+def _given_noise(log: Log, config: Config, options: ProcessOptions) -> FusionNoise | None:
+    """Return the measured noise of the detectors, if the configuration has some and it is used.
+
+    Raises ConfigError for a joint that the log's skeleton does not have.
+    """
+    if "fuse" not in sections_of(options.system) or not config.noise.model_extra:
+        return None
+    from hiros_mcap.stages.fusion_noise import FusionNoise
+
+    fuse, noise = config.fuse, config.noise
+    usual = FusionNoise.default(log.model, fuse.acceleration, fuse.offset, fuse.offset_time)
+    tables = noise.table("joints"), noise.table("cameras")
+    return usual.measured(log.model, noise.numbers, *tables)
 
 
 def _reorder_of(run: Run) -> float:
@@ -260,7 +280,7 @@ def _with_noise(
 ) -> Run:
     """Learn the noise of cameras and joints in a first pass, if a stage wants to know it."""
     wanted = "fuse" in sections_of(run.system) and "merged" in chain and run.config.fuse.learn
-    if not wanted:
+    if not wanted or run.noise is not None:
         return run
     from hiros_mcap.stages.learn_noise import learn_noise
 
