@@ -3,6 +3,7 @@
 python benchmarks/calibration.py                accuracy, standard errors and time
 python benchmarks/calibration.py hostile        scenes that must not give a wrong pose silently
 python benchmarks/calibration.py process [LOG ...]   what hiros process gains by refined poses
+python benchmarks/calibration.py clocks         clocks wrong by up to 100 ms in hiros process
 python benchmarks/calibration.py LOG ...        real logs without their transforms: halves
 python benchmarks/calibration.py consistency LOG ...   one camera left out: recorded and found poses
 """
@@ -25,7 +26,7 @@ from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
-from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
@@ -50,10 +51,13 @@ class Scene:
     clocks: Mapping[str, float]
     """s that the stamps of each camera are too late."""
 
-    def write(self, path: Path) -> None:
-        """Write a log without transforms."""
+    def write(self, path: Path, *, transforms: bool = False) -> None:
+        """Write a log, by default without transforms."""
         encoder = Encoder(self.model)
         with McapWriter(path) as writer:
+            if transforms:
+                start = min(frame.log_time for frame in self.frames)
+                add_static_poses(writer, self.poses, "world", start)
             channels: dict[str, int] = {}
             for frame in sorted(self.frames, key=lambda frame: frame.log_time):
                 if frame.source not in channels:
@@ -350,21 +354,24 @@ RIGS: Mapping[str, Mapping[str, float]] = {
 """SD per axis of the published poses."""
 
 
-def joint_errors(result: Path, truth: Path) -> tuple[float, float]:
-    """Mean joint error, mm, plain and after one rigid fit of the whole result to the truth."""
+def joint_errors(result: Path, truth: Path, late_s: float = 0.0) -> tuple[float, float]:
+    """Mean joint error, mm, plain and after one rigid fit of the whole result to the truth.
+
+    ``late_s`` is by how much the result's stamps are late against the truth's, s.
+    """
     with open_log(truth, topics=["/truth/*"], output_prefix="/none") as log:
         true, wanted = list(log.frames()), log.model.marker_names
     with open_log(result, topics=["/hiros/filtered"], output_prefix="/none") as log:
         found, names = list(log.frames()), log.model.marker_names
     order = [names.index(name) for name in wanted]
-    stamps = np.array([frame.stamp for frame in found])
+    stamps = np.array([frame.stamp for frame in found]) - round(1e9 * late_s)
     pairs = []
     for frame in true:
         k = int(np.searchsorted(stamps, frame.stamp))
         if not 0 < k < len(stamps):
             continue
         before, after = found[k - 1], found[k]
-        share = (frame.stamp - before.stamp) / (after.stamp - before.stamp)
+        share = (frame.stamp - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
         rows = {person: row for row, person in before.tracked()}
         some = [
             (1 - share) * before.positions[rows[person]] + share * after.positions[row]
@@ -422,8 +429,49 @@ def refine_before_runs(logs: Sequence[Path]) -> None:
                 refined(f"{people} people, {cameras} cameras, {name}", path, path)
 
 
+def wrong_clocks(seed: int, **params: object) -> None:
+    """Print what hiros process makes of clocks that are wrong by up to 100 ms.
+
+    The offset that all clocks share cannot be told from a delay of the detectors. So the error of
+    each clock is stated against the median one, and the joint error after that shift, too.
+    """
+    scene = simulated(seed, shift=0.0, **params)
+    rng = np.random.default_rng(seed)
+    clocks = {name: float(rng.uniform(-0.1, 0.1)) for name in scene.poses}
+    frames = []
+    for frame in scene.frames:
+        moved = late(frame, clocks[frame.source])
+        frames.append(moved.replace(log_time=frame.log_time))
+    with tempfile.TemporaryDirectory() as folder:
+        truth, log, out = (Path(folder) / f"{name}.mcap" for name in ("truth", "log", "out"))
+        write_log(truth, SimulateParams.model_validate({"seed": seed, **params}))
+        scene.write(log, transforms=True)
+        process(log, out)
+        healthy = joint_errors(out, truth)[0]
+        replace(scene, frames=frames).write(log, transforms=True)
+        summary = process(log, out, force=True)
+        found = dict.fromkeys(clocks, 0.0)
+        for camera in summary.cameras:
+            faults = (fault for fault in camera.clock if fault.corrected)
+            found[camera.name] = sum(fault.seconds for fault in faults)
+        left = {name: clocks[name] - found[name] for name in clocks}
+        common = float(np.median(list(left.values())))
+        off, shifted = (joint_errors(out, truth, s)[0] for s in (0.0, common))
+    errors = ", ".join(f"{1000 * (s - common):+.1f}" for s in left.values())
+    print(
+        f"{params}: healthy {healthy:.1f} mm; as stamped {off:.1f} mm; shifted by the common "
+        f"{1000 * common:+.0f} ms {shifted:.1f} mm ({shifted / healthy - 1:+.1%}); clocks against "
+        f"the median: {errors} ms",
+        flush=True,
+    )
+
+
 def main() -> None:
     arguments = sys.argv[1:]
+    if arguments == ["clocks"]:
+        for seed, people, cameras in ((41, 1, 3), (42, 2, 3), (43, 2, 5)):
+            wrong_clocks(seed, people=people, cameras=cameras, seconds=20.0)
+        return
     if arguments[:1] == ["process"]:
         refine_before_runs([Path(each) for each in arguments[1:]])
         return

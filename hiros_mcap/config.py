@@ -12,10 +12,10 @@ import textwrap
 import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
@@ -88,6 +88,43 @@ class ClockParams(Params):
         return dict(self.__pydantic_extra__)
 
 
+Factor = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class NoiseParams(Params):
+    """White noise of the detectors, as ``hiros calibrate noise`` writes it; what is given counts.
+
+    sigma, power, guessed and the tables joints and cameras; see
+    :class:`hiros_mcap.calibrate.noise_model.NoiseModel`.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Factor | dict[str, Factor]]
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        for name, value in self.__pydantic_extra__.items():
+            if name not in (*_NOISE_NUMBERS, *_NOISE_TABLES):
+                raise ValueError(f"{name}: there is no such key")
+            if isinstance(value, dict) != (name in _NOISE_TABLES):
+                raise ValueError(f"{name} should be a {_NOISE_KINDS[name in _NOISE_TABLES]}")
+        return self
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Those of sigma (m), power and guessed that are given."""
+        return {k: v for k, v in self.__pydantic_extra__.items() if isinstance(v, float)}
+
+    def table(self, name: str) -> dict[str, float]:
+        """Joint -> factor of the deviation ("joints"), or camera -> of the variance ("cameras")."""
+        found = self.__pydantic_extra__.get(name, {})
+        return found if isinstance(found, dict) else {}
+
+
+_NOISE_NUMBERS, _NOISE_TABLES = ("sigma", "power", "guessed"), ("joints", "cameras")
+_NOISE_KINDS = "number", "table"
+
+
 class OutputParams(Params):
     """How results are written."""
 
@@ -118,6 +155,9 @@ class Config(Params):
     input: InputParams = Field(InputParams(), description="Reading the cameras.")
     clock: ClockParams = Field(
         ClockParams(), description="Seconds to add to the stamps of a camera: camera = seconds."
+    )
+    noise: NoiseParams = Field(
+        NoiseParams(), description="White noise of the detectors, by hiros calibrate noise."
     )
     output: OutputParams = Field(OutputParams(), description="Writing the results.")
     track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
@@ -419,8 +459,8 @@ def to_toml(
         ]
         hidden += len(type(params).model_fields) - len(names)
         if params.model_extra:
-            title = f"# {Config.model_fields[section].description}\n[{section}]\n"
-            blocks.append(title + tomli_w.dumps(params.model_extra))
+            title = f"# {Config.model_fields[section].description}\n"
+            blocks.append(title + tomli_w.dumps({section: params.model_extra}))
         if names:
             schema = params.model_json_schema()["properties"]
             blocks.append(f"# {Config.model_fields[section].description}\n[{section}]\n")

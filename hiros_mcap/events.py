@@ -41,6 +41,9 @@ def counted(kind: str, n: int) -> str:
     return f"{quantity(n, noun)} {what}"
 
 
+_WARNING_WORDS = "lost", "doubted", "rejected", "clock", "moved"
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that happened at an instant and that a user may want to see."""
@@ -65,7 +68,7 @@ class Event:
     @property
     def is_warning(self) -> bool:
         """Whether something was lost, refused or wrong."""
-        return any(word in self.kind for word in ("lost", "doubted", "rejected", "clock"))
+        return any(word in self.kind for word in _WARNING_WORDS)
 
 
 @dataclass(slots=True)

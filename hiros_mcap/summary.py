@@ -69,6 +69,11 @@ class PoseSummary:
     """Standard error of the people's pose against the other cameras."""
     error_deg: float = math.nan
     error_ms: float = math.nan
+    since_s: float = math.nan
+    """When the camera was moved to this pose, s from the log's start; NaN if it stood there from
+    the start. A camera that was moved is listed twice."""
+    until_s: float = math.nan
+    """When it was moved away from this pose; NaN if it stayed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hiros_cli.printable import printable
-from hiros_cli.run_report import console, note, say, table
+from hiros_cli.run_report import console, note, period, say, table
 from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
 from hiros_mcap.summary import number
 
@@ -50,16 +50,10 @@ def _cameras(cameras: Sequence[CalibratedCamera]) -> object:
     columns = ("Camera", *moved, ">Clock ms", ">SE deg", ">mm", ">ms", ">Residual mm", "Verdict")
     rows = []
     for camera in cameras:
-        row = [printable(camera.name) + _period(camera)]
+        row = [printable(camera.name) + period(camera.since_s, camera.until_s)]
         if given:
             row += [number(camera.moved_mm, 0), number(camera.moved_deg, 2)]
         row += [number(1000 * camera.clock_s, 1)]
         row += [number(camera.error_deg, 2), number(camera.error_mm, 0), number(camera.error_ms, 1)]
         rows.append((*row, number(camera.residual_mm, 0), camera.verdict))
     return table(*columns, rows=rows)
-
-
-def _period(camera: CalibratedCamera) -> str:
-    if not math.isnan(camera.until_s):
-        return f" to {camera.until_s:.1f} s"
-    return "" if math.isnan(camera.since_s) else f" from {camera.since_s:.1f} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable, Sequence
 
@@ -136,8 +137,15 @@ def _poses(poses: Sequence[PoseSummary]) -> Table | None:
         numbers = [number(pose.moved_mm, 0), number(pose.moved_deg, 2), number(pose.clock_ms, 0)]
         errors = [number(pose.error_mm, 0), number(pose.error_deg, 2), number(pose.error_ms, 1)]
         verdict = f"{pose.verdict}: {pose.reason}" if pose.reason else pose.verdict
-        rows.append((pose.name, *numbers, *errors, verdict))
+        rows.append((pose.name + period(pose.since_s, pose.until_s), *numbers, *errors, verdict))
     return table("Camera pose", *columns, rows=rows)
+
+
+def period(since_s: float, until_s: float) -> str:
+    """Return in words from when or until when a camera stood at a pose; "" if it never moved."""
+    if not math.isnan(until_s):
+        return f" to {until_s:.1f} s"
+    return "" if math.isnan(since_s) else f" from {since_s:.1f} s"
 
 
 def _people(people: Sequence[PersonSummary]) -> Table | Text:

@@ -19,7 +19,7 @@ from array import array
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -28,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Frame
@@ -47,6 +48,10 @@ class Transform:
     child: str
     translation: tuple[float, float, float]
     xyzw: tuple[float, float, float, float]
+
+
+TimedPoses = Mapping[int, Rigid]
+"""Poses of one frame by the log times, ns, from which on they hold; the first holds before, too."""
 
 
 class PoseChange(NamedTuple):
@@ -278,8 +283,8 @@ class TransformTree:
             return None
         return self._fixed.get((frame, fixed))
 
-    def with_poses(self, poses: Mapping[str, Rigid], fixed: str) -> TransformTree:
-        """Return the tree with other poses of some frames in ``fixed``, which never change.
+    def with_poses(self, poses: Mapping[str, TimedPoses], fixed: str) -> TransformTree:
+        """Return the tree with other static poses of some frames in ``fixed``.
 
         A frame keeps its parent if that is joined to ``fixed``; it must be at rest then, and
         ``fixed`` must not hang on the frame itself.
@@ -292,9 +297,11 @@ class TransformTree:
             edge = tree._edges.get(name)
             joined = edge is not None and tree.root(edge.parent) == tree.root(fixed)
             parent = edge.parent if edge is not None and joined else fixed
-            pose = tree.lookup(parent, fixed, 0).inverse() @ poses[name]
+            above = tree.lookup(parent, fixed, 0).inverse()
             new = tree._edges[name] = _Edge(parent, static=True)
-            new.add(0, (*pose.xyzw, *pose.translation))
+            for log_time, known in sorted(poses[name].items()):
+                pose = above @ known
+                new.add(log_time, (*pose.xyzw, *pose.translation))
             tree._fixed.clear()
         return tree
 
@@ -309,6 +316,15 @@ class TransformTree:
         above = dict.fromkeys(name for frame in frames for name in self._path(frame)[:-1])
         found = [change for name in above for change in self._edges[name].changes]
         return sorted(found, key=lambda change: (change.log_time, change.child))
+
+    def change_times(self, frames: Iterable[str]) -> list[int]:
+        """Return the log times, ns, at which static poses between ``frames`` and roots change.
+
+        Unlike :meth:`changes_above` they include changes that :meth:`with_poses` brought.
+        """
+        above = {name for frame in frames for name in self._path(frame)[:-1]}
+        static = (self._edges[name] for name in above if self._edges[name].static)
+        return sorted({time for edge in static for time, _ in list(edge.samples())[1:]})
 
     def _chain(self, names: list[str], times: tuple[int, int]) -> Rigid:
         """Pose of the first frame in the parent of the last, at a stamp and a log time."""
@@ -532,16 +548,30 @@ class Mover:
 
     def __call__(self, frame: Frame) -> Frame:
         """Return the frame in the fixed frame, itself if it already is."""
-        name = frame.frame_id
-        if name == self._fixed:
+        if frame.frame_id == self._fixed:
             return frame
-        pose = self._tree.lookup(name, self._fixed, frame.stamp, frame.log_time)
+        people = frame.people.copy()
+        move(self._pose(frame.frame_id, frame.stamp, frame.log_time), 0, people)
+        return frame.replace(frame_id=self._fixed, people=people)
+
+    def move_block(self, block: Block) -> Block:
+        """Return a block in the fixed frame, itself if it already is."""
+        moving = [i for i, name in enumerate(block.frame_ids) if name != self._fixed]
+        if not moving:
+            return block
+        people = block.people.copy()
+        for i in moving:
+            stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
+            pose = self._pose(block.frame_ids[i], stamp, log_time)
+            move(pose, 0, people.at(slice(*block.rows[i].tolist())))
+        return replace(block, people=people, frame_ids=[self._fixed] * len(block))
+
+    def _pose(self, name: str, stamp: int, log_time: int) -> PoseArrays:
+        pose = self._tree.lookup(name, self._fixed, stamp, log_time)
         known = self._prepared.get(name)
         if known is None or known[0] is not pose:
             known = self._prepared[name] = (pose, pose_arrays([pose]))
-        people = frame.people.copy()
-        move(known[1], 0, people)
-        return frame.replace(frame_id=self._fixed, people=people)
+        return known[1]
 
 
 def pose_arrays(poses: Sequence[Rigid]) -> PoseArrays:

@@ -9,12 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.calibrate.camera_graph import ambiguous, usable
 from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.coarse_clock import Landmarks, lag_candidates, signatures_of
+from hiros_mcap.calibrate.coarse_clock import (
+    LagCandidate,
+    Landmarks,
+    lag_candidates,
+    signatures_of,
+)
+from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, register_pair
 from hiros_mcap.calibrate.sampling import Rig, group, instants_of, placed, sample
 from hiros_mcap.kernels.local_line import Tracklet
@@ -28,16 +35,39 @@ LEAST_DEG, LEAST_M = 0.7, 0.03
 """Poses of the thirds that are nearer to each other than both are the same."""
 BETTER = 0.85
 """With the change, the sum of distances is at most this share of that without."""
+BIN_S = 1.0
+"""Between two times of a change that are compared by :func:`two_pose_gains`."""
 
 
-def find_change(pair: Sequence[CameraView], landmarks: Landmarks, mirror: Ints) -> float | None:
-    """Return when the second of two cameras was moved against the first, s of its own time.
+class CameraChange(NamedTuple):
+    """When the second of two cameras was moved, and where it stood in the first one."""
 
-    None if it was not, or if the log does not tell. Seconds count from the middle of the log.
+    begin: float
+    """Until then it stood at the first pose, s of the first camera's time."""
+    end: float
+    """From then on it stood at the second one; nobody was seen in between."""
+    early: Rig
+    late: Rig
+    metres: float = 0.0
+    """How much nearer people are by the right one of both poses, in the part that gains less."""
+
+    @property
+    def seconds(self) -> float:
+        """When it was moved, s of its own time."""
+        return (self.begin + self.end) / 2.0 - float(self.late.clocks[1])
+
+
+def find_change(
+    pair: Sequence[CameraView], landmarks: Landmarks | None, mirror: Ints
+) -> CameraChange | None:
+    """Find out whether the second of two cameras was moved against the first, and when.
+
+    None if it was not, or if the log does not tell.
 
     Parameters
     ----------
-    landmarks : of the skeleton; see :func:`landmarks_of`. mirror : (M,).
+    landmarks : of the skeleton, to find the clocks; see :func:`landmarks_of`. None = the clocks
+        are about right. mirror : (M,).
     """
     one, other = pair
     if not (one.tracks and other.tracks):
@@ -48,8 +78,21 @@ def find_change(pair: Sequence[CameraView], landmarks: Landmarks, mirror: Ints) 
     late = _pose(one, part_of(other, end - third, end), landmarks, mirror)
     if early is None or late is None or _same(early.rig, late.rig):
         return None
-    instants = instants_of([one], CHANGE_INSTANTS)
-    before, after = (_distances(pair, fit.rig, instants, mirror) for fit in (early, late))
+    change = located(pair, early.rig, late.rig, mirror)
+    if change is None or not begin + LEAST_PART_S < change.seconds < end - LEAST_PART_S:
+        return None
+    return change
+
+
+def located(
+    pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints, better: float = BETTER
+) -> CameraChange | None:
+    """Find the time at which one pose of the second camera replaces another one.
+
+    None if the distances with the change are more than the share ``better`` of those without.
+    """
+    instants = instants_of(pair[:1], CHANGE_INSTANTS)
+    before, after = (_distances(pair, rig, instants, mirror) for rig in (early, late))
     known = ~np.isnan(before + after)
     instants, before, after = instants[known], before[known], after[known]
     if not len(instants):
@@ -58,10 +101,63 @@ def find_change(pair: Sequence[CameraView], landmarks: Landmarks, mirror: Ints) 
         [np.cumsum(after[::-1])[::-1], [0.0]]
     )
     k = int(sums.argmin())
-    if sums[k] > BETTER * min(before.sum(), after.sum()):
+    if sums[k] > better * min(before.sum(), after.sum()):
         return None
-    at = float(np.mean(instants[max(k - 1, 0) : k + 1])) - float(late.rig.clocks[1])
-    return at if begin + LEAST_PART_S < at < end - LEAST_PART_S else None
+    gains = (after - before)[:k], (before - after)[k:]
+    return CameraChange(
+        float(instants[k - 1]) if k else -np.inf,
+        float(instants[k]) if k < len(instants) else np.inf,
+        early,
+        late,
+        min((float(gain.mean()) for gain in gains if len(gain)), default=0.0),
+    )
+
+
+def two_pose_gains(residuals: RigResiduals, points: Points) -> Floats:
+    """(C,) by which share the misfit of each camera falls if it may change its pose once.
+
+    The misfit is the sum of squares about the best rigid fit to the other cameras (Kabsch 1976),
+    whose moments add up over time. The change may be anywhere :data:`LEAST_PART_S` from the ends.
+    """
+    total = residuals.weights.sum(axis=0)
+    bins = np.floor((points.seconds - points.seconds.min(initial=np.inf)) / BIN_S).astype(np.int64)
+    first, last = int(LEAST_PART_S / BIN_S), int(bins.max(initial=0) + 1 - LEAST_PART_S / BIN_S)
+    gains = np.zeros(len(residuals.weights))
+    if first > last:
+        return gains
+    for c, weights in enumerate(residuals.weights):
+        rest = total - weights
+        seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
+        own = (residuals.means + residuals.offsets[c])[seen]
+        apart = residuals.offsets[c, seen] * (total[seen] / rest[seen])[:, None]
+        moments = _moments(own, own - apart, np.minimum(weights, rest)[seen])
+        sums = np.zeros((int(bins.max()) + 1, moments.shape[1]))
+        np.add.at(sums, bins[seen], moments)
+        early = np.cumsum(sums, axis=0)[first - 1 : last]
+        both = _misfits(early) + _misfits(sums.sum(axis=0) - early)
+        whole = float(_misfits(sums.sum(axis=0)[None])[0])
+        gains[c] = 1.0 - float(both.min()) / whole if whole > 0.0 else 0.0
+    return gains
+
+
+def _moments(ones: Floats, others: Floats, weights: Floats) -> Floats:
+    """(P, 17) what the misfit of two sets of (P, 3) points is made of, for each pair."""
+    products = (ones[:, :, None] * others[:, None, :]).reshape(-1, 9)
+    squares = np.sum(ones**2 + others**2, axis=1)[:, None]
+    rows = np.concatenate([np.ones((len(ones), 1)), ones, others, products, squares], axis=1)
+    return np.asarray(rows * weights[:, None])
+
+
+def _misfits(moments: Floats) -> Floats:
+    """(K,) sum of squares about the best rigid fit of each of K sums of moments."""
+    mass = np.maximum(moments[:, :1], 1e-12)
+    ones, others = moments[:, 1:4], moments[:, 4:7]
+    products = moments[:, 7:16].reshape(-1, 3, 3)
+    products = products - ones[:, :, None] * others[:, None, :] / mass[:, :, None]
+    spread = moments[:, 16] - np.sum(ones**2 + others**2, axis=1) / mass[:, 0]
+    singular = np.linalg.svd(products, compute_uv=False)
+    singular[:, 2] *= np.sign(np.linalg.det(products))
+    return np.asarray(np.maximum(spread - 2.0 * singular.sum(axis=1), 0.0))
 
 
 def part_of(view: CameraView, begin: float, end: float) -> CameraView:
@@ -74,11 +170,16 @@ def part_of(view: CameraView, begin: float, end: float) -> CameraView:
     return replace(view, tracks=tracks)
 
 
-def _pose(one: CameraView, other: CameraView, landmarks: Landmarks, mirror: Ints) -> PairFit | None:
+def _pose(
+    one: CameraView, other: CameraView, landmarks: Landmarks | None, mirror: Ints
+) -> PairFit | None:
     """Return the pose of a camera in another one, None unless it is the only one that fits."""
     if not other.tracks:
         return None
-    candidates = lag_candidates(signatures_of(one, landmarks), signatures_of(other, landmarks))
+    if landmarks is None:
+        candidates = [LagCandidate(0.0, [])]
+    else:
+        candidates = lag_candidates(signatures_of(one, landmarks), signatures_of(other, landmarks))
     instants = instants_of([other], PAIR_INSTANTS)
     fits = register_pair([one, other], candidates, instants, mirror)
     return fits[0] if usable(fits) and not ambiguous(fits) else None

@@ -76,10 +76,12 @@ def _sightings(log: Log) -> dict[Camera, tuple[list[Sighting], list[float]]]:
     """Return what each camera sees, and how far its stamps are from the log times, s."""
     middle = sum(log.span) // 2
     seen: dict[Camera, tuple[list[Sighting], list[float]]] = defaultdict(lambda: ([], []))
-    for frame in _best_parts(log):
-        sightings, late = seen[frame.source, frame.frame_id.lstrip("/")]
-        sightings += sightings_of(Block.of(frame), [0], middle)
-        late.append((frame.log_time - frame.stamp) / 1e9)
+    for block in _best_parts(log):
+        lags = ((block.log_times - block.stamps) / 1e9).tolist()
+        for i, sighting in enumerate(sightings_of(block, range(len(block)), middle)):
+            sightings, late = seen[block.sources[i], block.frame_ids[i].lstrip("/")]
+            sightings.append(sighting)
+            late.append(lags[i])
     return seen
 
 
@@ -103,12 +105,12 @@ def sightings_of(block: Block, frames: Sequence[int], middle: int) -> list[Sight
     ]
 
 
-def _best_parts(log: Log) -> Iterator[Frame]:
+def _best_parts(log: Log) -> Iterator[Block]:
     """Yield the detections of a log, of a long one the best piece of each of its parts."""
     start, end = log.span
     seconds = (end - start) / 1e9
     if seconds <= LONGEST_S:
-        yield from log.frames()
+        yield from log.camera_blocks()
         return
     length = LONGEST_S / PARTS
     n_pieces = int(seconds // length)
@@ -123,7 +125,7 @@ def _best_parts(log: Log) -> Iterator[Frame]:
         piece.append(frame)
     _keep_best(best, current * PARTS // n_pieces, piece)
     for _, frames in best:
-        yield from frames
+        yield from map(Block.of, frames)
 
 
 def _keep_best(best: list[tuple[float, list[Frame]]], part: int, frames: list[Frame]) -> None:

@@ -92,6 +92,7 @@ def refine(
     *,
     free: Flags,
     gates: Sequence[float] = GATES_M,
+    points: Points | None = None,
 ) -> tuple[Rig, Points]:
     """Improve poses and clocks until all cameras agree about the people.
 
@@ -100,12 +101,14 @@ def refine(
     instants : (K,) common times, s, increasing; not a multiple of the cameras' period, which
         would bias the clocks.
     mirror : (M,). free : (C, 8) the unknowns that may change, see :func:`free_unknowns`.
+    points : those of the first gate, if they are known.
 
     Returns
     -------
     The rig, and the points on which it was found.
     """
-    points = common_points(views, rig, instants, mirror, gates[0])
+    if points is None:
+        points = common_points(views, rig, instants, mirror, gates[0])
     for k, gate in enumerate(gates):
         if k:
             points = common_points(views, rig, instants, mirror, gate)

@@ -23,10 +23,12 @@ LONGEST_S = 0.1
 LEAST_SAMPLES = 30
 CHI2_MEDIAN = 2.366
 """Median of chi squared with three degrees of freedom."""
+USUAL_POWER = 1.4
+"""As the fuser assumes for a log that was not looked at."""
 BIN = 1.25
 """Ratio of the far to the near end of a range bin."""
 WIDE = 1.4
-"""Ratio of ranges from which on they tell the power."""
+"""Ratio of a camera's ranges from which on they tell the power."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,7 @@ class NoiseModel:
     sigma: float
     """SD along each axis of the median joint at 2 m, m."""
     power: float
-    """The SD grows with this power of the range; 1 is assumed where the ranges do not tell."""
+    """The SD grows with this power of the range; the usual one where the ranges do not tell."""
     guessed: float
     """Factor of the SD of joints that the detector guesses; NaN without any."""
     joints: dict[str, float]
@@ -49,10 +51,11 @@ class NoiseModel:
         lines = ["[noise]", f"sigma = {self.sigma:.5f}  # m, along each axis at 2 m"]
         lines.append(f"power = {self.power:.2f}  # of the range")
         if not np.isnan(self.guessed):
-            lines.append(f"guessed = {self.guessed:.2f}  # factor of the deviation")
+            # A guess errs slowly, too, which averages out no more than it shows in white noise.
+            lines.append(f"# guessed = {self.guessed:.2f}: of white noise only, so it is not used")
         for name, table in (("joints", self.joints), ("cameras", self.cameras)):
             lines += ["", f"[noise.{name}]"]
-            lines += [f'"{key}" = {factor:.3f}' for key, factor in table.items()]
+            lines += [f'"{key}" = {factor:.4g}' for key, factor in table.items()]
         return "\n".join(lines)
 
 
@@ -86,8 +89,9 @@ def measure_noise_model(
         return NoiseModel(nan, nan, nan, {}, {})
     cells, deviations, counts, log_range = rows
     camera, joint, guessed, _ = cells.T
-    tells = float(np.ptp(log_range)) > np.log(WIDE)
-    target = np.log(deviations) - (0.0 if tells else 1.0) * log_range
+    # Between cameras, a range cannot be told from the camera's own factor.
+    tells = max(float(np.ptp(log_range[camera == c])) for c in np.unique(camera)) > np.log(WIDE)
+    target = np.log(deviations) - (0.0 if tells else USUAL_POWER) * log_range
     n, m = len(names), model.n_markers
     design = np.zeros((len(cells), n + m + 2))
     at = np.arange(len(cells))
@@ -101,7 +105,7 @@ def measure_noise_model(
     middle = np.median(by_camera[seen_cameras]), np.median(by_joint[seen_joints])
     return NoiseModel(
         sigma=float(np.exp(sum(middle))),
-        power=float(found[-1]) if tells else 1.0,
+        power=float(found[-1]) if tells else USUAL_POWER,
         guessed=float(np.exp(found[-2])) if guessed.any() and not guessed.all() else float("nan"),
         joints={model.marker_names[k]: float(np.exp(by_joint[k] - middle[1])) for k in seen_joints},
         cameras={names[k]: float(np.exp(2 * (by_camera[k] - middle[0]))) for k in seen_cameras},

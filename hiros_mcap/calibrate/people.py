@@ -228,9 +228,9 @@ def _moves(
         if not partners or not views[c].tracks:
             continue
         best = max(partners, key=lambda a: fits[min(a, c), max(a, c)][0].quality)
-        seconds = find_change([views[best], views[c]], landmarks, mirror)
-        if seconds is not None:
-            found[views[c].name] = seconds
+        change = find_change([views[best], views[c]], landmarks, mirror)
+        if change is not None:
+            found[views[c].name] = change.seconds
     return found
 
 

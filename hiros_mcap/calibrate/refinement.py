@@ -16,6 +16,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, angle, from_matrix, to_matrix
 from hiros_mcap.calibrate.agreement import camera_distances, shared_view
+from hiros_mcap.calibrate.camera_change import two_pose_gains
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.evidence import anchored
 from hiros_mcap.calibrate.gauge import moved, on_transforms
@@ -23,6 +24,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     BLOCK_S,
     CAUCHY,
     Points,
+    RigResiduals,
     common_motion,
     common_points,
     free_unknowns,
@@ -77,6 +79,8 @@ class RefinedPose(NamedTuple):
     """Standard error of the orientation against the other cameras."""
     error_m: float = np.nan
     error_s: float = np.nan
+    gain: float = 0.0
+    """By which share its misfit falls if it may have been moved once."""
 
 
 class Refinement(NamedTuple):
@@ -91,6 +95,8 @@ class Refinement(NamedTuple):
     evidence: list[Evidence]
     certainty: float
     """By how many standard errors it fits better than the given poses what was held out."""
+    gains: Floats
+    """(C,) see :func:`two_pose_gains`."""
 
 
 def refine_poses(
@@ -193,6 +199,7 @@ def _judged(
             error_deg=float(np.degrees(degrees)),
             error_m=float(metres),
             error_s=float(errors[CLOCK]),
+            gain=float(refined.gains[k]),
         )
     return found
 
@@ -209,28 +216,36 @@ def refine_together(
     start = anchored(rig_of(given))
     instants = instants_of(views, INSTANTS)
     seen = common_points(views, start, instants, mirror, GATES_M[0])
-    instants = instants[:: 1 + len(seen.seconds) // POINTS]
+    step = 1 + len(seen.seconds) // POINTS
+    instants = instants[::step]
     timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
     free = free_unknowns(len(views), clocks=timed)
-    rig, points = refine(views, start, instants, mirror, free=free, gates=GATES_M)
+    known = seen if step == 1 else None
+    rig, points = refine(views, start, instants, mirror, free=free, gates=GATES_M, points=known)
+    residuals = residuals_of(points, rig)
     if len(points.seconds) < LEAST_POINTS:
         errors, certainty = np.full(free.shape, np.inf), 0.0
     else:
-        errors = standard_errors(residuals_of(points, rig), points, free)
-        certainty = _certainty(points, rig, start, free, mirror)
+        errors = standard_errors(residuals, points, free)
+        certainty = _certainty(points, residuals, rig, start, free, mirror)
     errors[0] = errors.max(axis=0)
-    evidence = _evidence(views, rig, points, instants, mirror)
+    evidence = _evidence(views, rig, residuals, instants, mirror)
     degrees = np.degrees(np.linalg.norm(errors[:, :3], axis=1))
     evidence = [replace(e, error_deg=float(d)) for e, d in zip(evidence, degrees, strict=True)]
-    return Refinement(rig, errors, timed, evidence, certainty)
+    gains = two_pose_gains(residuals, points)
+    return Refinement(rig, errors, timed, evidence, certainty, gains)
 
 
 def _evidence(
-    views: Sequence[CameraView], rig: Rig, points: Points, instants: Floats, mirror: Ints
+    views: Sequence[CameraView],
+    rig: Rig,
+    residuals: RigResiduals,
+    instants: Floats,
+    mirror: Ints,
 ) -> list[Evidence]:
     """Gather how well each camera fits the others."""
     shared = shared_view(views, rig, instants, mirror)
-    distances = camera_distances(residuals_of(points, rig))
+    distances = camera_distances(residuals)
     found = []
     for c in range(len(views)):
         others = np.arange(len(views)) != c
@@ -247,9 +262,12 @@ def _evidence(
     return found
 
 
-def _certainty(points: Points, rig: Rig, given: Rig, free: Flags, mirror: Ints) -> float:
+def _certainty(
+    points: Points, residuals: RigResiduals, rig: Rig, given: Rig, free: Flags, mirror: Ints
+) -> float:
     """Return by how many standard errors the loss is smaller on what was held out."""
-    differences = _held_out(points, rig, given, free, mirror)
+    scale = CAUCHY * float(np.nanmedian(residuals.distances))
+    differences = _held_out(points, scale, rig, given, free, mirror)
     blocks = np.unique(np.floor(points.seconds / BLOCK_S), return_inverse=True)[1]
     sums = np.bincount(blocks, differences)
     if len(sums) < LEAST_BLOCKS:
@@ -258,15 +276,16 @@ def _certainty(points: Points, rig: Rig, given: Rig, free: Flags, mirror: Ints) 
     return float(sums.sum()) / error if error > 0.0 else 0.0
 
 
-def _held_out(points: Points, rig: Rig, given: Rig, free: Flags, mirror: Ints) -> Floats:
+def _held_out(
+    points: Points, scale: float, rig: Rig, given: Rig, free: Flags, mirror: Ints
+) -> Floats:
     """(P,) loss of the given poses less that of poses found without the point.
 
-    The clocks are free in both: this is about the poses.
+    The clocks are free in both: this is about the poses. ``scale`` is that of the loss, m.
     """
     clocks = free.copy()
     clocks[:, :6] = False
     differences = np.zeros(len(points.seconds))
-    scale = CAUCHY * float(np.nanmedian(residuals_of(points, rig).distances))
     for train, test in _folds(points, mirror):
         some, rest = _part(points, train), _part(points, test)
         found = solve(some, rig, free, rig, HELD_OUT_STEPS)

@@ -28,6 +28,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import (
     Mover,
     PoseChange,
+    TimedPoses,
     TransformTree,
     parse_tf,
     read_extrinsics,
@@ -332,7 +333,7 @@ class Log:
         for _, block in self._blocks(spans=spans):
             yield block
 
-    def use_poses(self, poses: Mapping[str, Rigid], fixed: str) -> None:
+    def use_poses(self, poses: Mapping[str, TimedPoses], fixed: str) -> None:
         """Replace the poses of some cameras' frames in the frame ``fixed``."""
         self.transforms = self.transforms.with_poses(poses, fixed)
 
@@ -366,11 +367,7 @@ class Log:
         poses = RestPoses(fixed, partial(self.transforms.at_rest, fixed=fixed))
         with _named(self.path):
             for topics, block in self._blocks(poses):
-                if all(name == fixed for name in block.frame_ids):
-                    yield topics, block
-                    continue
-                for topic, frame in zip(topics, block.frames(), strict=True):
-                    yield (topic,), Block.of(mover(frame))
+                yield topics, mover.move_block(block)
 
     def _blocks(
         self,

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.transforms import read_clocks
@@ -26,6 +27,7 @@ from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.observe import DETECTIONS, Observer
 from hiros_mcap.running.pose_alignment import align_poses, find_missing_poses
+from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import (
     Calibration,
     ProcessOptions,
@@ -40,6 +42,9 @@ from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
+
+if TYPE_CHECKING:
+    from hiros_mcap.stages.fusion_noise import FusionNoise
 
 __all__ = [
     "ProcessOptions",
@@ -119,10 +124,13 @@ def process(
         with open_output(path, log, run, chain, options, moved=poses.replaced) as output:
             sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
             detections = clocks.correct(log.blocks())
+            if follows_poses(config, options):
+                detections = PoseFollower(log, poses).correct(detections)
             blocks = stream(detections, run, chain, watch, sinks)
             _consume(blocks, log, progress or Silent())
             watch.charge("read", log.reader.cpu_s)
             clocks.tell(run.events)
+            poses.tell(run.events)
             if options.strict:
                 _refuse_skipped(log, report.summary(None))
             with watch.timing("write"):
@@ -182,7 +190,7 @@ def with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
 
 
 def _calibration(config: Config, options: ProcessOptions) -> Calibration:
-    """Return how a run refines the poses: a causal one cannot, and a published one does not."""
+    """Return how the poses are refined before a run: a causal or published one does not wait."""
     given = config.input.poses == "given"
     if config.input.clocks != "causal" and not given:
         return options.calibrate
@@ -191,10 +199,16 @@ def _calibration(config: Config, options: ProcessOptions) -> Calibration:
             "--calibrate require contradicts input.poses=given, which the presets paper and "
             "upstream set"
             if given
-            else "--calibrate require has no effect: a causal run does not refine poses; find them "
-            "with hiros calibrate people and pass them with --extrinsics"
+            else "--calibrate require needs the whole log at once, and a causal run refines poses "
+            "as it goes on; find them with hiros calibrate people and pass them with --extrinsics"
         )
     return "off"
+
+
+def follows_poses(config: Config, options: ProcessOptions) -> bool:
+    """Whether a run refines the poses as it goes on, by what was seen before."""
+    causal = config.input.clocks == "causal" and config.input.poses != "given"
+    return causal and options.calibrate != "off"
 
 
 def _with_found_clocks(config: Config, found: Mapping[str, float]) -> Config:
@@ -218,7 +232,23 @@ def set_up(log: Log, config: Config, options: ProcessOptions) -> Run:
             )
     limbs = LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable()
     cameras = camera_positions(log)
-    return Run(log.model, config, Events(), limbs, cameras, log.fixed_frame, options.system)
+    noise = _given_noise(log, config, options)
+    return Run(log.model, config, Events(), limbs, cameras, log.fixed_frame, options.system, noise)
+
+
+def _given_noise(log: Log, config: Config, options: ProcessOptions) -> FusionNoise | None:
+    """Return the measured noise of the detectors, if the configuration has some and it is used.
+
+    Raises ConfigError for a joint that the log's skeleton does not have.
+    """
+    if "fuse" not in sections_of(options.system) or not config.noise.model_extra:
+        return None
+    from hiros_mcap.stages.fusion_noise import FusionNoise
+
+    fuse, noise = config.fuse, config.noise
+    usual = FusionNoise.default(log.model, fuse.acceleration, fuse.offset, fuse.offset_time)
+    tables = noise.table("joints"), noise.table("cameras")
+    return usual.measured(log.model, noise.numbers, *tables)
 
 
 def _reorder_of(run: Run) -> float:
@@ -250,7 +280,7 @@ def _with_noise(
 ) -> Run:
     """Learn the noise of cameras and joints in a first pass, if a stage wants to know it."""
     wanted = "fuse" in sections_of(run.system) and "merged" in chain and run.config.fuse.learn
-    if not wanted:
+    if not wanted or run.noise is not None:
         return run
     from hiros_mcap.stages.learn_noise import learn_noise
 

@@ -23,8 +23,9 @@ from hiros_mcap.io.live_log import LiveLog, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
 from hiros_mcap.running.clock_alignment import align_clocks
 from hiros_mcap.running.observe import Observer
-from hiros_mcap.running.pipeline import set_up, shown_to, stream, with_clocks
+from hiros_mcap.running.pipeline import follows_poses, set_up, shown_to, stream, with_clocks
 from hiros_mcap.running.pose_alignment import PoseAlignment
+from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import ProcessOptions, Watcher
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -83,7 +84,8 @@ def process_live(
     run = set_up(log, with_clocks(config, log, options.extrinsics), options)
     clocks = align_clocks(log, run.config, 0.0)
     observer = Observer(chain)
-    report = Report(log, run, observer, watch, clocks, PoseAlignment())
+    poses = PoseAlignment()
+    report = Report(log, run, observer, watch, clocks, poses)
     with _writer(target, options) as writer:
         if isinstance(writer, LiveWriter):
             source.before_waiting = writer.flush
@@ -92,7 +94,10 @@ def process_live(
             copier = _LiveCopier(log, writer, options)
             output = LogOutput(writer, copier, log, run, chain, options, source.digest)
         sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
-        for _ in stream(clocks.correct(log.blocks()), run, chain, watch, sinks):
+        detections = clocks.correct(log.blocks())
+        if follows_poses(config, options):
+            detections = PoseFollower(log, poses).correct(detections)
+        for _ in stream(detections, run, chain, watch, sinks):
             pass
         clocks.tell(run.events)
         output.commit(report.summary(None))

@@ -35,7 +35,7 @@ class ProcessOptions:
     limbs_out: Path | None = None
     """Where to save the limb lengths."""
     calibrate: Calibration = "auto"
-    """Whether the cameras' poses are refined before the run. A causal run never does."""
+    """Whether the cameras' poses are refined: before the run, in a causal one as it goes on."""
     strict: bool = False
     """Refuse a log if any of its messages has to be skipped."""
     recover: bool = False

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.fusing import JointNoise, Sightings
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
@@ -54,6 +55,35 @@ class FusionNoise:
         m = model.n_markers
         white = (_WHITE * factors) ** 2
         return cls(white, np.full(m, acceleration), np.full(m, offset), time)
+
+    def measured(
+        self,
+        model: SkeletonModel,
+        numbers: Mapping[str, float],
+        joints: Mapping[str, float],
+        cameras: Mapping[str, float],
+    ) -> FusionNoise:
+        """Return the noise with what ``hiros calibrate noise`` has measured.
+
+        Parameters
+        ----------
+        numbers : those of sigma, power and guessed that are known. joints : factors of the
+            deviation sigma, m. cameras : factors of the variance.
+
+        Raises ConfigError for a joint that the skeleton does not have.
+        """
+        white = self.joints.copy()
+        if "sigma" in numbers:
+            white *= (numbers["sigma"] / _WHITE) ** 2
+        for name, factor in joints.items():
+            if name not in model.marker_names:
+                raise ConfigError(
+                    f"noise.joints: the skeleton has no joint {name!r} (there are: "
+                    f"{', '.join(model.marker_names)})"
+                )
+            white[model.marker_names.index(name)] = (numbers.get("sigma", _WHITE) * factor) ** 2
+        power, guessed = numbers.get("power", self.power), numbers.get("guessed", self.guessed)
+        return replace(self, joints=white, cameras=dict(cameras), power=power, guessed=guessed)
 
     def motion(self, freedom: float = FREEDOM, agility: float = 0.0) -> JointNoise:
         """Return the part that the filter takes; the numbers are those of FuseParams."""

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from hiros_mcap.calibrate.noise_model import measure_noise_model
+from hiros_cli.app import run
+from hiros_mcap.calibrate.noise_model import USUAL_POWER, measure_noise_model
+from hiros_mcap.config import load_config, to_toml
+from hiros_mcap.io.log import open_log
+from hiros_mcap.running.pipeline import ProcessOptions, set_up
 from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.stages.fusion_noise import FusionNoise
 
 MODEL = SkeletonModel.of(["HIP", "HAND"], [("arm", 0, 1)])
 
@@ -36,9 +43,63 @@ def test_range_joint_and_confidence() -> None:
 
 def test_one_range_does_not_tell_the_power() -> None:
     found = measure_noise_model(standing(2.0, 1), MODEL, {"camera_0": np.zeros(3)})
-    assert found.power == 1.0
+    assert found.power == USUAL_POWER
     assert np.isnan(found.guessed)
 
 
 def test_a_camera_without_a_pose_tells_nothing() -> None:
     assert measure_noise_model(standing(2.0, 1), MODEL, {}).joints == {}
+
+
+def test_between_cameras_the_range_cannot_be_told_from_the_camera() -> None:
+    frames = [f.replace(source=f"camera_{k}") for k in (0, 1) for f in standing(2.0 + 2 * k, k)]
+    places = {f"camera_{k}": np.zeros(3) for k in (0, 1)}
+    assert measure_noise_model(frames, MODEL, places).power == USUAL_POWER
+
+
+@pytest.fixture
+def measured(tmp_path: Path) -> Path:
+    frames = standing(1.5, 1) + standing(4.0, 2)
+    text = measure_noise_model(frames, MODEL, {"camera_0": np.zeros(3)}).toml()
+    (tmp_path / "noise.toml").write_text(text.replace("HIP", "PELVIS").replace("HAND", "HEAD"))
+    return tmp_path / "noise.toml"
+
+
+def test_fuse_reads_what_is_written(measured: Path, walking: Path) -> None:
+    config = load_config(measured, system="fuse")
+    with open_log(walking) as log:
+        noise = set_up(log, config, ProcessOptions("fuse")).noise
+        pelvis, head = (log.model.marker_names.index(name) for name in ("PELVIS", "HEAD"))
+        usual = FusionNoise.default(log.model)
+        assert set_up(log, config, ProcessOptions()).noise is None
+    assert np.sqrt(noise.joints[pelvis]) == pytest.approx(0.004, rel=0.15)
+    assert np.sqrt(noise.joints[head] / noise.joints[pelvis]) == pytest.approx(2.0, rel=0.1)
+    assert noise.power == pytest.approx(1.5, abs=0.15)
+    assert noise.guessed == usual.guessed
+    assert noise.cameras == {"camera_0": 1.0}
+
+
+def test_the_table_comes_back_from_the_configuration(measured: Path, tmp_path: Path) -> None:
+    config = load_config(measured, system="fuse")
+    (tmp_path / "again.toml").write_text(to_toml(config))
+    assert load_config(tmp_path / "again.toml").noise == config.noise
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("[noise]\nsigm = 1.0", "there is no such key"),
+        ("[noise]\njoints = 1.0", "joints should be a table"),
+        ("[noise]\nsigma = -1.0", "noise.sigma"),
+        ("[noise.joints]\nTAIL = 2.0", "the skeleton has no joint 'TAIL'"),
+    ],
+)
+def test_a_faulty_table_is_refused(
+    text: str, fault: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "noise.toml").write_text(text)
+    options = ["--system", "fuse", "--config", str(tmp_path / "noise.toml")]
+    assert run(["process", str(walking), "-o", str(tmp_path / "out.mcap"), *options]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert fault in line
+    assert not (tmp_path / "out.mcap").exists()

@@ -206,12 +206,12 @@ def test_a_misspelt_fixed_frame_is_an_error_and_no_reason_to_find_poses(
         process(log, tmp_path / "out.mcap", config=config)
 
 
-def test_a_causal_run_cannot_refine(
+def test_a_causal_run_cannot_look_first(
     scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
 ) -> None:
     log = write(tmp_path / "log.mcap", scene, detections[:90], true)
     assert process(log, options=ProcessOptions("hiros-realtime")).poses == ()
-    with pytest.raises(ConfigError, match="causal run does not refine"):
+    with pytest.raises(ConfigError, match="a causal run refines poses as it goes on"):
         options = ProcessOptions("hiros-realtime", calibrate="require")
         process(log, config=None, options=options)
 

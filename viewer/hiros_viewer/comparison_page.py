@@ -124,7 +124,7 @@ def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
         scene = Scene(recording, source.model, final="filtered", layer=layer)
         scene.start = source.start
         if not layer.number:
-            scene.begin(source.cameras)
+            scene.begin(source.cameras, source.later)
         for kind, frame in in_time_order(opened):
             if kind == DETECTIONS and not layer.number:
                 scene.detections(source.names[frame.source], frame)

@@ -49,7 +49,7 @@ class LiveView:
         self._names = dict(source.names)
         self._scene = Scene(self._recording, source.model, final=chain[-1], batch=BATCH)
         self._scene.start = source.start
-        self._scene.begin(source.cameras)
+        self._scene.begin(source.cameras, source.later)
         content = content_of([self._scene])
         self._lay_out(replace(content, stages=list(chain)))
 

@@ -85,6 +85,8 @@ class Source:
     topics: tuple[str, ...]
     report: Mapping[str, Mapping[str, Any]]
     """By camera: what the run that made the result counted."""
+    later: Mapping[str, Mapping[float, Rigid]]
+    """By camera that was moved: the poses after that, by the seconds from the start of the log."""
 
 
 def replay(
@@ -159,7 +161,10 @@ class _Replay:
         scene.truth = self._truth(source)
         scene.shows_truth = self.options.truth is not None
         only_stages = first is not None and bool(first.cameras)
-        scene.begin({} if only_stages else source.cameras)
+        if not only_stages:
+            scene.begin(source.cameras, source.later)
+        else:
+            scene.begin({})
         if self.options.calibration is not None and not only_stages:
             scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
         self._thin(whole)
@@ -275,16 +280,28 @@ def describe(log: Log) -> Source:
     """Find out what a log holds that can be drawn."""
     kinds = {kind_of(camera.channel.topic) for camera in log.cameras}
     detectors = [c for c in log.cameras if kind_of(c.channel.topic) == DETECTIONS]
-    names, poses = {}, {}
+    names, poses, later = {}, {}, {}
     for camera in detectors:
         for source in camera.sources.values():
             names[source] = _camera_name(camera, source, detectors)
         if (pose := log.pose_of(camera)) is not None:
             poses.update({names[source]: pose for source in camera.sources.values()})
+            moved = _later_poses(log, camera)
+            later.update({names[source]: moved for source in camera.sources.values() if moved})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     topics = tuple(dict.fromkeys(camera.channel.topic for camera in log.cameras))
     report = {names.get(c["name"], c["name"]): c for c in _report(log).get("cameras", ())}
-    return Source(log.model, poses, names, stages, _events(log), log.span[0], topics, report)
+    events = _events(log)
+    return Source(log.model, poses, names, stages, events, log.span[0], topics, report, later)
+
+
+def _later_poses(log: Log, camera: CameraChannel) -> dict[float, Rigid]:
+    """Return the poses of a camera after it was moved, by the seconds from the log's start."""
+    (frame,), fixed = camera.frames, log.fixed_frame
+    return {
+        (time - log.span[0]) / 1e9: log.transforms.lookup(frame, fixed, time, time)
+        for time in log.transforms.change_times([frame, fixed])
+    }
 
 
 def _camera_name(camera: CameraChannel, source: str, cameras: list[CameraChannel]) -> str:

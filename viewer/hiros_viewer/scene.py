@@ -187,8 +187,13 @@ class Scene:
 
     # -- what does not change ------------------------------------------------------------------
 
-    def begin(self, cameras: Mapping[str, Rigid]) -> None:
-        """Draw what stands still: axes, colours, and the cameras at their poses in the room."""
+    def begin(
+        self, cameras: Mapping[str, Rigid], later: Mapping[str, Mapping[float, Rigid]] | None = None
+    ) -> None:
+        """Draw what stands still: axes, colours, and the cameras at their poses in the room.
+
+        ``later`` has the further poses of cameras that were moved, by the time in s.
+        """
         if not self._layer.number:
             # Dim behind a result; without one, detections are all there is to see.
             self._entities.room(dim_detections=bool(self.final))
@@ -196,6 +201,8 @@ class Scene:
         for number, (name, pose) in enumerate(cameras.items()):
             _ = self._detections[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
+            for seconds, moved in (later or {}).get(name, {}).items():
+                self._entities.camera(f"{name} from {seconds:.1f} s", number, moved)
 
     def moves(self, moves: Sequence[CameraMove]) -> None:
         """Draw where cameras were before a calibration, and how far they moved."""

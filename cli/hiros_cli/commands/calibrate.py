@@ -197,8 +197,8 @@ def noise(
 ) -> None:
     """Measure the detectors' noise; print it as TOML for --config.
 
-    Only --system malaguti uses this parameter. The comments give the white noise by camera, joint,
-    range and confidence.
+    --system malaguti uses [kalman]; --system fuse and fuse-realtime use [noise], the white noise by
+    camera, joint, range and confidence.
     """
     from hiros_cli.compiling import prepare
     from hiros_cli.output import print_json, warn
@@ -248,8 +248,7 @@ def noise(
         for name, deviation in table.items():
             print(f"# {kind} {name}: {number(1000 * deviation, 1)}")
     if white.joints:
-        print("# White noise, which is new in every frame:")
-        print("\n".join(f"# {line}".rstrip() for line in white.toml().splitlines()))
+        print(f"# White noise, which is new in every frame\n{white.toml()}\n")
     if found.deviation > STILL_M:  # stdout may go into a file without the warning
         print("# more than 10 cm: somebody moved; choose a part without motion with --window")
     print(f"[kalman]\nmeasurement_noise = {found.deviation:.5f}")

@@ -1,0 +1,247 @@
+"""Finds cameras that were moved in the middle of a log, and where they stood before and after.
+
+Only a camera whose people do not fit those of the others, or fit much better with two poses than
+with one, is looked at (:func:`suspects`). Then its first and its last third have to give different
+poses (:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid, angle, from_matrix
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.calibrate.camera_change import (
+    CameraChange,
+    find_change,
+    located,
+    part_of,
+)
+from hiros_mcap.calibrate.camera_views import CameraView, view_of
+from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
+from hiros_mcap.calibrate.refinement import (
+    RefinedPose,
+    refine_poses,
+    refine_together,
+)
+from hiros_mcap.calibrate.sampling import CELL_S, Rig
+from hiros_mcap.io.log import Log
+from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.fixed_cameras import (
+    MOST_S,
+    STRETCHES,
+    FixedCamera,
+    read_sightings,
+    stretches,
+)
+from hiros_mcap.skeletons import Ints
+
+GAIN = 0.3
+"""A camera whose misfit falls by this share with a second pose may have been moved."""
+LEAST_M = 0.03
+"""A second pose brings people nearer by this, in both parts: views of real detectors differ by
+1 to 2 cm."""
+NARROW_S = 0.5
+"""If nobody was seen in the read parts of the log for longer around the change, more is read."""
+LOOK_S = 10.0
+SURE = ("good", "improved")
+LOOKS = 6
+"""Each look narrows the gap to a third or less."""
+
+
+class Move(NamedTuple):
+    """A camera was moved."""
+
+    camera: str
+    stamp: int
+    """Of its first message afterwards, ns."""
+    log_time: int
+    """Of the same message."""
+    metres: float
+    degrees: float
+
+    @property
+    def distance(self) -> str:
+        """How far, in words."""
+        return f"{100 * self.metres:.0f} cm and {self.degrees:.1f} degrees"
+
+
+@dataclass(frozen=True, slots=True)
+class PosedViews:
+    """What cameras see, and what their people tell about their poses.
+
+    A camera that was moved is there twice: the first is the one before.
+    """
+
+    cameras: list[FixedCamera]
+    """With the poses that the log gives."""
+    views: list[CameraView]
+    found: list[RefinedPose]
+    moves: tuple[Move, ...] = ()
+
+
+def split_moved(log: Log, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
+    """Return the cameras, those that were moved as two, each part with its own pose.
+
+    Where no camera was moved, or the log does not tell, ``posed`` itself is returned.
+    """
+    mirror = symmetry_of(log.model).mirror
+    left = suspects(posed, log.fixed_frame)
+    if not left:
+        return posed
+    seen = read_sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
+    views = [view_of(c.name, c.frame, seen.get(c.name, []), mirror) for c in posed.cameras]
+    splitter = _Splitter(log, clocks, mirror)
+    result = PosedViews(posed.cameras, views, posed.found)
+    tried: set[str] = set()
+    while left:
+        tried.add(left[0])
+        split = splitter.split(result, left[0])
+        # What a moved camera does to the others is over when its parts are known.
+        left = left if split is result else suspects(split, log.fixed_frame)
+        result, left = split, [name for name in left if name not in tried]
+    return result if result.moves else posed
+
+
+def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
+    """Return the cameras that may have been moved: those that do not fit, then the others.
+
+    Of two cameras that do not fit each other, it is taken to be the second.
+    """
+    pairs = zip(posed.cameras, posed.found, strict=True)
+    free = [(camera.name, one) for camera, one in pairs if camera.frame != fixed_frame]
+    if len(posed.cameras) == 2:
+        free = free[-1:]
+    odd = [name for name, one in free if not one.fits]
+    rest = {name: one.gain for name, one in free if one.fits and one.gain > GAIN}
+    return odd + sorted(rest, key=lambda name: -rest[name])
+
+
+class _Splitter:
+    """Splits the views of cameras that were moved in a log."""
+
+    def __init__(self, log: Log, clocks: ClockAlignment, mirror: Ints) -> None:
+        self._log, self._clocks, self._mirror = log, clocks, mirror
+        self._fixed, self._times = log.fixed_frame, log.times()
+
+    def split(self, posed: PosedViews, name: str) -> PosedViews:
+        """Return the views with those of a camera in two parts, if it was moved."""
+        c = [camera.name for camera in posed.cameras].index(name)
+        partner = _partner(posed, c)
+        if partner is None:
+            return posed
+        pair = [posed.views[partner], posed.views[c]]
+        change = find_change(pair, None, self._mirror)
+        if change is None or change.metres < LEAST_M:
+            return posed
+        change = self._narrowed(change, posed.cameras[partner], posed.cameras[c])
+        parts = self._refined(posed, c, partner, change)
+        if parts is None:
+            return posed
+        before, after = (_pose(parts.cameras[k], parts.found[k]) for k in (c, c + 1))
+        move = Move(name, *self._first_message(name, change.seconds), *distance_of(before, after))
+        return replace(parts, moves=(*posed.moves, move))
+
+    def _narrowed(
+        self, change: CameraChange, partner: FixedCamera, camera: FixedCamera
+    ) -> CameraChange:
+        """Look into the log where it was not read yet, until the time of the change is known."""
+        for _ in range(LOOKS):
+            if change.end - change.begin < NARROW_S:
+                break
+            ends = [self._first_message(partner.name, s)[1] for s in (change.begin, change.end)]
+            seen = read_sightings(
+                self._log, self._clocks, stretches(ends[0], ends[1], LOOK_S, STRETCHES)
+            )
+            pair = [
+                view_of(one.name, one.frame, seen.get(one.name, []), self._mirror)
+                for one in (partner, camera)
+            ]
+            nearer = located(pair, change.early, change.late, self._mirror, better=1.0)
+            if nearer is None:
+                break
+            begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)
+            change = change._replace(begin=begin, end=end)
+        return change
+
+    def _refined(
+        self, posed: PosedViews, c: int, partner: int, change: CameraChange
+    ) -> PosedViews | None:
+        """Refine all cameras, one of them in two parts; None if its parts do not fit, too."""
+        camera, at = posed.cameras[c], change.seconds
+        views, cameras, found = list(posed.views), list(posed.cameras), list(posed.found)
+        views[c : c + 1] = [part_of(views[c], *span) for span in ((-np.inf, at), (at, np.inf))]
+        cameras[c : c + 1], found[c : c + 1] = [camera] * 2, [found[c]] * 2
+        base = _pose(posed.cameras[partner], posed.found[partner])
+        ends = [base @ _second(rig) for rig in (change.early, change.late)]
+        new = c + int(np.argmax([_deviation(pose, camera.pose) for pose in ends]))
+        given = [one.pose for one in cameras]
+        given[new] = ends[new - c]
+        sound = [k for k, one in enumerate(found) if one.fits or k in (c, c + 1)]
+        some = [views[k] for k in sound], [given[k] for k in sound]
+        given[new] = self._placed(*some, sound.index(new))
+        anchor = next((k for k, one in enumerate(cameras) if one.frame == self._fixed), None)
+        found = refine_poses(views, given, self._mirror, anchor)
+        if not all(one.fits and one.verdict in SURE for one in found[c : c + 2]):
+            return None
+        found[new] = found[new]._replace(verdict="improved", pose=found[new].pose or given[new])
+        return PosedViews(cameras, views, found, posed.moves)
+
+    def _placed(self, views: Sequence[CameraView], given: Sequence[Rigid], new: int) -> Rigid:
+        """Return the refined pose of one camera; the others' given poses place the rig."""
+        refined = refine_together(views, given, self._mirror)
+        known = {k: pose for k, pose in enumerate(given) if k != new}
+        rig = moved(refined.rig, on_transforms(refined.rig, known))
+        return Rigid(from_matrix(rig.rotations[new]), rig.shifts[new])
+
+    def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
+        """Corrected stamp and log time, ns, of a camera's first message from some time on.
+
+        Seconds count from the start of the log.
+        """
+        times = self._times[name]
+        stamps = times.stamps
+        if name in self._clocks.corrections:
+            stamps = self._clocks.corrections[name].apply(stamps, times.log_times)
+        k = int(np.argmax(stamps >= self._log.span[0] + round(1e9 * seconds)))
+        return int(stamps[k]), int(times.log_times[k])
+
+
+def _partner(posed: PosedViews, c: int) -> int | None:
+    """Return the camera that sees most at the same time as another one, one that fits if any."""
+    sound = [k for k, one in enumerate(posed.found) if one.fits and k != c]
+    others = sound or [k for k in range(len(posed.found)) if k != c]
+    cells = [_cells(view) for view in posed.views]
+    return max(others, key=lambda k: len(cells[k] & cells[c]), default=None)
+
+
+def _cells(view: CameraView) -> set[int]:
+    """Return in which tenths of a second a camera sees somebody."""
+    seconds = [track.seconds for track in view.tracks]
+    return {int(s // CELL_S) for some in seconds for s in some.tolist()}
+
+
+def _pose(camera: FixedCamera, found: RefinedPose) -> Rigid:
+    """Return the pose that is used."""
+    return camera.pose if found.pose is None else found.pose
+
+
+def _second(rig: Rig) -> Rigid:
+    """Return the pose of the second camera in the first."""
+    return Rigid(from_matrix(rig.rotations[1]), rig.shifts[1])
+
+
+def distance_of(one: Rigid, other: Rigid) -> tuple[float, float]:
+    """Distance of two poses, m and degrees."""
+    metres = float(np.linalg.norm(one.translation - other.translation))
+    return metres, float(np.degrees(angle(one.xyzw, other.xyzw)))
+
+
+def _deviation(one: Rigid, other: Rigid) -> float:
+    """Distance of two poses, in units of the precision of a log's poses."""
+    metres, degrees = distance_of(one, other)
+    return float(np.hypot(degrees / PRIOR_DEG, metres / PRIOR_M))

@@ -1,0 +1,167 @@
+"""A camera that was moved in the middle of a log, in a run of hiros process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rooms import simulated, write
+
+from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid, angle, from_vector
+from hiros_mcap.body.transforms import pose_arrays
+from hiros_mcap.events import events_from_json
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT
+from hiros_mcap.io.log import open_log
+from hiros_mcap.kernels.transforming import move
+from hiros_mcap.running import moved_cameras
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import Simulation
+from hiros_mcap.skeletons import Frame
+from hiros_mcap.summary import Summary
+
+STEP = Rigid(from_vector(np.radians([3.0, -4.0, 0.0])), np.array([0.16, 0.0, 0.12]))
+"""5 degrees and 20 cm, in the camera's own frame."""
+AT_S = 10.6
+
+
+@pytest.fixture(scope="module")
+def scene() -> Simulation:
+    return simulated(cameras=3, seed=8, action="eight", seconds=20.0)
+
+
+@pytest.fixture(scope="module")
+def healthy(scene: Simulation) -> list[Frame]:
+    return list(scene.detections)
+
+
+def moved(frame: Frame, start: int) -> Frame:
+    """The frame of a camera that somebody moves."""
+    if frame.source != "camera_2" or frame.stamp < start + AT_S * 1e9:
+        return frame
+    people = frame.people.copy()
+    move(pose_arrays([STEP.inverse()]), 0, people)
+    return frame.replace(people=people)
+
+
+def logged(path: Path, scene: Simulation, frames: Sequence[Frame]) -> Path:
+    return write(path, frames, scene.model, {c.name: c.pose for c in scene.cameras})
+
+
+@pytest.fixture(scope="module")
+def log(scene: Simulation, healthy: list[Frame], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    start = min(frame.stamp for frame in healthy)
+    frames = [moved(frame, start) for frame in healthy]
+    return logged(tmp_path_factory.mktemp("moved") / "lab.mcap", scene, frames)
+
+
+@pytest.fixture(scope="module")
+def done(log: Path) -> tuple[Summary, Path]:
+    out = log.with_name("out.mcap")
+    return process(log, out), out
+
+
+def people(path: Path) -> dict[int, np.ndarray]:
+    """Stamp -> markers of the only person."""
+    with open_log(path, topics=["/hiros/filtered"], output_prefix="/none") as result:
+        return {f.stamp: f.positions[0] for f in result.frames() if f.n_people == 1}
+
+
+def distance(one: Path, other: Path) -> float:
+    """Mean distance of the joints of two results, m."""
+    a, b = people(one), people(other)
+    both = sorted(a.keys() & b.keys())
+    assert len(both) > 0.9 * len(a)
+    return float(np.nanmean([np.linalg.norm(a[t] - b[t], axis=1) for t in both]))
+
+
+def test_each_part_of_the_log_gets_its_own_pose(
+    log: Path,
+    done: tuple[Summary, Path],
+    scene: Simulation,
+    healthy: list[Frame],
+    tmp_path: Path,
+) -> None:
+    never, off = tmp_path / "never.mcap", tmp_path / "off.mcap"
+    process(logged(tmp_path / "lab.mcap", scene, healthy), never)
+    process(log, off, options=ProcessOptions(calibrate="off"))
+    assert distance(done[1], never) < 0.003 < 0.008 < distance(off, never)
+
+
+def test_the_summary_names_camera_and_time(done: tuple[Summary, Path]) -> None:
+    before, after = done[0].poses[2:]
+    assert (before.name, after.name) == ("camera_2", "camera_2")
+    assert before.until_s == after.since_s == pytest.approx(AT_S, abs=0.25)
+    assert np.isnan([before.since_s, after.until_s]).all()
+    assert (after.moved_deg, after.moved_mm) == (
+        pytest.approx(5, abs=0.3),
+        pytest.approx(200, abs=20),
+    )
+    (warning,) = done[0].warnings
+    assert warning.startswith("camera_2 was moved by 20 cm and ")
+    assert len(done[0].to_dict()["poses"]) == 4
+
+
+def test_the_result_holds_both_poses_and_an_event(
+    done: tuple[Summary, Path], scene: Simulation
+) -> None:
+    with open_log(done[1]) as log:
+        early, late = (log.transforms.lookup("camera_2", "lab", t, t) for t in log.span)
+        events = events_from_json((log.reader.attachment(EVENTS_ATTACHMENT) or b"").decode())
+    true = scene.cameras[2].pose
+    for pose, wanted in ((early, true), (late, true @ STEP)):
+        assert np.degrees(angle(pose.xyzw, wanted.xyzw)) < 0.4
+        assert np.linalg.norm(pose.translation - wanted.translation) < 0.03
+    (event,) = (event for event in events if event.kind == "camera moved")
+    assert (event.source, event.is_warning) == ("camera_2", True)
+
+
+def test_the_viewer_draws_both_poses(done: tuple[Summary, Path]) -> None:
+    import rerun.chunk
+
+    drawn = done[1].with_suffix(".rrd")
+    assert run(["view", str(done[1]), "--save", str(drawn), "--quiet"]) == 0
+    chunks = rerun.chunk.RrdReader(str(drawn)).stream().to_chunks()
+    paths = {chunk.entity_path.replace("\\", "") for chunk in chunks}
+    name = f"camera_2 from {done[0].poses[3].since_s:.1f} s"
+    assert {"/world/cameras/camera_2", f"/world/cameras/{name}"} <= paths
+
+
+def test_the_terminal_lists_both_parts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["process", str(log), "-o", str(log.with_name("again.mcap"))]) == 0
+    printed = capsys.readouterr()
+    assert "camera_2 to 10." in printed.out
+    assert "camera_2 from 10." in printed.out
+    assert "hiros: warning: camera_2 was moved" in printed.err
+
+
+def test_the_time_is_found_in_parts_of_the_log_that_were_not_read_at_first(
+    log: Path, done: tuple[Summary, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(moved_cameras, "MOST_S", 17.0)
+    monkeypatch.setattr(moved_cameras, "STRETCHES", 2)  # 0.75 to 9.25 s, and 10.75 to 19.25 s
+    summary = process(log)
+    assert summary.poses[2].until_s == pytest.approx(AT_S, abs=0.25)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_somebody_who_stands_still_is_no_camera_that_was_moved(
+    first: bool, scene: Simulation, healthy: list[Frame], tmp_path: Path
+) -> None:
+    middle = min(frame.stamp for frame in healthy) + 10_000_000_000
+    frozen = {f.source: f for f in healthy if f.n_people == 1 and f.stamp < middle}
+    rng = np.random.default_rng(3)
+    frames = []
+    for frame in healthy:
+        if (frame.stamp < middle) == first and frame.n_people == 1:
+            markers = frozen[frame.source].markers.copy()
+            markers[:, :, :3] += rng.normal(0.0, 0.007, markers[:, :, :3].shape)
+            frame = frozen[frame.source].replace(
+                stamp=frame.stamp, log_time=frame.log_time, stamps=frame.stamps, markers=markers
+            )
+        frames.append(frame)
+    summary = process(logged(tmp_path / "log.mcap", scene, frames))
+    assert len(summary.poses) == 3
+    assert summary.warnings == ()

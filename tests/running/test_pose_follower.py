@@ -1,0 +1,102 @@
+"""The cameras' poses of a causal run: refined slowly, by what was seen before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_live import LIVE, recorded, results, run_live, send
+from test_pose_alignment import turned, write
+
+from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.io.log import Log, open_log
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pose_alignment import PoseAlignment
+from hiros_mcap.running.pose_follower import PoseFollower
+from hiros_mcap.simulate import SimulateParams, Simulation, simulate
+from hiros_mcap.skeletons import Frame
+
+
+@pytest.fixture(scope="module")
+def scene() -> Simulation:
+    return simulate(SimulateParams(people=1, cameras=3, seconds=14.0, seed=5))
+
+
+@pytest.fixture(scope="module")
+def folder(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs with true poses and with one that is off by two degrees."""
+    folder = tmp_path_factory.mktemp("poses")
+    true = {camera.name: camera.pose for camera in scene.cameras}
+    frames = list(scene.detections)
+    write(folder / "true.mcap", scene, frames, true)
+    off = true | {"camera_2": turned(true["camera_2"], 2.0, 0.0)}
+    write(folder / "off.mcap", scene, frames, off)
+    return folder
+
+
+def followed(log: Log, blocks: Iterable[Block]) -> tuple[list[Frame], PoseAlignment]:
+    alignment = PoseAlignment()
+    return list(frames_of(PoseFollower(log, alignment).correct(blocks))), alignment
+
+
+def assert_same(ones: Sequence[Frame], others: Sequence[Frame]) -> None:
+    for one, other in zip(ones, others, strict=True):
+        np.testing.assert_array_equal(one.markers, other.markers)
+        np.testing.assert_array_equal(one.links, other.links)
+
+
+def test_a_wrong_pose_is_found_and_left_in_small_steps(folder: Path) -> None:
+    with open_log(folder / "off.mcap") as log:
+        given, (found, alignment) = list(log.detections()), followed(log, log.blocks())
+    ways = {
+        f.log_time: np.nanmax(np.abs(b.positions - f.positions))
+        for f, b in zip(given, found, strict=True)
+        if f.source == "camera_2" and f.n_people
+    }
+    assert alignment.cameras[2].verdict == "improved"
+    assert alignment.cameras[2].moved_deg == pytest.approx(2.0, abs=0.4)
+    start = min(ways)
+    assert all(way == 0.0 for time, way in ways.items() if time < start + 9.9e9)
+    assert ways[max(ways)] > 0.02
+    assert np.abs(np.diff(list(ways.values()))).max() < 0.02
+
+
+def test_it_does_not_matter_how_messages_come_in_blocks(folder: Path) -> None:
+    with open_log(folder / "off.mcap") as log:
+        frames = list(log.detections())
+        whole = join([(Block.of(frame), 0) for frame in frames])
+        one_by_one, in_one = followed(log, map(Block.of, frames))[0], followed(log, [whole])[0]
+        assert_same(one_by_one, in_one)
+        assert_same(one_by_one, followed(log, log.blocks())[0])
+    assert any((a.markers != b.markers).any() for a, b in zip(frames, in_one, strict=True))
+
+
+def test_what_comes_later_changes_nothing(folder: Path) -> None:
+    with open_log(folder / "off.mcap") as log:
+        frames = list(log.detections())
+        some = frames[: len(frames) * 9 // 10]
+        early, whole = (followed(log, map(Block.of, each))[0] for each in (some, frames))
+    assert_same(early, whole[: len(early)])
+
+
+def test_true_poses_stay(folder: Path) -> None:
+    with open_log(folder / "true.mcap") as log:
+        given, (found, alignment) = list(log.detections()), followed(log, log.blocks())
+    assert_same(given, found)
+    assert [camera.verdict for camera in alignment.cameras] == ["good"] * 3
+    assert not alignment.replaced
+
+
+def test_a_pipe_is_corrected_as_a_file_is(folder: Path, tmp_path: Path) -> None:
+    path = folder / "off.mcap"
+    in_file = process(path, tmp_path / "auto.mcap", options=LIVE)
+    by_file = results((tmp_path / "auto.mcap").read_bytes())
+    live, out = run_live(send(path, recorded(path)))
+    assert results(out) == by_file
+    assert live.poses == in_file.poses
+    assert in_file.poses[2].used
+    options = ProcessOptions("hiros-realtime", calibrate="off")
+    assert process(path, tmp_path / "off.mcap", options=options).poses == ()
+    assert results((tmp_path / "off.mcap").read_bytes()) != by_file
