@@ -37,6 +37,8 @@ from hiros_mcap.body.segments import (
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 HANGING_DEG = 10.0
+LEAP_DEG = 90.0
+"""No joint turns so far from one frame to the next."""
 
 ANGLE_NAMES: tuple[str, ...] = (
     *("pelvis tilt", "pelvis obliquity", "pelvis rotation"),
@@ -120,6 +122,9 @@ def anatomical_angles(
 def continued(angles: Floats, before: Floats | None = None) -> Floats:
     """Continue each column of (T, A), rad, over jumps of 360 degrees; gaps stay.
 
+    Where an angle turns by more than :data:`LEAP_DEG` the skeleton is distorted, and nobody knows
+    which way it went: the angle is left as it is there, and continued from there on.
+
     ``before`` (A,) are the last angles before the first row; NaN where there are none.
     """
     out = angles.copy()
@@ -127,10 +132,20 @@ def continued(angles: Floats, before: Floats | None = None) -> Floats:
     for column, last in zip(out.T, first, strict=True):
         known: npt.NDArray[np.bool_] = ~np.isnan(column)
         if np.isnan(last):
-            column[known] = np.unwrap(column[known])
+            column[known] = _continued(column[known])
         else:
-            column[known] = np.unwrap(np.concatenate([[last], column[known]]))[1:]
+            column[known] = _continued(np.append(last, column[known]))[1:]
     return out
+
+
+def _continued(angles: Floats) -> Floats:
+    """Continue angles (T,), rad, none of which is absent."""
+    steps = np.diff(angles)
+    turns = np.append(0.0, np.cumsum(np.round(-steps / (2 * np.pi))))[: len(angles)]
+    shortest = np.abs((steps + np.pi) % (2 * np.pi) - np.pi)
+    leaps = np.flatnonzero(shortest > np.radians(LEAP_DEG)) + 1
+    starts = np.append(0, leaps)[np.searchsorted(leaps, np.arange(len(angles)), side="right")]
+    return np.asarray(angles + 2 * np.pi * (turns - turns[starts]))
 
 
 # -- joints ----------------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ from hiros_mcap.events import Event
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
-from hiros_viewer.columns import GONE_NS, Curves, Line, TextRows
+from hiros_viewer.columns import GONE_NS, Curves, Line, TextRows, after_pauses
 from hiros_viewer.displacement import EarlierPoses, mean_distances
 from hiros_viewer.entities import (
     Entities,
@@ -417,8 +417,7 @@ class Scene:
         past = self._pasts[person]
         main = [ANGLE_NAMES.index(name) for name in MAIN_ANGLES]
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
-        angles = continued(jumping, past.angles)
-        past.angles = angles[-1]
+        angles = past.angles(times, jumping)
         self._extend_sides("angles", person, MAIN_ANGLES, times, np.degrees(angles))
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
@@ -449,12 +448,23 @@ class Scene:
 class _Past:
     """What curves of a person go on from."""
 
-    angles: Floats | None = None
-    """Joint angles, rad, in the newest row."""
     _times: Stamps | None = None
-    """(2,) of that row."""
+    """(2,) of the newest row."""
     _root: Floats | None = None
-    """(3,) m."""
+    """(3,) m, in that row."""
+    _angles: Floats | None = None
+    """(A,) joint angles, rad, each where it was last known."""
+
+    def angles(self, times: Stamps, jumping: Floats) -> Floats:
+        """Continue angles (T, A), rad, over jumps of 360 degrees, but not over pauses."""
+        places, _ = after_pauses(times, self._times)
+        runs = enumerate(np.split(jumping, places))
+        parts = [continued(part, None if k else self._angles) for k, part in runs]
+        newest = parts[-1][::-1]
+        row = newest[(~np.isnan(newest)).argmax(axis=0), np.arange(newest.shape[1])]
+        earlier = row if self._angles is None or len(parts) > 1 else self._angles
+        self._angles = np.where(np.isnan(row), earlier, row)
+        return np.concatenate(parts)
 
     def continued(self, times: Stamps, roots: Floats) -> tuple[Stamps, Floats]:
         """Return rows (T, 2) and places of the root (T, 3) with those before the first."""
