@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
@@ -21,6 +22,7 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.export.colours import PEOPLE, RGB, person_colour
 from hiros_mcap.io.log import open_log
+from hiros_mcap.io.marker_uncertainty import read_uncertainty
 from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
@@ -30,6 +32,7 @@ from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
 from hiros_viewer.columns import LOGGED, TIMELINE, Curves, Line
 from hiros_viewer.displacement import EarlierPoses
+from hiros_viewer.ellipsoids import HALF_SIZE
 from hiros_viewer.palette import SIDES, shade
 from hiros_viewer.poses import Poses
 from hiros_viewer.scene import Scene
@@ -386,6 +389,34 @@ def test_who_is_there_for_longest_is_seen_first(processed: Path) -> None:
         one = frame.replace(ids=np.array([person] + [-1] * (frame.n_people - 1), np.int32))
         scene.draw({("filtered", ""): Poses.of(one)})
     assert scene.longest == 7
+
+
+def test_ellipsoids_hold_the_stated_deviations(tmp_path: Path) -> None:
+    result, target = tmp_path / "fused.mcap", tmp_path / "fused.rrd"
+    process(CROSSING, result, options=ProcessOptions(system="fuse"))
+    assert run(["view", str(result), "--uncertainty", "--save", str(target), "-q"]) == 0
+    told, frames = read_uncertainty(result), read_channel(result, "/hiros/filtered")[0]
+    sizes = rows(target, "/uncertainty/person_1", "Ellipsoids3D:half_sizes")
+    centers = rows(target, "/uncertainty/person_1", "Ellipsoids3D:centers")
+    for frame in frames:
+        row = frame.ids.tolist().index(1)
+        deviations = np.array(list(told[frame.stamp, 1].values()))
+        known = ~np.isnan(deviations)
+        assert known.any()
+        half = np.tile(HALF_SIZE * deviations[known][:, None], 3)
+        assert np.allclose(sizes[frame.stamp], half, rtol=1e-6)
+        assert np.allclose(centers[frame.stamp], frame.positions[row][known], atol=1e-5)
+    assert len(sizes[max(sizes)]) == 0  # hidden with the person
+    assert chi2.cdf(HALF_SIZE**2, 3) == pytest.approx(0.68, abs=1e-4)
+
+
+def test_ellipsoids_are_drawn_on_request_alone(
+    processed: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not any(path.startswith("/uncertainty") for path in entities(recording))
+    arguments = ["view", str(processed), "--uncertainty", "--save", str(tmp_path / "a.rrd")]
+    assert run(arguments) == 2
+    assert "does not say how well its markers are known" in capsys.readouterr().err
 
 
 def test_the_tree(recording: Path) -> None:

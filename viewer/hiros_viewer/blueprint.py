@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate
-from hiros_viewer.columns import STAMP, TIMELINE
+from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
 from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
 
@@ -47,6 +47,8 @@ class Content:
     """Whether the result was compared with a truth."""
     shows_truth: bool = False
     """Whether the truth is drawn in the room, where it makes the result thin."""
+    shows_uncertainty: bool = False
+    """Whether ellipsoids are drawn round joints, whose own size would hide them."""
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
     longest: int = 0
@@ -224,10 +226,12 @@ def _room(
         overrides = _compared_looks(content, *shown)
         earlier = _paths(content, shown[0])
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
-    elif shown and (content.shows_truth or seen_by):
+    elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
         overrides = _thin_looks(content, *shown)
     if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
+    if content.shows_uncertainty:
+        what += _all(content, "/uncertainty/**")
     trail = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
@@ -235,7 +239,7 @@ def _room(
                 start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
                 end=rr.TimeRangeBoundary.cursor_relative(),
             )
-            for timeline in (TIMELINE, STAMP)
+            for timeline in (TIMELINE, STAMP, LOGGED)
         ]
     )
     overrides |= {

@@ -47,6 +47,7 @@ _DETECTION_M = 0.006
 _THIN = -1.0  # rerun counts negative radii in points on the screen
 _LABEL_ABOVE_M, _LABEL_STEP_M = 0.18, 0.16  # above the head; above the label of another log
 _ERROR_PX = -2.0
+_ELLIPSOID_ALPHA, _ELLIPSOID_LINE = 60, -0.5
 MAGNIFIED = 5.0
 """Displacements are millimetres; drawn to scale nobody would see them."""
 _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log does not tell it
@@ -315,6 +316,29 @@ class Entities:
         """Send rows (R, 2) of an entity, each with so many instances of its components."""
         when = time_columns(times, self.start)
         self.recording.send_columns(path, when, columns(batches, counts))
+
+    def ellipsoids(self, person: int, times: Stamps, joints: Floats, half_sizes: Floats) -> None:
+        """Send pale ellipsoids round joints (T, M, 3), m, of half axes (T, M), m; none for NaN."""
+        import rerun as rr
+
+        path = f"{self._layer.prefix}/uncertainty/{person_part(person)}"
+        if self._is_new(path):
+            red, green, blue = pale(person_hue(person, self._layer))
+            look = rr.Ellipsoids3D.from_fields(
+                colors=[(red, green, blue, _ELLIPSOID_ALPHA)],
+                fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
+                line_radii=_ELLIPSOID_LINE,
+                show_labels=False,
+            )
+            self.recording.log(path, look, static=True)
+        known = ~(np.isnan(joints).any(axis=2) | np.isnan(half_sizes))
+        sizes = np.repeat(half_sizes[known][:, None], 3, axis=1).astype(np.float32)
+        centers = joints[known].astype(np.float32)
+        parts = {
+            rr.Ellipsoids3D.descriptor_half_sizes(): rr.components.HalfSize3DBatch(sizes),
+            rr.Ellipsoids3D.descriptor_centers(): rr.components.Translation3DBatch(centers),
+        }
+        self._send(path, times, parts, known.sum(axis=1))
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""

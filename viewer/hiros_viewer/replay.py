@@ -27,6 +27,7 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.camera_moves import camera_moves
+from hiros_viewer.ellipsoids import Uncertainties
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
@@ -66,6 +67,8 @@ class ViewOptions:
     """File with the true people, or a channel of the log; None = the log's own, if it has one."""
     calibration: Path | None = None
     """File with the cameras' poses that are compared with the log's, and used."""
+    uncertainty: bool = False
+    """Whether to draw how well the joints are known, as ellipsoids."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +160,8 @@ class _Replay:
         scene.start = None if first is None else first.start
         scene.truth = self._truth(source)
         scene.shows_truth = self.options.truth is not None
+        if self.options.uncertainty:
+            scene.uncertainties = Uncertainties.of_result(self.path, source.model)
         only_stages = first is not None and bool(first.cameras)
         scene.begin({} if only_stages else source.cameras)
         if self.options.calibration is not None and not only_stages:
@@ -368,6 +373,7 @@ def content_of(scenes: list[Scene]) -> Content:
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         prefixes=[scene.prefix for scene in scenes],
         shows_truth=any(scene.shows_truth for scene in scenes),
+        shows_uncertainty=any(scene.uncertainties is not None for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
         has_moves=any(scene.has_moves for scene in scenes),
         longest=scenes[0].longest,

@@ -12,6 +12,7 @@
     /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
     /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
+    /uncertainty/<person>       ellipsoids that hold the true joints with 68 %
     /state/<person>             while somebody is tracked;  /log   events
     /marked/<camera>/<fault>    detections that are mirrored or far off;  /views/...   when
     /cameras                    numbers of each camera
@@ -43,6 +44,7 @@ from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
 from hiros_viewer.columns import GONE_NS, Curves, Line, TextRows, after_pauses
 from hiros_viewer.displacement import EarlierPoses, mean_distances
+from hiros_viewer.ellipsoids import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.entities import (
     Entities,
     Layer,
@@ -102,6 +104,8 @@ class Scene:
         """What to compare the last stage with, on the markers of the model."""
         self.shows_truth = False
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
+        self.uncertainties: Uncertainties | None = None
+        """How well joints are known, to be drawn as ellipsoids."""
         self.most_people = 0
         """In one detection message."""
         self.has_moves = False
@@ -287,6 +291,8 @@ class Scene:
         shown, highest = self._entities.person(path, visit, poses, is_strong=is_strong)
         self._extend_bounds(highest)
         own = poses.positions[visit.people[shown]]
+        if stage == UNCERTAIN_STAGE:
+            self._show_uncertainty(visit, shown, own)
         if stage == self.final:
             self._states(visit)
             self._lengths[visit.person] += int(shown.sum())
@@ -295,6 +301,15 @@ class Scene:
                 self._derive_curves(visit.person, visit.times[shown], own)
         elif stage in self._before():
             self._earlier[stage, visit.person].add(visit.times[shown, 0], own)
+
+    def _show_uncertainty(self, visit: Visit, shown: Flags, poses: Floats) -> None:
+        """Draw how well the joints ``poses`` (K, M, 3) of the rows shown are known."""
+        if self.uncertainties is not None:
+            sizes = np.full((len(shown), self.model.n_markers), np.nan)
+            sizes[shown] = self.uncertainties.at(visit.person, visit.times[shown, 0])
+            joints = np.full((*sizes.shape, 3), np.nan)
+            joints[shown] = poses
+            self._entities.ellipsoids(visit.person, visit.times, joints, HALF_SIZE * sizes)
 
     def _states(self, visit: Visit) -> None:
         """Note when somebody comes and goes."""
