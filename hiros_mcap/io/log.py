@@ -411,6 +411,10 @@ class Log:
                 for part, messages in order.before(some.until):
                     yield from self._accounted(part, messages, inputs)
 
+    def only(self, topics: Collection[str]) -> None:
+        """Read these skeleton channels alone from here on."""
+        self.cameras = tuple(c for c in self.cameras if c.channel.topic in topics)
+
     def use(self, camera: CameraChannel) -> None:
         """Read the messages of a camera from here on."""
         topic = camera.channel.topic

@@ -23,6 +23,7 @@ JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
+_THIN_JOINT_M = 0.012
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 
 
@@ -129,7 +130,7 @@ def stages(content: Content) -> rrb.Container:
     ]
     residual = _series("Detections to the result: mean mm", ["/residual/**"])
     return rrb.Horizontal(
-        room, rrb.Vertical(*moved, residual, _events(content)), column_shares=[4, 3]
+        room, rrb.Vertical(*moved, residual, _events(content)), column_shares=[1, 1]
     )
 
 
@@ -227,7 +228,8 @@ def _room(
         earlier = _paths(content, shown[0])
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
     elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
-        overrides = _thin_looks(content, *shown)
+        joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
+        overrides = _thin_looks(content, shown[0], joint)
     if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
     if content.shows_uncertainty:
@@ -277,11 +279,11 @@ def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]
     }
 
 
-def _thin_looks(content: Content, stage: str) -> dict[str, Any]:
+def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
     import rerun as rr
 
-    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=0.012)
+    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=joint)
     paths = _paths(content, stage)
     return {f"{path}/{part}": bones for path in paths for part in _BONES} | dict.fromkeys(
         paths, joints
@@ -299,8 +301,8 @@ def _eye(content: Content) -> Floats:
     People fill the view: a standing person's height, or the ground that they walk on.
     """
     back, half = np.array([-0.55, -0.85]), np.radians(_VERTICAL_VIEW_DEG / 2)
-    across = max(1.2, 0.85 * (content.reach + 0.4))  # a view is a little wider than high
-    distance = across / np.tan(half) + 0.4 * content.reach
+    across = max(1.2, 0.7 * (content.reach + 0.4))  # a view is wider than high
+    distance = across / np.tan(half) + 0.3 * content.reach
     if content.camera_poses:
         places = [pose.translation for pose in content.camera_poses.values()]
         offset = (np.mean(places, axis=0) - content.centre)[:2]

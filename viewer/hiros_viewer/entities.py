@@ -47,7 +47,7 @@ _DETECTION_M = 0.006
 _THIN = -1.0  # rerun counts negative radii in points on the screen
 _LABEL_ABOVE_M, _LABEL_STEP_M = 0.18, 0.16  # above the head; above the label of another log
 _ERROR_PX = -2.0
-_ELLIPSOID_ALPHA, _ELLIPSOID_LINE = 60, -0.5
+_ELLIPSOID_ALPHA, _ELLIPSOID_LINE = 110, -0.5
 MAGNIFIED = 5.0
 """Displacements are millimetres; drawn to scale nobody would see them."""
 _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log does not tell it

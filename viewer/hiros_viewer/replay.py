@@ -152,42 +152,52 @@ class _Replay:
 
     def draw(self, first: Scene | None, is_open: Callable[[], bool]) -> Scene:
         """Draw it; seconds count from the start of the first log when two are overlaid."""
-        with self._open(["*"]) as log:
+        extrinsics = self.options.calibration or self.options.extrinsics
+        with open_log(self.path, topics=["*"], output_prefix="/none", extrinsics=extrinsics) as log:
             source = describe(log)
-            final = self._final(source)
-            whole = (log.span[1] - log.span[0]) / 1e9
+            scene = self._scene(log, source, first)
+            only_stages = first is not None and bool(first.cameras)
+            scene.begin({} if only_stages else source.cameras)
+            if self.options.calibration is not None and not only_stages:
+                scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
+            self._thin((log.span[1] - log.span[0]) / 1e9)
+            log.only(self._topics(source, scene.final))
+            left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
+            drawn = self._draw_frames(scene, log, left_out, is_open)
+        self._finish(scene, source, drawn)
+        return scene
+
+    def _scene(self, log: Log, source: Source, first: Scene | None) -> Scene:
+        """Return an empty scene that knows what the log is compared with."""
+        final = self._final(source)
         scene = Scene(self.recording, source.model, final=final, layer=self.layer)
         scene.start = None if first is None else first.start
-        scene.truth = self._truth(source)
+        scene.truth = self._truth(log)
         scene.shows_truth = self.options.truth is not None
         if self.options.uncertainty:
             scene.uncertainties = Uncertainties.of_result(self.path, source.model)
-        only_stages = first is not None and bool(first.cameras)
-        scene.begin({} if only_stages else source.cameras)
-        if self.options.calibration is not None and not only_stages:
-            scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
-        self._thin(whole)
-        left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
-        drawn = 0
-        with self._open(self._topics(source, final)) as log:
-            spans = self._spans(source.start)
-            for frames in in_time_order(log, left_out, self._step, spans):
-                first_stamp = min(int(poses.stamps[0]) for poses in frames.values())
-                if scene.start is None:
-                    # Outputs alone are logged later than they are stamped: whichever is first.
-                    scene.start = min(source.start, first_stamp)
-                if self._window is None:
-                    start = min(source.start, first_stamp)
-                    self._window = _window(start, self.options.time_range)
-                if first_stamp > self._window[1] + HORIZON_NS or not is_open():
-                    break
-                drawn += self._draw(scene, frames)
-                if not self._laid_out and scene.bounds:
-                    self._laid_out = True
-                    content = content_of([scene])
-                    self.recording.send_blueprint(blueprint(content, self.options.layout))
-        self._finish(scene, source, drawn)
         return scene
+
+    def _draw_frames(
+        self, scene: Scene, log: Log, left_out: Collection[str], is_open: Callable[[], bool]
+    ) -> int:
+        """Draw the log; return the number of frames."""
+        start, drawn = log.span[0], 0
+        for frames in in_time_order(log, left_out, self._step, self._spans(start)):
+            first_stamp = min(int(poses.stamps[0]) for poses in frames.values())
+            if self._window is None:
+                # Outputs alone are logged later than they are stamped: whichever is first.
+                start = min(start, first_stamp)
+                scene.start = start if scene.start is None else scene.start
+                self._window = _window(start, self.options.time_range)
+            if first_stamp > self._window[1] + HORIZON_NS or not is_open():
+                break
+            drawn += self._draw(scene, frames)
+            if not self._laid_out and scene.bounds:
+                self._laid_out = True
+                content = content_of([scene])
+                self.recording.send_blueprint(blueprint(content, self.options.layout))
+        return drawn
 
     def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
         """Draw what is known of the whole log: the truth and the events."""
@@ -205,10 +215,6 @@ class _Replay:
         scene.finish()
         scene.describe_cameras(source.report)
 
-    def _open(self, topics: Sequence[str]) -> Log:
-        extrinsics = self.options.calibration or self.options.extrinsics
-        return open_log(self.path, topics=topics, output_prefix="/none", extrinsics=extrinsics)
-
     def _final(self, source: Source) -> str:
         """Return the stage that curves are taken from; "" = there is none."""
         asked = self.options.stage
@@ -217,12 +223,15 @@ class _Replay:
             raise LogError(f"holds no stage {asked!r}", path=self.path)
         return asked or (source.stages[-1] if source.stages else "")
 
-    def _truth(self, source: Source) -> Truth | None:
+    def _truth(self, log: Log) -> Truth | None:
         """Return the truth on the log's markers, at the log's time."""
+        own = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in log.channels)
+        if self.options.truth is None and not own:
+            return None  # looking for it in a long log takes a while
         found = find_truth(self.path, self.options.truth)
         if found is None:
             return None
-        return found.moved(start=start_of(self.path)).seen_by(source.model)
+        return found.moved(start=start_of(self.path)).seen_by(log.model)
 
     def _draw_truth(self, scene: Scene, truth: Truth) -> int:
         """Draw the true people, once if logs are overlaid; return the number of instants."""
@@ -263,10 +272,10 @@ class _Replay:
         begin, end = _window(start, self.options.time_range)
         return [(start, start + 10**9), (begin - HORIZON_NS, end + 4 * HORIZON_NS)]
 
-    def _topics(self, source: Source, final: str) -> list[str]:
+    def _topics(self, source: Source, final: str) -> Sequence[str]:
         """Return what to read: of a long log, what its layout shows."""
         if not self._step:
-            return ["*"]
+            return source.topics
         shown = {final, *(source.stages if self.options.layout == "stages" else ())}
         left_out = {f"{OUTPUT_PREFIX}/{stage}" for stage in source.stages if stage not in shown}
         return [topic for topic in source.topics if topic not in left_out]
