@@ -126,6 +126,15 @@ def test_a_distorted_skeleton_leaves_no_turn_behind() -> None:
     assert continued(np.full((3, 2), np.nan)).shape == (3, 2)
 
 
+def test_a_limb_does_not_go_round() -> None:
+    """It seems to, step by step, where a skeleton is distorted; a person may turn for real."""
+    spinning = (np.radians(np.arange(0.0, 800.0, 40.0)) + np.pi) % (2 * np.pi) - np.pi
+    both = np.degrees(continued(np.stack([spinning, spinning], 1), most=np.array([4.7, np.inf])))
+    assert np.abs(both[:, 0]).max() < 270
+    np.testing.assert_allclose(both[:, 1], np.arange(0.0, 800.0, 40.0))
+    np.testing.assert_allclose(np.cos(np.radians(both[:, 0])), np.cos(spinning), atol=1e-9)
+
+
 def test_other_angles_do_not_depend_on_where_a_person_stands_and_looks() -> None:
     here = posed(thigh_left=(30, 10, 0), upper_arm_right=(50, -20, 0), shank_left=(-40, 0, 0))
     there = here @ Rotation.from_euler("z", 100, degrees=True).as_matrix().T + [3.0, -2.0, 0.5]

@@ -31,7 +31,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, anatomical_angles, continued
+from hiros_mcap.body.anatomy import (
+    ANGLE_NAMES,
+    MAIN_ANGLES,
+    MOST_RAD,
+    anatomical_angles,
+    continued,
+)
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
@@ -432,7 +438,7 @@ class Scene:
         past = self._pasts[person]
         main = [ANGLE_NAMES.index(name) for name in MAIN_ANGLES]
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
-        angles = past.angles(times, jumping)
+        angles = past.angles(times, jumping, MOST_RAD[main])
         self._extend_sides("angles", person, MAIN_ANGLES, times, np.degrees(angles))
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
@@ -470,11 +476,11 @@ class _Past:
     _angles: Floats | None = None
     """(A,) joint angles, rad, each where it was last known."""
 
-    def angles(self, times: Stamps, jumping: Floats) -> Floats:
-        """Continue angles (T, A), rad, over jumps of 360 degrees, but not over pauses."""
+    def angles(self, times: Stamps, jumping: Floats, most: Floats) -> Floats:
+        """Continue angles (T, A), at most (A,) rad, over jumps of 360 degrees but not pauses."""
         places, _ = after_pauses(times, self._times)
         runs = enumerate(np.split(jumping, places))
-        parts = [continued(part, None if k else self._angles) for k, part in runs]
+        parts = [continued(part, None if k else self._angles, most) for k, part in runs]
         newest = parts[-1][::-1]
         row = newest[(~np.isnan(newest)).argmax(axis=0), np.arange(newest.shape[1])]
         earlier = row if self._angles is None or len(parts) > 1 else self._angles
