@@ -475,6 +475,31 @@ def test_a_time_range(processed: Path, tmp_path: Path) -> None:
     assert stamps[-2] <= start + 2_000_000_000
 
 
+def test_a_time_range_has_its_results_though_they_were_logged_much_later(
+    processed: Path, tmp_path: Path
+) -> None:
+    """A system may wait until it knows limbs; nobody may be there meanwhile."""
+    late, target = tmp_path / "late.mcap", tmp_path / "late.rrd"
+    with (
+        open_log(processed, topics=["*"], output_prefix="/none") as log,
+        McapWriter(late) as writer,
+    ):
+        topics = {c.channel.topic: add_skeleton_channel(writer, c.channel.topic)
+                  for c in log.cameras}  # fmt: skip
+        encoder, start = Encoder(log.model), log.span[0]
+        for names, block in log.blocks_by_topic():
+            for topic, frame in zip(names, block.frames(), strict=True):
+                later = 60_000_000_000 * topic.startswith("/hiros/")
+                if later or frame.stamp < start + 3_000_000_000:
+                    writer.write(topics[topic], frame.log_time + later, encoder.encode(frame))
+        writer.commit()
+    arguments = ["view", str(late), "--time-range", "1:2", "--save", str(target), "-q"]
+    assert run(arguments) == 0
+    stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
+    assert len(stamps) > 25
+    assert start + 1_000_000_000 <= stamps[0] < stamps[-2] <= start + 2_000_000_000
+
+
 def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Path) -> None:
     from hiros_mcap.config import load_config
 

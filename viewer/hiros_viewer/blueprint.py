@@ -52,6 +52,8 @@ class Content:
     """Whether ellipsoids are drawn round joints, whose own size would hide them."""
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
+    has_faults: bool = True
+    """Whether a camera's view was wrong for a while."""
     longest: int = 0
     """Who of the people is there for longest: whose curves are seen first."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -175,7 +177,8 @@ def cameras(content: Content) -> rrb.Container:
             name="When a camera's view is wrong",
             time_view=_whole(),
         )
-        below = [table, _series("Distance to the result, mm", ["/residual/**"]), wrong]
+        below = [table, _series("Distance to the result, mm", ["/residual/**"])]
+        below += [wrong] if content.has_faults else []  # else the viewer fills it with advice
     return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
 
 

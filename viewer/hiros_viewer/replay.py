@@ -183,6 +183,7 @@ class _Replay:
     ) -> int:
         """Draw the log; return the number of frames."""
         start, drawn = log.span[0], 0
+        unfinished = {kind_of(camera.channel.topic) for camera in log.cameras} - set(left_out)
         for frames in in_time_order(log, left_out, self._step, self._spans(start)):
             first_stamp = min(int(poses.stamps[0]) for poses in frames.values())
             if self._window is None:
@@ -190,13 +191,18 @@ class _Replay:
                 start = min(start, first_stamp)
                 scene.start = start if scene.start is None else scene.start
                 self._window = _window(start, self.options.time_range)
-            if first_stamp > self._window[1] + HORIZON_NS or not is_open():
+            if not is_open():
                 break
             drawn += self._draw(scene, frames)
             if not self._laid_out and scene.bounds:
                 self._laid_out = True
                 content = content_of([scene])
                 self.recording.send_blueprint(blueprint(content, self.options.layout))
+            for (kind, _), poses in frames.items():
+                if poses.stamps[-1] > self._window[1]:
+                    unfinished.discard(kind)
+            if not unfinished:
+                break  # the time range is over
         return drawn
 
     def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
@@ -263,14 +269,14 @@ class _Replay:
             self._step = round(min(seconds / MOST_FRAMES, LONGEST_STEP_S) * 1e9)
 
     def _spans(self, start: int) -> Spans | None:
-        """Return the log times, ns, to be read: what is drawn, and the log's first second.
+        """Return the log times, ns, to be read: the log's first second, and from the range on.
 
-        Results are logged later than what they are of.
+        Nobody knows how much later than its time a result is logged.
         """
         if self.options.time_range is None:
             return None
-        begin, end = _window(start, self.options.time_range)
-        return [(start, start + 10**9), (begin - HORIZON_NS, end + 4 * HORIZON_NS)]
+        begin, _ = _window(start, self.options.time_range)
+        return [(start, start + 10**9), (begin - HORIZON_NS, _EVER[1])]
 
     def _topics(self, source: Source, final: str) -> Sequence[str]:
         """Return what to read: of a long log, what its layout shows."""
@@ -385,6 +391,7 @@ def content_of(scenes: list[Scene]) -> Content:
         shows_uncertainty=any(scene.uncertainties is not None for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
         has_moves=any(scene.has_moves for scene in scenes),
+        has_faults=any(scene.has_faults for scene in scenes),
         longest=scenes[0].longest,
         ranges=axis_ranges(scenes),
     )

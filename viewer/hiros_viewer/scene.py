@@ -156,6 +156,11 @@ class Scene:
         return list(self._crowds)
 
     @property
+    def has_faults(self) -> bool:
+        """Whether a camera's view was wrong for a while."""
+        return any(path.startswith("/views/") for path in self._lane_looks)
+
+    @property
     def longest(self) -> int:
         """Who is there for longest in the last stage."""
         people = self._lengths
