@@ -30,12 +30,12 @@ from hiros_mcap.skeletons import Floats
 from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
-from hiros_viewer.columns import LOGGED, TIMELINE, Curves, Line
+from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
 from hiros_viewer.displacement import EarlierPoses
-from hiros_viewer.ellipsoids import HALF_SIZE
 from hiros_viewer.palette import SIDES, shade
 from hiros_viewer.poses import Poses
 from hiros_viewer.scene import Scene
+from hiros_viewer.uncertainties import HALF_SIZE
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -356,11 +356,11 @@ def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) ->
 
 
 def test_a_curve_ends_before_a_pause_and_begins_anew() -> None:
-    curve = Curves([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
+    curve = CurveRows([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
     times = np.array([[0, 3], [100, 103], [5000, 5003]]) * 1_000_000
     values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
     for parts in ([3], [2, 1], [1, 1, 1]):
-        curve = Curves(curve.lines)
+        curve = CurveRows(curve.lines)
         ends = np.cumsum(parts)[:-1]
         pairs = zip(np.split(times, ends), np.split(values, ends), strict=True)
         rows = [curve.ended(*pair) for pair in pairs]

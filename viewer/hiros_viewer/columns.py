@@ -51,8 +51,8 @@ class Line(NamedTuple):
 
 
 @dataclass(slots=True)
-class Curves:
-    """Curves of one entity over time."""
+class CurveRows:
+    """CurveRows of one entity over time."""
 
     lines: Sequence[Line]
     _last: Stamps | None = None

@@ -85,9 +85,8 @@ CAMERA_COLUMNS = (
     *("mirrored", "far off", "flips", "outliers"),
 )
 _CAMERA_NOTE = (
-    "Coverage: how many of the people in the result the camera reports. Distance: median of its "
-    "detections to the result. Flips: detections that the merger relabelled. Outliers: markers "
-    "that it left out."
+    "Coverage: people of the result that the camera reports. Distance: of its detections to the "
+    "result, median. Flips: relabelled detections. Outliers: markers left out."
 )
 CALIBRATION = "/calibration"
 KEY = "/key"

@@ -31,7 +31,7 @@ class Visit(NamedTuple):
 
 
 @dataclass(slots=True)
-class Presence:
+class Visits:
     """Who of a stage is shown.
 
     Parameters
@@ -45,7 +45,7 @@ class Presence:
     shown: dict[int, Stamps] = field(default_factory=dict)
     """Whoever is not hidden -> (2,) times of their newest row."""
 
-    def visits(self, poses: Poses) -> Iterator[Visit]:
+    def of(self, poses: Poses) -> Iterator[Visit]:
         """Yield the rows of everybody with an id, in the order of ids.
 
         Somebody is hidden at the first frame that lacks them for long enough, and all are hidden

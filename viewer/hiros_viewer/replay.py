@@ -27,11 +27,11 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.camera_moves import camera_moves
-from hiros_viewer.ellipsoids import Uncertainties
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
 from hiros_viewer.scene import STAGES, Scene
+from hiros_viewer.uncertainties import Uncertainties
 
 if TYPE_CHECKING:
     import rerun as rr

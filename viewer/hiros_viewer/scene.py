@@ -48,9 +48,8 @@ from hiros_mcap.events import Event
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
-from hiros_viewer.columns import GONE_NS, Curves, Line, TextRows, after_pauses
+from hiros_viewer.columns import GONE_NS, CurveRows, Line, TextRows, after_pauses
 from hiros_viewer.displacement import EarlierPoses, mean_distances
-from hiros_viewer.ellipsoids import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.entities import (
     Entities,
     Layer,
@@ -61,7 +60,8 @@ from hiros_viewer.entities import (
 )
 from hiros_viewer.palette import FAULTY, SIDES, curve_colour, pale
 from hiros_viewer.poses import Channel, Poses
-from hiros_viewer.presence import HIDDEN, Crowd, Presence, Visit
+from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
+from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.view_check import FaultySpan, ViewCheck
 from hiros_viewer.waiting import Compared, Waiting
 
@@ -125,8 +125,8 @@ class Scene:
         """By camera; in the order in which cameras were first seen."""
         self._marks = defaultdict[Channel, Crowd](Crowd)
         """By camera and kind of fault: its detections that have it."""
-        self._stages: dict[str, Presence] = {}
-        self._curves: dict[str, Curves] = {}
+        self._stages: dict[str, Visits] = {}
+        self._curves: dict[str, CurveRows] = {}
         """By path."""
         self._texts = defaultdict[str, TextRows](TextRows)
         self._lane_looks: dict[str, Line] = {}
@@ -264,15 +264,15 @@ class Scene:
     def stage(self, name: str, poses: Poses) -> None:
         """Draw a stage's people."""
         self._entities.start = self.start or 0
-        presence = self._stages.get(name)
-        if presence is None:
+        visits = self._stages.get(name)
+        if visits is None:
             # The tracker's frames are of one camera each, which does not see everybody.
-            presence = self._stages[name] = Presence(GONE_NS if name == "tracked" else 0)
+            visits = self._stages[name] = Visits(GONE_NS if name == "tracked" else 0)
         if name == self.final:
             self._compare(self._waiting.reached(poses))
             if self.truth is not None:
                 self._match(poses, self.truth)
-        for visit in presence.visits(poses):
+        for visit in visits.of(poses):
             if name != "truth" or not self.final:
                 self.people.add(visit.person)
             self._send_visit(name, visit, poses)
@@ -355,8 +355,8 @@ class Scene:
         for (camera, kind), crowd in self._marks.items():
             if len(times := crowd.finish()):
                 self._entities.marks(camera, kind, self._nobody(), (times, np.zeros(1, np.int64)))
-        for name, presence in self._stages.items():
-            for visit in presence.finish():
+        for name, visits in self._stages.items():
+            for visit in visits.finish():
                 self._send_visit(name, visit, self._nobody())
         for camera, check in self._checks.items():
             self._tell(camera, check.finish())
@@ -466,7 +466,7 @@ class Scene:
     def _extend(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
         """Add rows (T, 2) and (T,) or (T, len(lines)) to the curves of an entity."""
         if len(times):
-            curves = self._curves.setdefault(path, Curves(lines))
+            curves = self._curves.setdefault(path, CurveRows(lines))
             self._entities.curves(path, lines, *curves.ended(times, values))
 
 
