@@ -56,7 +56,8 @@ class Visits:
         frames = poses.frames
         order = np.argsort(poses.ids, kind="stable")
         ids, starts = np.unique(poses.ids[order], return_index=True)
-        own = dict(zip(ids.tolist(), np.split(order, starts[1:]), strict=True))
+        ends = np.append(starts, len(order))[1:]
+        own = {i: order[a:b] for i, a, b in zip(ids.tolist(), starts, ends, strict=True)}
         nobody = np.zeros(0, np.int64)
         for person in sorted({*own, *self.shown} - {UNTRACKED}):
             people = own.get(person, nobody)
