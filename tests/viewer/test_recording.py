@@ -645,6 +645,7 @@ def test_a_long_log_is_drawn_with_fewer_frames(
     processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replaying, "LONG_S", 3.0)
+    monkeypatch.setattr(replaying, "WHOLE_S", 3.0)
     monkeypatch.setattr(replaying, "MOST_FRAMES", 50)
     target = tmp_path / "long.rrd"
     assert run(["view", str(processed), "--save", str(target), "-q"]) == 0

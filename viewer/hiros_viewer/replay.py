@@ -36,7 +36,9 @@ from hiros_viewer.uncertainties import Uncertainties
 if TYPE_CHECKING:
     import rerun as rr
 
-LONG_S = 600.0
+LONG_S = 180.0
+"""Of a longer log only the stages are drawn that the layout shows."""
+WHOLE_S = 600.0
 """Of a longer log not all frames are drawn."""
 MOST_FRAMES = 18_000
 """Of a channel of a long log: ten minutes at 30 Hz, an hour at 5 Hz."""
@@ -147,6 +149,7 @@ class _Replay:
         self.path, self.recording, self.options, self.layer = path, recording, options, layer
         self._window: tuple[int, int] | None = None
         """ns; None before the first frame."""
+        self._is_long = False
         self._step = 0
         self._laid_out = False
 
@@ -265,7 +268,8 @@ class _Replay:
         """Leave frames out of a long log: a viewer has no room for an hour at 30 Hz."""
         begin, end = self.options.time_range or (0.0, whole)
         seconds = min(end, whole) - begin
-        if seconds > LONG_S:
+        self._is_long = seconds > LONG_S
+        if seconds > WHOLE_S:
             self._step = round(min(seconds / MOST_FRAMES, LONGEST_STEP_S) * 1e9)
 
     def _spans(self, start: int) -> Spans | None:
@@ -280,7 +284,7 @@ class _Replay:
 
     def _topics(self, source: Source, final: str) -> Sequence[str]:
         """Return what to read: of a long log, what its layout shows."""
-        if not self._step:
+        if not self._is_long:
             return source.topics
         shown = {final, *(source.stages if self.options.layout == "stages" else ())}
         left_out = {f"{OUTPUT_PREFIX}/{stage}" for stage in source.stages if stage not in shown}
