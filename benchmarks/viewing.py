@@ -2,7 +2,7 @@
 
 ::
 
-    python benchmarks/viewing.py [--minutes 60] [--people 2] [--cameras 3]
+    python benchmarks/viewing.py [--minutes 1 10 60] [--people 2] [--cameras 3]
 
 A minute is simulated and processed, and its messages are repeated. The log is drawn into a file by
 the code that draws into a window. What is seen first are the first seconds: the layout is sent
@@ -16,7 +16,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import add_skeleton_channel
@@ -30,47 +33,73 @@ from hiros_viewer.destinations import new_recording
 from hiros_viewer.replay import replay
 
 MINUTE_NS = 60_000_000_000
+_TOGETHER = 64
+"""Messages of a channel that are written at once."""
 
 
 def main() -> None:
-    """Make a log, and draw it in a process of its own."""
+    """Make logs, and draw each in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in (("minutes", 60), ("people", 2), ("cameras", 3)):
+    parser.add_argument("--minutes", type=int, nargs="+", default=[1, 10, 60])
+    for name, default in (("people", 2), ("cameras", 3)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--folder", type=Path, help="Keep the logs there, and use them again.")
     parser.add_argument("--draw", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.draw:
         draw(asked.draw)
         return
-    with tempfile.TemporaryDirectory() as folder:
-        log, out, long = (Path(folder) / name for name in ("log.mcap", "out.mcap", "long.mcap"))
-        write_log(
-            log, SimulateParams(people=asked.people, cameras=asked.cameras, seconds=60.0, seed=1)
-        )
-        process(log, out)
-        repeat(out, long, asked.minutes)
-        size = long.stat().st_size / 1e6
-        print(
-            f"{asked.minutes} min, {asked.people} people, {asked.cameras} cameras, {size:.0f} MB",
-            flush=True,
-        )
-        command = [sys.executable, __file__, "--draw", str(long)]
-        subprocess.run(command, check=True)
+    print(f"{asked.people} people, {asked.cameras} cameras")
+    print("min | MB of log | first picture, s | all of it, s | CPU, s | memory, MB | MB of .rrd")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = asked.folder or Path(temporary)
+        minute = folder / "minute.mcap"
+        if not minute.exists():
+            simulate(minute, asked.people, asked.cameras)
+        for minutes in asked.minutes:
+            log = folder / f"{minutes}min.mcap"
+            if not log.exists():
+                repeat(minute, log, minutes)
+            print(f"{minutes:3} | {log.stat().st_size / 1e6:9.0f}", end=" | ", flush=True)
+            subprocess.run([sys.executable, __file__, "--draw", str(log)], check=True)
+            if not asked.folder:
+                log.unlink()
+
+
+def simulate(target: Path, people: int, cameras: int) -> None:
+    """Simulate a minute and process it."""
+    raw = target.with_suffix(".raw.mcap")
+    write_log(raw, SimulateParams(people=people, cameras=cameras, seconds=60.0, seed=1))
+    process(raw, target)
+    raw.unlink()
 
 
 def repeat(minute: Path, target: Path, minutes: int) -> None:
     """Write a minute again and again; detections move to the fixed frame."""
     with open_log(minute, topics=["*"], output_prefix="/none") as log, McapWriter(target) as writer:
-        encoder = Encoder(log.model)
-        frames = [f for f in log.detections_by_topic() if not f[0].startswith("/truth")]
-        channels = {topic: add_skeleton_channel(writer, topic) for topic, _ in frames}
+        encoder = Encoder(log.model, precision="micrometre")
+        parts = [part for both in log.blocks_by_topic() for part in by_topic(*both)]
+        parts = [part for part in parts if not part[0].startswith("/truth")]
+        topics = dict.fromkeys(topic for topic, _ in parts)
+        channels = {topic: add_skeleton_channel(writer, topic) for topic in topics}
         for k in range(minutes):
-            for topic, frame in frames:
-                block = Block.of(frame)
-                (moved,) = block.restamped(block.stamps + k * MINUTE_NS).frames()
-                when = frame.log_time + k * MINUTE_NS
-                writer.write(channels[topic], when, encoder.encode(moved))
+            for topic, block in parts:
+                moved = block.restamped(block.stamps + k * MINUTE_NS)
+                times = (block.log_times + k * MINUTE_NS).tolist()
+                writer.write_into(channels[topic], times, partial(encoder.encode_into, moved))
         writer.commit()
+
+
+def by_topic(topics: tuple[str, ...], block: Block) -> list[tuple[str, Block]]:
+    """Return the frames of a block as blocks of one topic each."""
+    own = np.array(topics)
+    found = []
+    for topic in dict.fromkeys(topics):
+        places = np.flatnonzero(own == topic).tolist()
+        for first in range(0, len(places), _TOGETHER):
+            some = places[first : first + _TOGETHER]
+            found.append((topic, block.select(some, block.log_times[some].tolist())))
+    return found
 
 
 def draw(log: Path) -> None:
@@ -93,11 +122,10 @@ def draw(log: Path) -> None:
     recording.disconnect()
     whole = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(
-        f"first picture after {laid_out[0]:.1f} s, all of it after {whole:.1f} s "
-        f"({time.process_time():.1f} s of CPU); {target.stat().st_size / 1e6:.0f} MB for the "
-        f"viewer; peak memory {peak:.0f} MB"
-    )
+    size = target.stat().st_size / 1e6
+    seconds = f"{laid_out[0]:16.1f} | {whole:12.1f} | {time.process_time():6.1f}"
+    print(f"{seconds} | {peak:10.0f} | {size:.0f}")
+    target.unlink()
 
 
 if __name__ == "__main__":

@@ -37,6 +37,8 @@ from hiros_mcap.body.segments import (
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 HANGING_DEG = 10.0
+LEAP_DEG = 90.0
+"""No joint turns so far from one frame to the next."""
 
 ANGLE_NAMES: tuple[str, ...] = (
     *("pelvis tilt", "pelvis obliquity", "pelvis rotation"),
@@ -56,6 +58,8 @@ ANGLE_NAMES: tuple[str, ...] = (
     ),
 )
 """Columns of :func:`anatomical_angles`."""
+MOST_RAD = np.array([np.inf if name.startswith("pelvis") else 1.5 * np.pi for name in ANGLE_NAMES])
+"""How large each of them can be: only a whole person turns round and round."""
 MAIN_ANGLES: tuple[str, ...] = tuple(
     f"{side} {angle} flexion" for side in SIDES for angle in ("shoulder", "elbow", "hip", "knee")
 )
@@ -114,22 +118,48 @@ def anatomical_angles(
         if f"{side} forearm" in (axes or {}):
             columns |= _pronation(body, side)
     angles = np.stack([columns[name] for name in ANGLE_NAMES], axis=-1)
-    return continued(angles) if unwrapped else angles
+    return continued(angles, most=MOST_RAD) if unwrapped else angles
 
 
-def continued(angles: Floats, before: Floats | None = None) -> Floats:
+def continued(
+    angles: Floats, before: Floats | None = None, most: Floats | float = np.inf
+) -> Floats:
     """Continue each column of (T, A), rad, over jumps of 360 degrees; gaps stay.
 
-    ``before`` (A,) are the last angles before the first row; NaN where there are none.
+    Where an angle turns by more than :data:`LEAP_DEG`, or beyond ``most``, the skeleton is
+    distorted, and nobody knows how often it went round: the angle is left as it is there, and
+    continued from there on.
+
+    Parameters
+    ----------
+    before : (A,) the last angles before the first row; NaN where there are none.
+    most : (A,) how large an angle can be, rad.
     """
     out = angles.copy()
-    first = np.full(angles.shape[1], np.nan) if before is None else before
-    for column, last in zip(out.T, first, strict=True):
+    n = angles.shape[1]
+    firsts = np.full(n, np.nan) if before is None else before
+    limits = np.broadcast_to(most, n).tolist()
+    for column, first, limit in zip(out.T, firsts, limits, strict=True):
         known: npt.NDArray[np.bool_] = ~np.isnan(column)
-        if np.isnan(last):
-            column[known] = np.unwrap(column[known])
+        if np.isnan(first):
+            column[known] = _continued(column[known], limit)
         else:
-            column[known] = np.unwrap(np.concatenate([[last], column[known]]))[1:]
+            column[known] = _continued(np.append(first, column[known]), limit)[1:]
+    return out
+
+
+def _continued(angles: Floats, most: float) -> Floats:
+    """Continue angles (T,), rad, none of which is absent."""
+    circle = 2 * np.pi
+    steps = np.diff(angles)
+    turns = np.append(0.0, np.cumsum(np.round(-steps / circle)))[: len(angles)]
+    shortest = np.abs((steps + np.pi) % circle - np.pi)
+    leaps = np.flatnonzero(shortest > np.radians(LEAP_DEG)) + 1
+    starts = np.append(0, leaps)[np.searchsorted(leaps, np.arange(len(angles)), side="right")]
+    out = np.asarray(angles + circle * (turns - turns[starts]))
+    while (beyond := np.abs(out) > most).any():
+        first = int(beyond.argmax())
+        out[first:] -= circle * np.round(out[first] / circle)
     return out
 
 

@@ -27,7 +27,7 @@ from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
-from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, Flags, Frame, People, SkeletonModel
 
 _FAULTS = {
     cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
@@ -302,6 +302,30 @@ class Decoder:
         src_time is that of the first person. A time is 0 if there is none. Messages whose log time
         is beyond int64 are left out.
         """
+        rows, has_header = self._times(batch)
+        return rows[has_header]
+
+    def spaced(self, batch: Batch, kept: Callable[[int, cdr.Table], Flags]) -> Batch:
+        """Return some messages of a batch.
+
+        ``kept(channel, times)`` says which messages of a channel, with these times (n,) in ns:
+        that of the first person, or header.stamp, or the log time.
+        """
+        rows, has_header = self._times(batch)
+        logged, headers, sources = rows.T[1:]
+        times = np.where(sources > 0, sources, np.where(headers > 0, headers, logged))
+        chosen = ~has_header  # whoever decodes them says what is wrong
+        for channel in np.unique(rows[:, 0]).tolist():
+            own = np.flatnonzero(has_header & (rows[:, 0] == channel))
+            chosen[own] = kept(channel, times[own])
+        ends = np.cumsum([len(records.messages) for records in batch.records])[:-1]
+        parts = zip(batch.records, np.split(chosen, ends), strict=True)
+        return batch._replace(
+            records=[r._replace(messages=r.messages[flags]) for r, flags in parts]
+        )
+
+    def _times(self, batch: Batch) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Return the rows of :meth:`read_times` for all messages, and which have a header."""
         n = sum(len(records.messages) for records in batch.records)
         first, reports = np.zeros(n + 1, np.int64), np.zeros((n, cdr.REPORT), np.int64)
         rows = np.zeros((n, 4), np.int64)
@@ -312,7 +336,7 @@ class Decoder:
             rows[own, :2] = records.messages[:, [CHANNEL, LOG_TIME]]
             rows[own, 3] = _source_times(section, reports[own])
         rows[:, 2] = reports[:, cdr.HEADER_STAMP]
-        return np.maximum(rows[(reports[:, cdr.FRAME] > 0) & (rows[:, 1] >= 0)], 0)
+        return np.maximum(rows, 0), (reports[:, cdr.FRAME] > 0) & (rows[:, 1] >= 0)
 
     def _people(
         self,

@@ -75,7 +75,7 @@ from hiros_mcap.io.detectors.conversion import (
 )
 from hiros_mcap.io.layout import Layout, check_schema
 from hiros_mcap.kernels.record_index import CHANNEL, START
-from hiros_mcap.skeletons import Frame, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Flags, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.summary import quantity
 
 STALE = "stale repeat"
@@ -315,10 +315,18 @@ class Log:
         """
         return frames_of(self.blocks())
 
-    def detections_by_topic(self) -> Iterator[tuple[str, Frame]]:
-        """Yield what :meth:`detections` does, each frame with its topic."""
-        for topics, block in self._fixed_blocks():
-            yield from zip(topics, block.frames(), strict=True)
+    def blocks_by_topic(
+        self, spans: Sequence[tuple[int, int]] | None = None, step: int = 0
+    ) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield what :meth:`blocks` does, with the topic of each frame.
+
+        Parameters
+        ----------
+        spans : log times, ns; only the parts of the file in which they lie are read.
+        step : ns; of a channel of one camera, little more than one message in each such interval
+            is decoded. 0 = all.
+        """
+        yield from self._fixed_blocks(spans, step)
 
     def blocks(self) -> Iterator[Block]:
         """Yield what :meth:`detections` does, some chunks' messages at once where that can be."""
@@ -360,19 +368,22 @@ class Log:
             name: _camera_times(table[table[:, 0] == ident, 1:]) for ident, name in names.items()
         }
 
-    def _fixed_blocks(self) -> Iterator[tuple[Sequence[str], Block]]:
+    def _fixed_blocks(
+        self, spans: Sequence[tuple[int, int]] | None = None, step: int = 0
+    ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks in the fixed frame, with the topic of each frame."""
         fixed = self.fixed_frame
         mover = Mover(self.transforms, fixed)
         poses = RestPoses(fixed, partial(self.transforms.at_rest, fixed=fixed))
         with _named(self.path):
-            for topics, block in self._blocks(poses):
+            for topics, block in self._blocks(poses, spans, step):
                 yield topics, mover.move_block(block)
 
     def _blocks(
         self,
         poses: RestPoses | None = None,
         spans: Sequence[tuple[int, int]] | None = None,
+        step: int = 0,
     ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks, with the topic of each frame.
 
@@ -389,6 +400,9 @@ class Log:
         inputs = self._inputs
         decoder = Decoder(self.model, layouts=self._layouts, poses=poses)
         batches = self.reader.batches(inputs, spans=spans)
+        if step:
+            spacing = _Spacing(step, self.cameras)
+            batches = (decoder.spaced(batch, spacing.kept) for batch in batches)
         decoded = (d for batch in batches for d in decoder.decode(batch))
         order = LogOrder[Decoded]()
         with _named(self.path):
@@ -396,6 +410,10 @@ class Log:
                 order.add(some, some.keys)
                 for part, messages in order.before(some.until):
                     yield from self._accounted(part, messages, inputs)
+
+    def only(self, topics: Collection[str]) -> None:
+        """Read these skeleton channels alone from here on."""
+        self.cameras = tuple(c for c in self.cameras if c.channel.topic in topics)
 
     def use(self, camera: CameraChannel) -> None:
         """Read the messages of a camera from here on."""
@@ -440,6 +458,33 @@ class Log:
             )
         if fault is not None:
             raise fault
+
+
+class _Spacing:
+    """Leaves messages out: of a channel of one camera, the first in each interval is kept.
+
+    Parameters
+    ----------
+    step : length of an interval, ns. cameras : the channels.
+    """
+
+    def __init__(self, step: int, cameras: Iterable[CameraChannel]) -> None:
+        self._step = step
+        self._shared = {
+            camera.channel.id
+            for camera in cameras
+            if len(camera.sources) != 1 or camera.channel.topic == f"{OUTPUT_PREFIX}/tracked"
+        }
+        self._last: dict[int, int] = {}
+
+    def kept(self, channel: int, times: Stamps) -> Flags:
+        """(n,) which of the next messages of a channel are kept, by their times, ns."""
+        if channel in self._shared:
+            return np.ones(len(times), np.bool_)
+        cells = times // self._step
+        before = np.append(self._last.get(channel, -1), cells[:-1])
+        self._last[channel] = int(cells[-1]) if len(cells) else -1
+        return np.asarray(cells != before[: len(cells)])
 
 
 def _times_of(rows: Iterable[tuple[str, int, int, int]]) -> dict[str, CameraTimes]:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from hiros_mcap.kernels.compile import inlined, kernel
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 
 @inlined
@@ -78,10 +78,14 @@ def mean_distances(poses: Floats, others: Floats, out: Floats) -> None:
             out[p, q] = mean_distance(poses[p], others[q])
 
 
-@kernel("void(float64[:,:,::1], float64[:,:,::1], float64[::1])")
-def nearest(poses: Floats, others: Floats, out: Floats) -> None:
-    """Write each pose's mean distance, m, to the nearest of the others (Q, M, 3); ``out`` (P,)."""
+@kernel("void(float64[:,:,::1], float64[:,:,::1], int64[:,::1], float64[::1])")
+def nearest(poses: Floats, others: Floats, rows: Stamps, out: Floats) -> None:
+    """Write each pose's mean distance, m, to the nearest of some of the others (Q, M, 3).
+
+    ``rows`` (P, 2) are the first of the others that a pose is compared with, and the one after the
+    last. ``out`` is (P,), infinite where there are none.
+    """
     for p in range(len(poses)):
         out[p] = np.inf
-        for q in range(len(others)):
+        for q in range(rows[p, 0], rows[p, 1]):
             out[p] = min(out[p], mean_distance(poses[p], others[q]))

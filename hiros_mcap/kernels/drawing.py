@@ -21,6 +21,19 @@ def _size(largest: float, confidence: float) -> Any:
     return np.float32(largest * (0.5 + 0.5 * known))
 
 
+@kernel("void(float64[:,:,::1], float64[:,::1], int64[::1], float64[:,:,::1], float64[:,::1])")
+def pick(
+    markers: Floats, confidences: Floats, rows: Stamps, positions: Floats, sure: Floats
+) -> None:
+    """Copy positions (P, M, 3), m, and confidences (P, M) of some rows of markers (N, M, 19)."""
+    for p in range(rows.shape[0]):
+        n = rows[p]
+        for m in range(markers.shape[1]):
+            for k in range(3):
+                positions[p, m, k] = markers[n, m, k]
+            sure[p, m] = confidences[n, m]
+
+
 @kernel(
     "void(float64[:,:,::1], float64[:,::1], int64[::1], float64, float32[:,:,::1], float32[:,::1])"
 )

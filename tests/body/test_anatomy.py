@@ -8,7 +8,7 @@ from poses import SIGN, links, posed
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
+from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles, continued
 from hiros_mcap.body.segments import link_axes
 from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.skeletons import Floats
@@ -108,6 +108,31 @@ def test_turning_on_the_spot_is_continued_over_180_degrees() -> None:
     assert np.degrees(anatomical_angles(MODEL, poses))[:, column] == pytest.approx(SEQUENCE)
     jumping = np.degrees(anatomical_angles(MODEL, poses, unwrapped=False))[:, column]
     assert np.abs(np.diff(jumping)).max() > 300
+
+
+def test_a_distorted_skeleton_leaves_no_turn_behind() -> None:
+    """By the shortest way, 10 -> 150 -> -100 -> 10 would end at 370 degrees."""
+    distorted = np.radians([[8.0], [10.0], [150.0], [-100.0], [10.0], [np.nan], [12.0]])
+    assert np.degrees(continued(distorted)).ravel() == pytest.approx(
+        [8, 10, 150, -100, 10, np.nan, 12], nan_ok=True
+    )
+    lifted = np.radians([[170.0], [-170.0], [np.nan], [-165.0], [175.0]])
+    expected = [170, 190, np.nan, 195, 175]
+    for cut in range(5):
+        first = continued(lifted[:cut])
+        before = first[~np.isnan(first)][-1:] if cut else None
+        whole = np.concatenate([first, continued(lifted[cut:], before)])
+        assert np.degrees(whole).ravel() == pytest.approx(expected, nan_ok=True)
+    assert continued(np.full((3, 2), np.nan)).shape == (3, 2)
+
+
+def test_a_limb_does_not_go_round() -> None:
+    """It seems to, step by step, where a skeleton is distorted; a person may turn for real."""
+    spinning = (np.radians(np.arange(0.0, 800.0, 40.0)) + np.pi) % (2 * np.pi) - np.pi
+    both = np.degrees(continued(np.stack([spinning, spinning], 1), most=np.array([4.7, np.inf])))
+    assert np.abs(both[:, 0]).max() < 270
+    np.testing.assert_allclose(both[:, 1], np.arange(0.0, 800.0, 40.0))
+    np.testing.assert_allclose(np.cos(np.radians(both[:, 0])), np.cos(spinning), atol=1e-9)
 
 
 def test_other_angles_do_not_depend_on_where_a_person_stands_and_looks() -> None:

@@ -33,6 +33,19 @@ def test_right_sides_show_no_sign() -> None:
     assert scores.contradicting["toe"] == 0 and max(scores.contradicting.values()) < 0.2
 
 
+def test_straight_knees_point_nowhere() -> None:
+    slots = [[MODEL.marker_names.index(f"{m}_{side}") for m in ("HIP", "KNEE", "ANKLE")]
+             for side in ("LEFT", "RIGHT")]  # fmt: skip
+    rng, straight = np.random.default_rng(1), []
+    for frame in walk():
+        markers = frame.markers.copy()
+        for hip, knee, ankle in slots:
+            middle = (markers[:, hip, :3] + markers[:, ankle, :3]) / 2
+            markers[:, knee, :3] = middle + rng.normal(0, 0.008, 3)
+        straight.append(frame.replace(markers=markers))
+    assert "knee" not in side_scores(straight, MODEL).contradicting
+
+
 def test_swapped_sides_walk_backwards_and_contradict_every_cue() -> None:
     scores = side_scores(map(mirror, walk()), MODEL)
     assert scores.backwards == scores.walking > 60

@@ -53,3 +53,11 @@ def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="folder: cannot be written"):
         page().write(target)
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_page_is_dark_where_the_reader_wants_that() -> None:
+    style = page().html().split("<style>")[1].split("</style>")[0]
+    assert "color-scheme: light dark" in style
+    dark = style.split("@media (prefers-color-scheme: dark)")[1]
+    assert "background: #14171a" in dark and "svg { filter: invert" in dark
+    assert style.rindex("@media") > style.rindex(".at { position")  # later rules win

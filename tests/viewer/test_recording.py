@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
@@ -21,16 +22,20 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.export.colours import PEOPLE, RGB, person_colour
 from hiros_mcap.io.log import open_log
+from hiros_mcap.io.marker_uncertainty import read_uncertainty
 from hiros_mcap.io.result import open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
+from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
 from hiros_viewer.blueprint import Content, cameras
-from hiros_viewer.columns import TIMELINE, Line, Poses, ScalarRows
+from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
 from hiros_viewer.displacement import EarlierPoses
 from hiros_viewer.palette import SIDES, shade
+from hiros_viewer.poses import Poses
 from hiros_viewer.scene import Scene
+from hiros_viewer.uncertainties import HALF_SIZE
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -114,7 +119,6 @@ def test_detections_are_drawn_in_the_fixed_frame(recording: Path, processed: Pat
 
 def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -> None:
     from hiros_viewer import destinations
-    from hiros_viewer.scene import Scene
 
     frames, model, _ = read_channel(processed, "/hiros/merged")
     frames = [frame.select(frame.ids == 0) for frame in frames]
@@ -124,9 +128,10 @@ def test_bones_join_the_joints_that_are_known(processed: Path, tmp_path: Path) -
     frames[0].markers[:] = np.nan
 
     def draw(recording: Any) -> None:
-        scene = Scene(recording, model, final="merged", batch=40)
-        for frame in frames:
-            scene.stage("merged", frame)
+        scene = Scene(recording, model, final="merged")
+        for first in range(0, len(frames), 40):
+            some = [Poses.of(frame) for frame in frames[first : first + 40]]
+            scene.draw({("merged", ""): Poses.joined(some)})
         scene.finish()
 
     target = tmp_path / "gaps.rrd"
@@ -323,16 +328,13 @@ def test_residual_is_the_distance_to_the_nearest_person() -> None:
     poses, others = rng.normal(size=(4, 9, 3)), rng.normal(size=(3, 9, 3))
     poses[0, :4] = others[1, 7] = np.nan
     poses[3] = np.nan
-    expected = [
-        min(np.nanmean(np.linalg.norm(pose - other, axis=-1)) for other in others)
-        for pose in poses[:3]
-    ]
+    rows = np.array([[0, 3], [1, 3], [2, 2], [0, 3]])
     found = np.empty(4)
-    nearest(poses, others, found)
-    assert np.allclose(found[:3], expected)
-    assert found[3] == np.inf
-    nearest(poses, others[:0], found)
-    assert np.isinf(found).all()
+    nearest(poses, others, rows, found)
+    for pose, (begin, end), distance in zip(poses[:2], rows[:2], found, strict=False):
+        each = [np.nanmean(np.linalg.norm(pose - o, axis=-1)) for o in others[begin:end]]
+        assert np.isclose(distance, min(each))
+    assert np.isinf(found[2:]).all()
 
 
 def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) -> None:
@@ -354,20 +356,17 @@ def test_curves_are_angles_limbs_and_people(recording: Path, processed: Path) ->
 
 
 def test_a_curve_ends_before_a_pause_and_begins_anew() -> None:
-    curve = ScalarRows([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
-    second = 1_000_000_000
-    curve.extend(np.array([0, second // 10]), np.array([[1.0, 2.0], [3.0, 4.0]]))
-    curve.extend(np.array([5 * second]), np.array([[5.0, 6.0]]))
-    assert curve.stamps == [0, second // 10, second // 10 + 1, 5 * second]
-    expected = [1.0, 2.0, 3.0, 4.0, np.nan, np.nan, 5.0, 6.0]
-    np.testing.assert_array_equal(curve.values, expected)
-
-
-def test_a_single_curve_ends_before_a_pause() -> None:
-    curve = ScalarRows([Line("camera", (0, 0, 0))])
-    for second in (0, 10):
-        curve.add(second * 1_000_000_000, float(second))
-    np.testing.assert_array_equal(curve.values, [0.0, np.nan, 10.0])
+    curve = CurveRows([Line("left", (0, 0, 0)), Line("right", (0, 0, 0))])
+    times = np.array([[0, 3], [100, 103], [5000, 5003]]) * 1_000_000
+    values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    for parts in ([3], [2, 1], [1, 1, 1]):
+        curve = CurveRows(curve.lines)
+        ends = np.cumsum(parts)[:-1]
+        pairs = zip(np.split(times, ends), np.split(values, ends), strict=True)
+        rows = [curve.ended(*pair) for pair in pairs]
+        drawn, shown = (np.concatenate(column) for column in zip(*rows, strict=True))
+        assert drawn.tolist() == [*times[:2].tolist(), (times[1] + 1).tolist(), times[2].tolist()]
+        np.testing.assert_array_equal(shown, np.insert(values, 2, np.nan, axis=0))
 
 
 def test_millimetres_look_small_on_the_axis_of_a_limb(processed: Path) -> None:
@@ -387,8 +386,37 @@ def test_who_is_there_for_longest_is_seen_first(processed: Path) -> None:
     scene = Scene(rr.RecordingStream("test"), model)
     for k, person in enumerate([4, 4, 7, 7, 7]):
         frame = frames[k]
-        scene.stage("filtered", frame.replace(ids=np.array([person] + [-1] * (frame.n_people - 1))))
+        one = frame.replace(ids=np.array([person] + [-1] * (frame.n_people - 1), np.int32))
+        scene.draw({("filtered", ""): Poses.of(one)})
     assert scene.longest == 7
+
+
+def test_ellipsoids_hold_the_stated_deviations(tmp_path: Path) -> None:
+    result, target = tmp_path / "fused.mcap", tmp_path / "fused.rrd"
+    process(CROSSING, result, options=ProcessOptions(system="fuse"))
+    assert run(["view", str(result), "--uncertainty", "--save", str(target), "-q"]) == 0
+    told, frames = read_uncertainty(result), read_channel(result, "/hiros/filtered")[0]
+    sizes = rows(target, "/uncertainty/person_1", "Ellipsoids3D:half_sizes")
+    centers = rows(target, "/uncertainty/person_1", "Ellipsoids3D:centers")
+    for frame in frames:
+        row = frame.ids.tolist().index(1)
+        deviations = np.array(list(told[frame.stamp, 1].values()))
+        known = ~np.isnan(deviations)
+        assert known.any()
+        half = np.tile(HALF_SIZE * deviations[known][:, None], 3)
+        assert np.allclose(sizes[frame.stamp], half, rtol=1e-6)
+        assert np.allclose(centers[frame.stamp], frame.positions[row][known], atol=1e-5)
+    assert len(sizes[max(sizes)]) == 0  # hidden with the person
+    assert chi2.cdf(HALF_SIZE**2, 3) == pytest.approx(0.68, abs=1e-4)
+
+
+def test_ellipsoids_are_drawn_on_request_alone(
+    processed: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not any(path.startswith("/uncertainty") for path in entities(recording))
+    arguments = ["view", str(processed), "--uncertainty", "--save", str(tmp_path / "a.rrd")]
+    assert run(arguments) == 2
+    assert "does not say how well its markers are known" in capsys.readouterr().err
 
 
 def test_the_tree(recording: Path) -> None:
@@ -420,10 +448,12 @@ def test_a_mirrored_view_is_marked_and_listed(
     with open_log(processed) as log:
         start, mirror = log.span[0], symmetry_of(log.model).mirror
 
-    def mirrored(scene: Scene, camera: str, frame: Poses) -> None:
-        if camera == "camera_1" and 2e9 < frame.stamp - start < 3e9:
-            frame = replace(frame, positions=frame.positions[:, mirror])
-        shown(scene, camera, frame)
+    def mirrored(scene: Scene, camera: str, poses: Poses) -> None:
+        if camera == "camera_1":
+            since = poses.stamps[poses.frames] - start
+            some = (since > 2e9) & (since < 3e9)
+            poses.positions[some] = poses.positions[some][:, mirror]
+        shown(scene, camera, poses)
 
     monkeypatch.setattr(Scene, "detections", mirrored)
     assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
@@ -443,6 +473,31 @@ def test_a_time_range(processed: Path, tmp_path: Path) -> None:
     stamps = np.array(sorted(rows(target, "/filtered/person_0", "Points3D:positions")))
     assert stamps[0] >= start + 1_000_000_000
     assert stamps[-2] <= start + 2_000_000_000
+
+
+def test_a_time_range_has_its_results_though_they_were_logged_much_later(
+    processed: Path, tmp_path: Path
+) -> None:
+    """A system may wait until it knows limbs; nobody may be there meanwhile."""
+    late, target = tmp_path / "late.mcap", tmp_path / "late.rrd"
+    with (
+        open_log(processed, topics=["*"], output_prefix="/none") as log,
+        McapWriter(late) as writer,
+    ):
+        topics = {c.channel.topic: add_skeleton_channel(writer, c.channel.topic)
+                  for c in log.cameras}  # fmt: skip
+        encoder, start = Encoder(log.model), log.span[0]
+        for names, block in log.blocks_by_topic():
+            for topic, frame in zip(names, block.frames(), strict=True):
+                later = 60_000_000_000 * topic.startswith("/hiros/")
+                if later or frame.stamp < start + 3_000_000_000:
+                    writer.write(topics[topic], frame.log_time + later, encoder.encode(frame))
+        writer.commit()
+    arguments = ["view", str(late), "--time-range", "1:2", "--save", str(target), "-q"]
+    assert run(arguments) == 0
+    stamps = sorted(rows(target, "/filtered/person_0", "Points3D:positions"))
+    assert len(stamps) > 25
+    assert start + 1_000_000_000 <= stamps[0] < stamps[-2] <= start + 2_000_000_000
 
 
 def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Path) -> None:
@@ -534,28 +589,63 @@ def test_a_raw_recording_is_drawn_too(tmp_path: Path) -> None:
     assert "/filtered/person_0" not in entities(target)
 
 
-def test_memory_stays_bounded_by_sending_in_batches(processed: Path) -> None:
-    from hiros_viewer.destinations import new_recording
-    from hiros_viewer.replay import describe, in_time_order
-    from hiros_viewer.scene import Scene
-
-    recording = new_recording("test")
-    recording.memory_recording()
+def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(
+    processed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So memory stays bounded, and rerun is called seldom."""
+    monkeypatch.setattr(drawn_poses, "BATCH", 300)
+    newest = dict[object, int]()
+    sizes = []
     with open_log(processed, topics=["*"], output_prefix="/none") as log:
-        scene = Scene(recording, describe(log).model, batch=50)
-        longest = 0
-        for kind, frame in in_time_order(log):
-            if kind != "detections":
-                scene.stage(kind, frame)
-            bodies = [body for rows in scene._stages.values() for body in rows.people.values()]
-            longest = max(longest, *(len(body.stamps) for body in bodies), 0)
-    assert 0 < longest <= 50
+        for frames in replaying.in_time_order(log):
+            sizes.append(sum(map(len, frames.values())))
+            for channel, poses in frames.items():
+                assert poses.stamps[0] >= newest.get(channel, 0)
+                assert (np.diff(poses.stamps) >= 0).all()
+                newest[channel] = int(poses.stamps[-1])
+        assert sum(sizes) == sum(account.used for account in log.accounts.values())
+    assert len(sizes) > 3
+    assert max(sizes[:-1]) < 1500
+
+
+def test_a_recording_does_not_depend_on_how_many_frames_are_drawn_at_once(
+    processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(drawn_poses, "BATCH", 77)
+    monkeypatch.setattr(drawn_poses, "HORIZON_NS", 2_500_000_000)
+    target = tmp_path / "small.rrd"
+    assert run(["view", str(processed), "--save", str(target), "-q"]) == 0
+    assert entities(target) == entities(recording)
+    for path, component in (
+        ("/filtered/person_0", "Points3D:positions"),
+        ("/tracked/person_1/bones", "LineStrips3D:strips"),
+        ("/detections/camera_1", "Points3D:positions"),
+        ("/angles/person_0/knee_flexion", "Scalars:scalars"),
+        ("/displacement/merged/person_0", "LineStrips3D:strips"),
+        ("/residual/camera_2", "Scalars:scalars"),
+        ("/speed/person_1", "Scalars:scalars"),
+    ):
+        for timeline in ("stamp", LOGGED):
+            whole = rows(recording, path, component, timeline)
+            parts = rows(target, path, component, timeline)
+            assert whole.keys() == parts.keys()
+            for time, value in whole.items():
+                np.testing.assert_allclose(value, parts[time], atol=1e-6)
+
+
+def test_log_times_are_those_of_the_messages(recording: Path, processed: Path) -> None:
+    frames = read_channel(processed, "/hiros/filtered")[0]
+    shown = rows(recording, "/filtered/person_0", "Points3D:positions", LOGGED)
+    assert {frame.log_time for frame in frames} == set(list(shown)[:-1])
+    angles = rows(recording, "/angles/person_0/knee_flexion", "Scalars:scalars", LOGGED)
+    assert {frame.log_time for frame in frames} == set(angles)
 
 
 def test_a_long_log_is_drawn_with_fewer_frames(
     processed: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replaying, "LONG_S", 3.0)
+    monkeypatch.setattr(replaying, "WHOLE_S", 3.0)
     monkeypatch.setattr(replaying, "MOST_FRAMES", 50)
     target = tmp_path / "long.rrd"
     assert run(["view", str(processed), "--save", str(target), "-q"]) == 0

@@ -33,6 +33,7 @@ from hiros_mcap.running.pipeline import process
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import LAYOUTS
 from hiros_viewer.palette import curve_colour
+from hiros_viewer.poses import Poses
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 CROSSING = SAMPLES / "two_people_crossing.mcap"
@@ -112,7 +113,7 @@ def test_an_ended_track_is_not_shown(processed: Path, tmp_path: Path) -> None:
             scene.begin({})
             for frame in log.frames():
                 keep = [p == 0 or frame.stamp < cut for p in frame.ids.tolist()]
-                scene.stage("filtered", frame.select(np.array(keep)))
+                scene.draw({("filtered", ""): Poses.of(frame.select(np.array(keep)))})
             scene.finish()
             content = replay.content_of([scene])
         recording.send_blueprint(replay.blueprint(content))  # type: ignore[attr-defined]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiros_mcap.body.rotations import Rigid, rotate
-from hiros_viewer.columns import STAMP, TIMELINE
+from hiros_viewer.columns import LOGGED, STAMP, TIMELINE
 from hiros_viewer.entities import CALIBRATION, CAMERA_TABLE, KEY, MAGNIFIED, person_part
 from hiros_viewer.palette import BEFORE
 
@@ -23,6 +23,7 @@ JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
+_THIN_JOINT_M = 0.012
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
 
 
@@ -47,8 +48,12 @@ class Content:
     """Whether the result was compared with a truth."""
     shows_truth: bool = False
     """Whether the truth is drawn in the room, where it makes the result thin."""
+    shows_uncertainty: bool = False
+    """Whether ellipsoids are drawn round joints, whose own size would hide them."""
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
+    has_faults: bool = True
+    """Whether a camera's view was wrong for a while."""
     longest: int = 0
     """Who of the people is there for longest: whose curves are seen first."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -127,7 +132,7 @@ def stages(content: Content) -> rrb.Container:
     ]
     residual = _series("Detections to the result: mean mm", ["/residual/**"])
     return rrb.Horizontal(
-        room, rrb.Vertical(*moved, residual, _events(content)), column_shares=[4, 3]
+        room, rrb.Vertical(*moved, residual, _events(content)), column_shares=[1, 1]
     )
 
 
@@ -172,7 +177,8 @@ def cameras(content: Content) -> rrb.Container:
             name="When a camera's view is wrong",
             time_view=_whole(),
         )
-        below = [table, _series("Distance to the result, mm", ["/residual/**"]), wrong]
+        below = [table, _series("Distance to the result, mm", ["/residual/**"])]
+        below += [wrong] if content.has_faults else []  # else the viewer fills it with advice
     return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
 
 
@@ -224,10 +230,13 @@ def _room(
         overrides = _compared_looks(content, *shown)
         earlier = _paths(content, shown[0])
         what += [f"- {path}/{part}" for path in earlier for part in ("name", "trail")]
-    elif shown and (content.shows_truth or seen_by):
-        overrides = _thin_looks(content, *shown)
+    elif shown and (content.shows_truth or content.shows_uncertainty or seen_by):
+        joint = 0.004 if content.shows_uncertainty else _THIN_JOINT_M
+        overrides = _thin_looks(content, shown[0], joint)
     if content.shows_truth and "truth" not in shown:
         what += _all(content, "/truth/**") + _all(content, "/error_lines/**")
+    if content.shows_uncertainty:
+        what += _all(content, "/uncertainty/**")
     trail = rrb.VisibleTimeRanges(
         [
             rr.VisibleTimeRange(
@@ -235,7 +244,7 @@ def _room(
                 start=rr.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
                 end=rr.TimeRangeBoundary.cursor_relative(),
             )
-            for timeline in (TIMELINE, STAMP)
+            for timeline in (TIMELINE, STAMP, LOGGED)
         ]
     )
     overrides |= {
@@ -273,11 +282,11 @@ def _compared_looks(content: Content, before: str, after: str) -> dict[str, Any]
     }
 
 
-def _thin_looks(content: Content, stage: str) -> dict[str, Any]:
+def _thin_looks(content: Content, stage: str, joint: float = _THIN_JOINT_M) -> dict[str, Any]:
     """Return looks of a stage that lets see what is millimetres away from it."""
     import rerun as rr
 
-    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=0.012)
+    bones, joints = rr.LineStrips3D.from_fields(radii=0.006), rr.Points3D.from_fields(radii=joint)
     paths = _paths(content, stage)
     return {f"{path}/{part}": bones for path in paths for part in _BONES} | dict.fromkeys(
         paths, joints
@@ -295,8 +304,8 @@ def _eye(content: Content) -> Floats:
     People fill the view: a standing person's height, or the ground that they walk on.
     """
     back, half = np.array([-0.55, -0.85]), np.radians(_VERTICAL_VIEW_DEG / 2)
-    across = max(1.2, 0.85 * (content.reach + 0.4))  # a view is a little wider than high
-    distance = across / np.tan(half) + 0.4 * content.reach
+    across = max(1.2, 0.7 * (content.reach + 0.4))  # a view is wider than high
+    distance = across / np.tan(half) + 0.3 * content.reach
     if content.camera_poses:
         places = [pose.translation for pose in content.camera_poses.values()]
         offset = (np.mean(places, axis=0) - content.centre)[:2]

@@ -29,7 +29,7 @@ from hiros_viewer.entities import Layer
 from hiros_viewer.figures import name_ends, new_axes, new_figure, tidy, value_bars
 from hiros_viewer.page import Page
 from hiros_viewer.replay import content_of, describe, in_time_order
-from hiros_viewer.scene import Scene
+from hiros_viewer.scene import STAGES, Scene
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -125,10 +125,13 @@ def _draw_one(recording: rr.RecordingStream, out: Path, layer: Layer) -> Scene:
         scene.start = source.start
         if not layer.number:
             scene.begin(source.cameras, source.later)
-        for kind, frame in in_time_order(opened):
-            if kind == DETECTIONS and not layer.number:
-                scene.detections(source.names[frame.source], frame)
-            elif kind == final:
-                scene.stage("filtered", frame)
+        left_out = {*STAGES, *([DETECTIONS] if layer.number else [])} - {final}
+        for frames in in_time_order(opened, left_out):
+            scene.draw(
+                {
+                    ("filtered" if kind == final else kind, source): poses
+                    for (kind, source), poses in frames.items()
+                }
+            )
         scene.finish()
         return scene

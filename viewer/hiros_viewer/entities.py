@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
@@ -18,18 +19,7 @@ from hiros_mcap.io.export.colours import RGB, person_colour
 from hiros_mcap.kernels.drawing import Singles, draw_bones, draw_joints, tops
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove, move_table
-from hiros_viewer.columns import (
-    HIDDEN,
-    DetectionRows,
-    Line,
-    PersonRows,
-    PoseBatch,
-    ScalarRows,
-    TextRows,
-    columns,
-    strips,
-    times,
-)
+from hiros_viewer.columns import Line, TextRows, columns, strips, time_columns
 from hiros_viewer.palette import (
     BEFORE,
     CAMERAS,
@@ -45,6 +35,8 @@ from hiros_viewer.palette import (
     pale,
     shade,
 )
+from hiros_viewer.poses import Poses
+from hiros_viewer.presence import HIDDEN, Visit
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -55,12 +47,18 @@ _DETECTION_M = 0.006
 _THIN = -1.0  # rerun counts negative radii in points on the screen
 _LABEL_ABOVE_M, _LABEL_STEP_M = 0.18, 0.16  # above the head; above the label of another log
 _ERROR_PX = -2.0
+_ELLIPSOID_ALPHA, _ELLIPSOID_LINE = 110, -0.5
 MAGNIFIED = 5.0
 """Displacements are millimetres; drawn to scale nobody would see them."""
 _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log does not tell it
 _SECOND_LOG, _LEFT = CLASSES, 2 * CLASSES  # offsets of people's classes
 _FIRST_CAMERA_CLASS = 4 * CLASSES
 _TRUE = 5 * CLASSES
+
+
+Counts = npt.NDArray[np.integer[Any]]
+Rows = tuple[Stamps, Stamps]
+"""(R, 2) times, and (R,) how many people are in each row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +85,8 @@ CAMERA_COLUMNS = (
     *("mirrored", "far off", "flips", "outliers"),
 )
 _CAMERA_NOTE = (
-    "Coverage: how many of the people in the result the camera reports. Distance: median of its "
-    "detections to the result. Flips: detections that the merger relabelled. Outliers: markers "
-    "that it left out."
+    "Coverage: people of the result that the camera reports. Distance: of its detections to the "
+    "result, median. Flips: relabelled detections. Outliers: markers left out."
 )
 CALIBRATION = "/calibration"
 KEY = "/key"
@@ -121,6 +118,7 @@ class Entities:
         """ns; what seconds count from."""
         self._root = root
         self._layer = layer
+        self._begun: set[str] = set()
         self._first_class = _SECOND_LOG if layer.number and not layer.one_colour else 0
         bones = model.links[(model.links >= 0).all(axis=1)]
         sides = [split_side(name)[1] for name in model.marker_names]
@@ -224,8 +222,10 @@ class Entities:
 
     # -- skeletons -----------------------------------------------------------------------------
 
-    def detections(self, camera: str, number: int, rows: DetectionRows) -> Floats:
+    def detections(self, camera: str, number: int, poses: Poses, rows: Rows) -> Floats:
         """Send a camera's detections, thin: everybody's joints and bones in one batch.
+
+        ``rows`` are times (R, 2) and counts (R,) of people, whose poses follow each other.
 
         Returns
         -------
@@ -234,33 +234,36 @@ class Entities:
         import rerun as rr
 
         path = f"/detections/{path_part(camera)}"
-        if not rows.started:
-            rows.started = True
+        if self._is_new(path):
             which = _FIRST_CAMERA_CLASS + number % len(CAMERAS)
             look = rr.Points3D.from_fields(class_ids=[which], show_labels=False)
             self.recording.log(path, look, static=True)
             self._send_bone_looks(path, (which, which + len(CAMERAS)), _THIN)
-        n_markers = self.model.n_markers
-        when, counts = times(rows.stamps, self.start), np.array(rows.counts)
-        places = np.arange(rows.poses.size)
-        joints, radii = self._joints(rows.poses, places, _DETECTION_M)
-        keypoints = np.tile(np.arange(n_markers, dtype=np.uint16), len(places))
+        people = np.arange(len(poses.ids))
+        joints, radii = self._joints(poses, people, _DETECTION_M)
+        keypoints = np.tile(np.arange(self.model.n_markers, dtype=np.uint16), len(people))
         parts = {
             rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(joints),
             rr.Points3D.descriptor_radii(): rr.components.RadiusBatch(radii),
             rr.Points3D.descriptor_keypoint_ids(): rr.components.KeypointIdBatch(keypoints),
         }
-        self.recording.send_columns(path, when, columns(parts, n_markers * counts))
+        times, counts = rows
+        self._send(path, times, parts, self.model.n_markers * counts)
+        self._send_bones(path, joints, rows)
+        return _highest(poses, people)
+
+    def _send_bones(self, path: str, joints: Singles, rows: Rows) -> None:
+        """Send the bones of everybody in each row."""
+        times, counts = rows
         frames = np.repeat(np.arange(len(counts)), counts)
         for part, batches, per_pose in self._bone_parts(joints):
             per_row = np.bincount(frames, per_pose, len(counts)).astype(np.int32)
-            self.recording.send_columns(f"{path}{part}", when, columns(batches, per_row))
-        return _highest(rows.poses, places)
+            self._send(f"{path}{part}", times, batches, per_row)
 
     def person(
-        self, path: str, rows: PersonRows, poses: PoseBatch, *, is_strong: bool
+        self, path: str, visit: Visit, poses: Poses, *, is_strong: bool
     ) -> tuple[Flags, Floats]:
-        """Send joints, bones, label and trail of one person, all rows at once.
+        """Send joints, bones, label and trail of one person.
 
         ``is_strong`` is the result; what it was made of is thin beside it.
 
@@ -268,28 +271,25 @@ class Entities:
         -------
         (R,) which rows show the person; (K, 3) the highest joint in each of these, m.
         """
-        if not rows.started:
-            rows.started = True
+        if self._is_new(path):
             self._send_looks(path, is_strong=is_strong)
-        when, places = times(rows.stamps, self.start), np.array(rows.places)
-        shown = places != HIDDEN
-        size = _JOINT_M if is_strong else _DETECTION_M
-        joints, radii = self._joints(poses, places[shown], size)
-        highest = _highest(poses, places[shown])
+        shown = visit.people != HIDDEN
+        people = visit.people[shown]
+        joints, radii = self._joints(poses, people, _JOINT_M if is_strong else _DETECTION_M)
+        highest = _highest(poses, people)
         for part, batches, per_pose in self._parts(joints, radii, highest, self._above(path)):
-            counts = np.zeros(len(places), np.int32)
+            counts = np.zeros(len(shown), np.int32)
             counts[shown] = per_pose
-            self.recording.send_columns(f"{path}{part}", when, columns(batches, counts))
+            self._send(f"{path}{part}", visit.times, batches, counts)
         return shown, highest
 
-    def marks(self, camera: str, kind: str, rows: DetectionRows) -> None:
+    def marks(self, camera: str, kind: str, poses: Poses, rows: Rows) -> None:
         """Send detections of a camera that are wrong, in a colour that warns, and say how."""
         import rerun as rr
 
         path = f"/marked/{path_part(camera)}/{fault_part(kind)}"
         colour = FAULTY[kind]
-        if not rows.started:
-            rows.started = True
+        if self._is_new(path):
             look = rr.LineStrips3D.from_fields(colors=[colour], radii=_DETECTION_M)
             for part in self._bones:
                 self.recording.log(f"{path}{part}", look, static=True)
@@ -298,15 +298,46 @@ class Entities:
                 show_labels=True,
             )  # fmt: skip
             self.recording.log(f"{path}/name", name, static=True)
-        when, counts = times(rows.stamps, self.start), np.array(rows.counts)
-        joints, _ = self._joints(rows.poses, np.arange(rows.poses.size), _DETECTION_M)
-        frames = np.repeat(np.arange(len(counts)), counts)
-        for part, batches, per_pose in self._bone_parts(joints):
-            per_row = np.bincount(frames, per_pose, len(counts)).astype(np.int32)
-            self.recording.send_columns(f"{path}{part}", when, columns(batches, per_row))
-        tops_ = _highest(rows.poses, np.arange(rows.poses.size)) - np.array([0, 0, _LABEL_ABOVE_M])
+        people = np.arange(len(poses.ids))
+        joints, _ = self._joints(poses, people, _DETECTION_M)
+        self._send_bones(path, joints, rows)
+        tops_ = _highest(poses, people) - np.array([0, 0, _LABEL_ABOVE_M])
         where = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch(tops_)}
-        self.recording.send_columns(f"{path}/name", when, columns(where, counts))
+        self._send(f"{path}/name", rows[0], where, rows[1])
+
+    def _is_new(self, path: str) -> bool:
+        """Whether it was not said yet how an entity looks; it is to be said now."""
+        is_new = path not in self._begun
+        self._begun.add(path)
+        return is_new
+
+    def _send(self, path: str, times: Stamps, batches: Mapping[Any, Any], counts: Counts) -> None:
+        """Send rows (R, 2) of an entity, each with so many instances of its components."""
+        when = time_columns(times, self.start)
+        self.recording.send_columns(path, when, columns(batches, counts))
+
+    def ellipsoids(self, person: int, times: Stamps, joints: Floats, half_sizes: Floats) -> None:
+        """Send pale ellipsoids round joints (T, M, 3), m, of half axes (T, M), m; none for NaN."""
+        import rerun as rr
+
+        path = f"{self._layer.prefix}/uncertainty/{person_part(person)}"
+        if self._is_new(path):
+            red, green, blue = pale(person_hue(person, self._layer))
+            look = rr.Ellipsoids3D.from_fields(
+                colors=[(red, green, blue, _ELLIPSOID_ALPHA)],
+                fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
+                line_radii=_ELLIPSOID_LINE,
+                show_labels=False,
+            )
+            self.recording.log(path, look, static=True)
+        known = ~(np.isnan(joints).any(axis=2) | np.isnan(half_sizes))
+        sizes = np.repeat(half_sizes[known][:, None], 3, axis=1).astype(np.float32)
+        centers = joints[known].astype(np.float32)
+        parts = {
+            rr.Ellipsoids3D.descriptor_half_sizes(): rr.components.HalfSize3DBatch(sizes),
+            rr.Ellipsoids3D.descriptor_centers(): rr.components.Translation3DBatch(centers),
+        }
+        self._send(path, times, parts, known.sum(axis=1))
 
     def camera_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Show numbers of each camera, in the order of :data:`CAMERA_COLUMNS`."""
@@ -317,38 +348,38 @@ class Entities:
         document = rr.TextDocument(f"{text}\n\n{_CAMERA_NOTE}", media_type="text/markdown")
         self.recording.log(CAMERA_TABLE, document, static=True)
 
-    def displacements(self, path: str, stamps: list[int], result: Floats, before: Floats) -> None:
+    def displacements(self, path: str, times: Stamps, result: Floats, before: Floats) -> None:
         """Send magnified lines from a person's joints (T, M, 3), m, to where they were before.
 
         An instant at which ``before`` is NaN shows no line.
         """
         tips = result + MAGNIFIED * (before - result)
-        self._joint_lines(path, stamps, (result, tips), (DISPLACEMENT, _THIN))
+        self._joint_lines(path, times, (result, tips), (DISPLACEMENT, _THIN))
 
-    def errors(self, path: str, stamps: list[int], result: Floats, true: Floats) -> None:
+    def errors(self, path: str, times: Stamps, result: Floats, true: Floats) -> None:
         """Send lines, to scale, from a person's joints (T, M, 3), m, to the true ones."""
-        self._joint_lines(path, stamps, (result, true), (ERROR, _ERROR_PX))
+        self._joint_lines(path, times, (result, true), (ERROR, _ERROR_PX))
 
     def _joint_lines(
-        self, path: str, stamps: list[int], ends: tuple[Floats, Floats], look: tuple[RGB, float]
+        self, path: str, times: Stamps, ends: tuple[Floats, Floats], look: tuple[RGB, float]
     ) -> None:
         """Send lines between two (T, M, 3), m, none where either is NaN; colour and radius."""
         import rerun as rr
 
-        colour, radius = look
-        lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
-        self.recording.log(path, lines, static=True)
+        if self._is_new(path):
+            colour, radius = look
+            lines = rr.LineStrips3D.from_fields(colors=[colour], radii=radius)
+            self.recording.log(path, lines, static=True)
         known = ~np.isnan(ends[0] - ends[1]).any(axis=2)
         strokes = np.stack([end[known] for end in ends], axis=1).astype(np.float32)
         parts = {rr.LineStrips3D.descriptor_strips(): strips(strokes)}
-        when = times(stamps, self.start)
-        self.recording.send_columns(path, when, columns(parts, known.sum(axis=1)))
+        self._send(path, times, parts, known.sum(axis=1))
 
-    def _joints(self, poses: PoseBatch, places: Stamps, largest: float) -> tuple[Singles, Singles]:
-        """Return joints (R, M, 3) and radii (R, M), m, of the poses at these places."""
-        joints = np.empty((len(places), self.model.n_markers, 3), np.float32)
+    def _joints(self, poses: Poses, people: Stamps, largest: float) -> tuple[Singles, Singles]:
+        """Return joints (K, M, 3) and radii (K, M), m, of some of the poses."""
+        joints = np.empty((len(people), self.model.n_markers, 3), np.float32)
         radii = np.empty(joints.shape[:2], np.float32)
-        draw_joints(poses.positions, poses.confidences, places, largest, joints, radii)
+        draw_joints(poses.positions, poses.confidences, people, largest, joints, radii)
         return joints, radii
 
     def _parts(
@@ -415,36 +446,33 @@ class Entities:
 
     # -- curves, lanes and the log ---------------------------------------------------------------
 
-    def curves(self, path: str, rows: ScalarRows) -> None:
-        """Send the curves of an entity."""
+    def curves(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
+        """Send rows (T, 2) and (T, len(lines)) of the curves of an entity."""
         import rerun as rr
 
-        if not rows.started:
-            rows.started = True
-            names, colours, widths = map(list, zip(*rows.lines, strict=True))
-            lines = rr.SeriesLines(names=names, colors=colours, widths=widths)
-            self.recording.log(path, lines, static=True)
-        parts = rr.Scalars.columns(scalars=np.array(rows.values))
-        counts = np.full(len(rows.stamps), len(rows.lines))
-        when = times(rows.stamps, self.start)
-        self.recording.send_columns(path, when, parts.partition(counts))
+        if self._is_new(path):
+            names, colours, widths = map(list, zip(*lines, strict=True))
+            look = rr.SeriesLines(names=names, colors=colours, widths=widths)
+            self.recording.log(path, look, static=True)
+        parts = rr.Scalars.columns(scalars=values.ravel())
+        counts = np.full(len(times), len(lines))
+        self.recording.send_columns(path, time_columns(times, self.start), parts.partition(counts))
 
     def log_lines(self, path: str, rows: TextRows) -> None:
         """Send lines of the log."""
         import rerun as rr
 
         parts = rr.TextLog.columns(text=rows.texts, level=rows.levels)
+        times = np.array(rows.times)
         # The list of events has room for hundredths of a second.
-        since = [round(stamp - self.start, -7) for stamp in rows.stamps]
-        when = times([self.start + elapsed for elapsed in since], self.start)
-        self.recording.send_columns(path, when, parts)
+        times[:, 0] = self.start + (times[:, 0] - self.start + 5_000_000) // 10**7 * 10**7
+        self.recording.send_columns(path, time_columns(times, self.start), parts)
 
     def lane(self, path: str, rows: TextRows, look: Line) -> None:
         """Send a lane: filled in the first of its states, with a gap where that is gone."""
         import rerun as rr
 
-        if not rows.started:
-            rows.started = True
+        if self._is_new(path):
             states = rr.StateConfiguration(
                 values=[rows.texts[0], "gone"],
                 labels=[look.name, "gone"],
@@ -453,7 +481,7 @@ class Entities:
             )
             self.recording.log(path, states, static=True)
         parts = rr.StateChange.columns(state=rows.texts)
-        self.recording.send_columns(path, times(rows.stamps, self.start), parts)
+        self.recording.send_columns(path, time_columns(np.array(rows.times), self.start), parts)
 
 
 def person_hue(person: int, layer: Layer) -> RGB:
@@ -482,10 +510,10 @@ def person_of(path: str) -> int:
     return int(path.rsplit("_", 1)[-1])
 
 
-def _highest(poses: PoseBatch, places: Stamps) -> Floats:
-    """(K, 3) the highest joint of the poses at these places, m; NaN for a pose without joints."""
-    highest = np.empty((len(places), 3))
-    tops(poses.positions, places, highest)
+def _highest(poses: Poses, people: Stamps) -> Floats:
+    """(K, 3) the highest joint of some of the poses, m; NaN for a pose without joints."""
+    highest = np.empty((len(people), 3))
+    tops(poses.positions, people, highest)
     return highest
 
 

@@ -92,7 +92,10 @@ def value_bars(axes: Axes, names: Sequence[str], values: Sequence[float], spread
     for row, value in enumerate(values):
         if not np.isnan(value):  # beside a bar that is too short for it
             x, colour = (0.0, "white") if value > wide else (value, "black")
-            axes.text(x, row, f" {value:.1f}", va="center", fontsize=8, color=colour)
+            # The line of the spread may begin left of the value.
+            box = {"facecolor": TRUTH if value > wide else "white", "pad": 1.0, "edgecolor": "none"}
+            text = f" {value:.1f}"
+            axes.text(x, row, text, va="center", fontsize=8, color=colour, bbox=box, zorder=4)
     axes.set_xlim(0, None)
     axes.invert_yaxis()
     axes.margins(y=0.01)

@@ -10,11 +10,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import Frame
 from hiros_viewer.blueprint import Content, blueprint
 from hiros_viewer.destinations import new_recording, running_viewer, web_server
+from hiros_viewer.poses import Gatherer
 from hiros_viewer.replay import content_of, describe
 from hiros_viewer.scene import Scene
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
 BATCH = 120
-"""Frames per sending: a fifth of a second of five cameras and four stages."""
+"""Frames that are drawn at once: a fifth of a second of five cameras and four stages."""
 
 
 class LiveView:
@@ -40,14 +42,14 @@ class LiveView:
         self._layout = layout
         self._scene: Scene | None = None
         self._names: dict[str, str] = {}
-        self._count = 0
+        self._waiting = Gatherer()
         self._laid_out = False
 
     def begin(self, log: Log, chain: Sequence[str]) -> None:
         """Draw the cameras."""
         source = describe(log)
         self._names = dict(source.names)
-        self._scene = Scene(self._recording, source.model, final=chain[-1], batch=BATCH)
+        self._scene = Scene(self._recording, source.model, final=chain[-1])
         self._scene.start = source.start
         self._scene.begin(source.cameras, source.later)
         content = content_of([self._scene])
@@ -58,12 +60,10 @@ class LiveView:
         scene = self._scene
         if scene is None:
             return
-        if channel == DETECTIONS:
-            scene.detections(self._names[frame.source], frame)
-        else:
-            scene.stage(channel, frame)
-        self._count += 1
-        if self._count % BATCH == 0:
+        camera = self._names.get(frame.source, frame.source) if channel == DETECTIONS else ""
+        self._waiting.add([(channel, camera)], Block.of(frame))
+        if self._waiting.size >= BATCH:
+            scene.draw(self._waiting.rest())
             self._look(scene)
 
     def _look(self, scene: Scene) -> None:
@@ -81,6 +81,7 @@ class LiveView:
     def end(self, events: Events) -> None:
         """Draw the events and what is left."""
         if self._scene is not None and self._is_open():
+            self._scene.draw(self._waiting.rest())
             for event in sorted(events.log, key=lambda event: event.stamp):
                 self._scene.event(event)
             self._scene.finish()

@@ -11,7 +11,8 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.assignment import assign
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame
+from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps
+from hiros_viewer.poses import Poses
 from hiros_viewer.scene import Scene
 
 SIMULTANEOUS_NS = 17_000_000
@@ -38,40 +39,47 @@ def draw_distances(first: Path, second: Path, scenes: list[Scene], stage: str) -
     shared = [name for name in names[0] if name in names[1]]
     if not shared:
         raise ConfigError(f"{first} and {second} share no marker")
-    rows = [[own.index(name) for name in shared] for own in names]
-    last = common[-1]
-    for a, b in paired(_frames(first, last, rows[0]), _frames(second, last, rows[1])):
-        distance = joint_distances(a, b)
-        if distance.size:
-            scenes[0].distance(a.stamp, "mean", 1000 * float(distance.mean()))
-            scenes[0].distance(a.stamp, "largest", 1000 * float(distance.max()))
-    scenes[0].flush()
+    slots = [[own.index(name) for name in shared] for own in names]
+    a, b = (_poses(path, common[-1]) for path in (first, second))
+    mine, theirs = simultaneous(a.stamps, b.stamps)
+    people = _people(a, mine, slots[0]), _people(b, theirs, slots[1])
+    apart = [joint_distances(*both) for both in zip(*people, strict=True)]
+    known = np.array([len(distances) > 0 for distances in apart], bool)
+    times = a.times[mine][known]
+    for name, of in (("mean", np.mean), ("largest", np.max)):
+        values = np.array([of(distances) for distances in apart if len(distances)])
+        scenes[0].distances(name, times, 1000 * values)
 
 
-def _frames(path: Path, stage: str, markers: list[int]) -> Iterator[Frame]:
-    """Yield the frames of a stage with some of the markers."""
+def _poses(path: Path, stage: str) -> Poses:
+    """Return all frames of a stage."""
     with open_log(path, topics=[f"{OUTPUT_PREFIX}/{stage}"], output_prefix="/none") as log:
-        for frame in log.frames():
-            yield frame.replace(markers=frame.markers[:, markers])
+        blocks = [Poses.of_block(block, np.arange(len(block))) for block in log.camera_blocks()]
+    return Poses.joined(blocks)
 
 
-def paired(first: Iterator[Frame], second: Iterator[Frame]) -> Iterator[tuple[Frame, Frame]]:
-    """Yield frames of the same time; both are in the order of their time."""
-    a, b = next(first, None), next(second, None)
-    while a is not None and b is not None:
-        later = b.stamp - a.stamp
-        if abs(later) <= SIMULTANEOUS_NS:
-            yield a, b
-            a, b = next(first, None), next(second, None)
-        elif later < 0:
-            b = next(second, None)
-        else:
-            a = next(first, None)
+def _people(poses: Poses, frames: Stamps, markers: list[int]) -> Iterator[Floats]:
+    """Yield (P, K, 3) some markers, m, of everybody with an id in each of the frames."""
+    for begin, end in poses.rows[frames].tolist():
+        people = poses.positions[begin:end, markers]
+        yield people[poses.ids[begin:end] != UNTRACKED]
 
 
-def joint_distances(a: Frame, b: Frame) -> Floats:
-    """Distances, m, of all joints of the people that both frames hold, matched by place."""
-    mine, theirs = a.positions[a.ids != UNTRACKED], b.positions[b.ids != UNTRACKED]
+def simultaneous(first: Stamps, second: Stamps) -> tuple[Stamps, Stamps]:
+    """Return the numbers of instants of two channels, in order, that are the same time."""
+    if not (len(first) and len(second)):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    after = np.minimum(np.searchsorted(second, first), len(second) - 1)
+    before = np.maximum(after - 1, 0)
+    is_before = np.abs(first - second[before]) <= np.abs(second[after] - first)
+    near = np.where(is_before, before, after)
+    same = np.flatnonzero(np.abs(second[near] - first) <= SIMULTANEOUS_NS)
+    _, once = np.unique(near[same], return_index=True)
+    return same[once], near[same][once]
+
+
+def joint_distances(mine: Floats, theirs: Floats) -> Floats:
+    """Distances, m, of all joints of people (P, K, 3) and (Q, K, 3), matched by place."""
     each = np.linalg.norm(mine[:, None] - theirs[None], axis=-1)
     known = ~np.isnan(each)
     mean = np.where(known, each, 0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)

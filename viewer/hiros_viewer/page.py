@@ -24,17 +24,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STYLE = """
-:root { color-scheme: light; } .about { color: #57606a; margin: .2rem 0; }
+:root { color-scheme: light dark; } .about { color: #57606a; margin: .2rem 0; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem;
        color: #1b1f24; background: #fff; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0; }
-th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
-th:first-child, td:first-child { text-align: left; }
+th, td { padding: .2rem .45rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
+th:first-child, td:first-child { text-align: left; } td + td { white-space: nowrap; }
 th { border-bottom: 2px solid #9aa4af; font-weight: 600; }
 caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; padding: .3rem 0; }
 figure { margin: 1rem 0; } figure svg { max-width: 100%; height: auto; }
 .wide { overflow-x: auto; }
+@media (prefers-color-scheme: dark) {
+  body { color: #dde3ea; background: #14171a; }
+  .about, caption, figcaption { color: #9aa4af; }
+  th, td { border-color: #2c333b; } th { border-color: #57606a; }
+  figure svg { filter: invert(.92) hue-rotate(180deg); }
+  .at { background: #2c333b; }
+}
 """
 
 
@@ -90,7 +97,7 @@ class Page:
         return (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}{STYLE}</style>"
+            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{STYLE}{_STYLE}</style>"
             f"</head>\n<body><h1>{escape(self.title)}</h1>\n{about}{parts}\n{script}</body></html>\n"
         )
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import heapq
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,17 +27,18 @@ from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_viewer.blueprint import LAYOUTS, Content, blueprint
 from hiros_viewer.camera_moves import camera_moves
-from hiros_viewer.columns import Poses
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
+from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
 from hiros_viewer.scene import STAGES, Scene
+from hiros_viewer.uncertainties import Uncertainties
 
 if TYPE_CHECKING:
     import rerun as rr
 
-HORIZON_NS = 3_000_000_000
-"""Frames are put in the order of their own time; most are at most this much later in a log."""
-LONG_S = 600.0
+LONG_S = 180.0
+"""Of a longer log only the stages are drawn that the layout shows."""
+WHOLE_S = 600.0
 """Of a longer log not all frames are drawn."""
 MOST_FRAMES = 18_000
 """Of a channel of a long log: ten minutes at 30 Hz, an hour at 5 Hz."""
@@ -48,6 +48,8 @@ LIMB_AXIS_M = 0.25
 """Least length of an axis of limbs: millimetres look small."""
 ANGLE_AXIS_DEG = (0.0, 100.0)
 """What every axis of angles shows: two numbers stand beside it then."""
+Spans = Sequence[tuple[int, int]]
+_EVER = (0, 2**63 - 2)
 _NAMES = "AB"
 
 
@@ -67,6 +69,8 @@ class ViewOptions:
     """File with the true people, or a channel of the log; None = the log's own, if it has one."""
     calibration: Path | None = None
     """File with the cameras' poses that are compared with the log's, and used."""
+    uncertainty: bool = False
+    """Whether to draw how well the joints are known, as ellipsoids."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,54 +149,69 @@ class _Replay:
         self, path: Path, recording: rr.RecordingStream, options: ViewOptions, layer: Layer
     ) -> None:
         self.path, self.recording, self.options, self.layer = path, recording, options, layer
-        self._window = (0, 2**63 - 1)
+        self._window: tuple[int, int] | None = None
+        """ns; None before the first frame."""
+        self._is_long = False
         self._step = 0
-        self._cells: dict[tuple[str, str], int] = {}
         self._laid_out = False
 
     def draw(self, first: Scene | None, is_open: Callable[[], bool]) -> Scene:
         """Draw it; seconds count from the start of the first log when two are overlaid."""
-        with self._open(["*"]) as log:
+        extrinsics = self.options.calibration or self.options.extrinsics
+        with open_log(self.path, topics=["*"], output_prefix="/none", extrinsics=extrinsics) as log:
             source = describe(log)
-            final = self._final(source)
-            whole = (log.span[1] - log.span[0]) / 1e9
-        scene = Scene(self.recording, source.model, final=final, layer=self.layer)
-        scene.start = None if first is None else first.start
-        scene.truth = self._truth(source)
-        scene.shows_truth = self.options.truth is not None
-        only_stages = first is not None and bool(first.cameras)
-        if not only_stages:
-            scene.begin(source.cameras, source.later)
-        else:
-            scene.begin({})
-        if self.options.calibration is not None and not only_stages:
-            scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
-        self._thin(whole)
-        drawn = 0
-        with self._open(self._topics(source, final)) as log:
-            names = describe(log).names  # a source's name depends on what else is read
-            for count, (kind, frame) in enumerate(in_time_order(log)):
-                if not count:
-                    # Outputs alone are logged later than they are stamped: whichever is first.
-                    start = min(source.start, frame.stamp)
-                    self._window = _window(start, self.options.time_range)
-                    scene.start = start if first is None else scene.start
-                if frame.stamp > self._window[1] + HORIZON_NS or not is_open():
-                    break
-                skipped = kind == "truth" or (only_stages and kind == DETECTIONS)
-                if skipped or not self._is_shown(kind, frame):
-                    continue
-                drawn += 1
-                if kind == DETECTIONS:
-                    scene.detections(names[frame.source], frame)
-                else:
-                    scene.stage(kind, frame)
-                if not self._laid_out and scene.bounds:
-                    self._laid_out = True
-                    content = content_of([scene])
-                    self.recording.send_blueprint(blueprint(content, self.options.layout))
+            scene = self._scene(log, source, first)
+            only_stages = first is not None and bool(first.cameras)
+            if only_stages:
+                scene.begin({})
+            else:
+                scene.begin(source.cameras, source.later)
+            if self.options.calibration is not None and not only_stages:
+                scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
+            self._thin((log.span[1] - log.span[0]) / 1e9)
+            log.only(self._topics(source, scene.final))
+            left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
+            drawn = self._draw_frames(scene, log, left_out, is_open)
         self._finish(scene, source, drawn)
         return scene
+
+    def _scene(self, log: Log, source: Source, first: Scene | None) -> Scene:
+        """Return an empty scene that knows what the log is compared with."""
+        final = self._final(source)
+        scene = Scene(self.recording, source.model, final=final, layer=self.layer)
+        scene.start = None if first is None else first.start
+        scene.truth = self._truth(log)
+        scene.shows_truth = self.options.truth is not None
+        if self.options.uncertainty:
+            scene.uncertainties = Uncertainties.of_result(self.path, source.model)
+        return scene
+
+    def _draw_frames(
+        self, scene: Scene, log: Log, left_out: Collection[str], is_open: Callable[[], bool]
+    ) -> int:
+        """Draw the log; return the number of frames."""
+        start, drawn = log.span[0], 0
+        unfinished = {kind_of(camera.channel.topic) for camera in log.cameras} - set(left_out)
+        for frames in in_time_order(log, left_out, self._step, self._spans(start)):
+            first_stamp = min(int(poses.stamps[0]) for poses in frames.values())
+            if self._window is None:
+                # Outputs alone are logged later than they are stamped: whichever is first.
+                start = min(start, first_stamp)
+                scene.start = start if scene.start is None else scene.start
+                self._window = _window(start, self.options.time_range)
+            if not is_open():
+                break
+            drawn += self._draw(scene, frames)
+            if not self._laid_out and scene.bounds:
+                self._laid_out = True
+                content = content_of([scene])
+                self.recording.send_blueprint(blueprint(content, self.options.layout))
+            for (kind, _), poses in frames.items():
+                if poses.stamps[-1] > self._window[1]:
+                    unfinished.discard(kind)
+            if not unfinished:
+                break  # the time range is over
+        return drawn
 
     def _finish(self, scene: Scene, source: Source, drawn: int) -> None:
         """Draw what is known of the whole log: the truth and the events."""
@@ -203,15 +222,12 @@ class _Replay:
         if self.options.truth is not None and scene.final and not scene.n_true:
             fault = f"the truth {self.options.truth} covers no frame of the result; check its times"
             raise ConfigError(f"{self.path}: {fault}")
+        begin, end = self._window or _EVER
         for event in source.events:
-            if self._window[0] <= event.stamp <= self._window[1]:
+            if begin <= event.stamp <= end:
                 scene.event(event)
         scene.finish()
         scene.describe_cameras(source.report)
-
-    def _open(self, topics: Sequence[str]) -> Log:
-        extrinsics = self.options.calibration or self.options.extrinsics
-        return open_log(self.path, topics=topics, output_prefix="/none", extrinsics=extrinsics)
 
     def _final(self, source: Source) -> str:
         """Return the stage that curves are taken from; "" = there is none."""
@@ -221,58 +237,68 @@ class _Replay:
             raise LogError(f"holds no stage {asked!r}", path=self.path)
         return asked or (source.stages[-1] if source.stages else "")
 
-    def _truth(self, source: Source) -> Truth | None:
+    def _truth(self, log: Log) -> Truth | None:
         """Return the truth on the log's markers, at the log's time."""
+        own = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in log.channels)
+        if self.options.truth is None and not own:
+            return None  # looking for it in a long log takes a while
         found = find_truth(self.path, self.options.truth)
         if found is None:
             return None
-        return found.moved(start=start_of(self.path)).seen_by(source.model)
+        return found.moved(start=start_of(self.path)).seen_by(log.model)
 
     def _draw_truth(self, scene: Scene, truth: Truth) -> int:
         """Draw the true people, once if logs are overlaid; return the number of instants."""
-        drawn = 0
         if self.layer.number:
-            return drawn
-        for stamp, positions in zip(truth.stamps.tolist(), truth.positions, strict=True):
-            there = ~np.isnan(positions[..., 0]).all(axis=1)
-            ids = np.array(truth.people or range(len(there)), np.int64)[there]
-            certain = np.ones((len(ids), positions.shape[1]))
-            frame = Poses(stamp, "", ids, positions[there], certain)
-            if self._is_shown("truth", frame):
-                scene.stage("truth", frame)
-                drawn += 1
-        return drawn
+            return 0
+        there = ~np.isnan(truth.positions[..., 0]).all(axis=2)
+        ids = np.array(truth.people or range(there.shape[1]), np.int64)[np.nonzero(there)[1]]
+        positions = truth.positions[there]
+        times = np.stack([truth.stamps, truth.stamps], axis=1)
+        counts = there.sum(axis=1)
+        poses = Poses(times, counts, ids, positions, np.ones(positions.shape[:2]))
+        chosen = Thinner(self._step).chosen([""] * len(poses), poses.stamps)
+        return self._draw(scene, {("truth", ""): poses.select(np.flatnonzero(list(chosen)))})
+
+    def _draw(self, scene: Scene, frames: Mapping[Channel, Poses]) -> int:
+        """Draw the frames that are in the time range; return their number."""
+        begin, end = self._window or _EVER
+        inside = {
+            channel: poses.split(begin)[1].split(end + 1)[0] for channel, poses in frames.items()
+        }
+        scene.draw({channel: poses for channel, poses in inside.items() if len(poses)})
+        return sum(map(len, inside.values()))
 
     def _thin(self, whole: float) -> None:
         """Leave frames out of a long log: a viewer has no room for an hour at 30 Hz."""
         begin, end = self.options.time_range or (0.0, whole)
         seconds = min(end, whole) - begin
-        if seconds > LONG_S:
+        self._is_long = seconds > LONG_S
+        if seconds > WHOLE_S:
             self._step = round(min(seconds / MOST_FRAMES, LONGEST_STEP_S) * 1e9)
 
-    def _topics(self, source: Source, final: str) -> list[str]:
+    def _spans(self, start: int) -> Spans | None:
+        """Return the log times, ns, to be read: the log's first second, and from the range on.
+
+        Nobody knows how much later than its time a result is logged.
+        """
+        if self.options.time_range is None:
+            return None
+        begin, _ = _window(start, self.options.time_range)
+        return [(start, start + 10**9), (begin - HORIZON_NS, _EVER[1])]
+
+    def _topics(self, source: Source, final: str) -> Sequence[str]:
         """Return what to read: of a long log, what its layout shows."""
-        if not self._step:
-            return ["*"]
+        if not self._is_long:
+            return source.topics
         shown = {final, *(source.stages if self.options.layout == "stages" else ())}
         left_out = {f"{OUTPUT_PREFIX}/{stage}" for stage in source.stages if stage not in shown}
         return [topic for topic in source.topics if topic not in left_out]
 
-    def _is_shown(self, kind: str, frame: Poses) -> bool:
-        """Whether a frame is in the time range, and not left out."""
-        if not self._window[0] <= frame.stamp <= self._window[1]:
-            return False
-        if not self._step:
-            return True
-        cell, key = frame.stamp // self._step, (kind, frame.source)
-        is_new = self._cells.get(key) != cell
-        self._cells[key] = cell
-        return is_new
-
 
 def _window(start: int, seconds: tuple[float, float] | None) -> tuple[int, int]:
     if seconds is None:
-        return 0, 2**63 - 1
+        return _EVER
     return start + round(seconds[0] * 1e9), start + round(min(seconds[1], 1e9) * 1e9)
 
 
@@ -335,20 +361,32 @@ def _events(log: Log) -> tuple[Event, ...]:
         raise LogError(fault, path=log.path) from None
 
 
-def in_time_order(log: Log) -> Iterator[tuple[str, Poses]]:
-    """Yield (stage or detections, poses in the fixed frame) by the frames' own time.
+def in_time_order(
+    log: Log, left_out: Collection[str] = (), step: int = 0, spans: Spans | None = None
+) -> Iterator[Mapping[Channel, Poses]]:
+    """Yield what is drawn of a log, in the fixed frame, many frames at a time in their own order.
 
-    A log is in the order of its messages, and what a stage that looks ahead says of an instant
-    comes later; frames wait until little that is earlier can come.
+    Parameters
+    ----------
+    left_out : stages, or DETECTIONS, that are not drawn.
+    step : ns; of each channel and camera, one frame in each such interval is drawn; 0 = all.
+    spans : log times, ns; only there the log is read. None = all of it.
     """
     kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
-    waiting: list[tuple[int, int, str, Poses]] = []
-    for k, (topic, frame) in enumerate(log.detections_by_topic()):
-        heapq.heappush(waiting, (frame.stamp, k, kinds[topic], Poses.of(frame)))
-        while waiting and waiting[0][0] < frame.log_time - HORIZON_NS:
-            yield heapq.heappop(waiting)[2:]
-    while waiting:
-        yield heapq.heappop(waiting)[2:]
+    names, waiting, thinner = describe(log).names, Gatherer(), Thinner(step)
+    for topics, block in log.blocks_by_topic(spans, step):
+        shown = thinner.chosen(list(zip(topics, block.sources, strict=True)), block.stamps)
+        channels = [
+            (kinds[topic], names.get(source, source) if kinds[topic] == DETECTIONS else "")
+            if is_shown and kinds[topic] not in left_out
+            else None
+            for topic, source, is_shown in zip(topics, block.sources, shown, strict=True)
+        ]
+        waiting.add(channels, block)
+        if waiting.is_due and (ready := waiting.ready()):
+            yield ready
+    if rest := waiting.rest():
+        yield rest
 
 
 def content_of(scenes: list[Scene]) -> Content:
@@ -371,8 +409,10 @@ def content_of(scenes: list[Scene]) -> Content:
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         prefixes=[scene.prefix for scene in scenes],
         shows_truth=any(scene.shows_truth for scene in scenes),
+        shows_uncertainty=any(scene.uncertainties is not None for scene in scenes),
         has_error=any(scene.n_true for scene in scenes),
         has_moves=any(scene.has_moves for scene in scenes),
+        has_faults=any(scene.has_faults for scene in scenes),
         longest=scenes[0].longest,
         ranges=axis_ranges(scenes),
     )

@@ -12,25 +12,32 @@
     /displacement/<stage>/<person>   lines to where a stage had the joints;  /moved/...  its mean
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
     /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
+    /uncertainty/<person>       ellipsoids that hold the true joints with 68 %
     /state/<person>             while somebody is tracked;  /log   events
     /marked/<camera>/<fault>    detections that are mirrored or far off;  /views/...   when
     /cameras                    numbers of each camera
 
-A person's part of a path is person_<id>. Time is in seconds from the start, and as a date.
-Rows are collected and sent in columns, a batch at a time, so that memory stays bounded.
+A person's part of a path is person_<id>. Time is in seconds from the start, as a date, and as the
+time at which a live system could have known what is shown. Some thousand frames are drawn at once
+(:mod:`hiros_viewer.poses`), so that memory stays bounded.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiros_mcap.body.anatomy import ANGLE_NAMES, MAIN_ANGLES, anatomical_angles, continued
+from hiros_mcap.body.anatomy import (
+    ANGLE_NAMES,
+    MAIN_ANGLES,
+    MOST_RAD,
+    anatomical_angles,
+    continued,
+)
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.evaluate.match import MATCH_DISTANCE
@@ -38,18 +45,10 @@ from hiros_mcap.evaluate.pairing import best_pairs, skeleton_distances
 from hiros_mcap.evaluate.smoothness import lengths_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Event
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.running.observe import DETECTIONS
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, SkeletonModel, Stamps
 from hiros_viewer.camera_moves import CameraMove
-from hiros_viewer.columns import (
-    DetectionRows,
-    Line,
-    PersonRows,
-    PoseBatch,
-    Poses,
-    ScalarRows,
-    StageRows,
-    TextRows,
-)
+from hiros_viewer.columns import GONE_NS, CurveRows, Line, TextRows, after_pauses
 from hiros_viewer.displacement import EarlierPoses, mean_distances
 from hiros_viewer.entities import (
     Entities,
@@ -60,21 +59,18 @@ from hiros_viewer.entities import (
     person_part,
 )
 from hiros_viewer.palette import FAULTY, SIDES, curve_colour, pale
+from hiros_viewer.poses import Channel, Poses
+from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
+from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
 from hiros_viewer.view_check import FaultySpan, ViewCheck
+from hiros_viewer.waiting import Compared, Waiting
 
 if TYPE_CHECKING:
     import rerun as rr
 
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
-BATCH = 4000
-"""Frames collected before they are sent."""
-_FIRST_BATCH = 400
-"""Before anybody was drawn: the first picture comes soon."""
-GONE_NS = 250_000_000
-"""Somebody or something that was not seen for this long is hidden."""
 _ALONE = Layer()
 _MOST_BOUNDS = 2000
-_MOST_WAITING = 10_000
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
@@ -82,14 +78,6 @@ _LIMBS = {
     "thigh": ("hip", "knee"),
     "shin": ("knee", "ankle"),
 }
-
-
-@dataclass(slots=True)
-class _Reference:
-    """The last stage's people at its newest frame, to compare detections with."""
-
-    stamp: int = 0
-    positions: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
 
 
 class Scene:
@@ -109,7 +97,6 @@ class Scene:
         *,
         final: str = "filtered",
         layer: Layer = _ALONE,
-        batch: int = BATCH,
     ) -> None:
         self.model = model
         self.final = final
@@ -123,6 +110,8 @@ class Scene:
         """What to compare the last stage with, on the markers of the model."""
         self.shows_truth = False
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
+        self.uncertainties: Uncertainties | None = None
+        """How well joints are known, to be drawn as ellipsoids."""
         self.most_people = 0
         """In one detection message."""
         self.has_moves = False
@@ -132,32 +121,24 @@ class Scene:
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
         self._layer, self._prefix = layer, layer.prefix
-        self._batch = batch
-        self._collected = 0
-        self._n_detections = 0
-        n = model.n_markers
-        self._detections = defaultdict[str, DetectionRows](lambda: DetectionRows(PoseBatch(n)))
-        self._stages = defaultdict[str, StageRows](lambda: StageRows(PoseBatch(n)))
-        self._scalars: dict[str, ScalarRows] = {}
-        self._curves: dict[tuple[str, str], ScalarRows] = {}
+        self._crowds = defaultdict[str, Crowd](Crowd)
+        """By camera; in the order in which cameras were first seen."""
+        self._marks = defaultdict[Channel, Crowd](Crowd)
+        """By camera and kind of fault: its detections that have it."""
+        self._stages: dict[str, Visits] = {}
+        self._curves: dict[str, CurveRows] = {}
+        """By path."""
         self._texts = defaultdict[str, TextRows](TextRows)
+        self._lane_looks: dict[str, Line] = {}
+        """By path."""
         self._earlier = defaultdict[tuple[str, int], EarlierPoses](EarlierPoses)
         """By stage and person."""
+        self._pasts = defaultdict[int, _Past](_Past)
+        """By person."""
+        self._waiting = Waiting()
         mirror = symmetry_of(model).mirror
         self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))
         """By camera."""
-        self._marks = defaultdict[tuple[str, str], DetectionRows](
-            lambda: DetectionRows(PoseBatch(n))
-        )
-        """By camera and kind of fault: its detections that have it."""
-        self._lane_looks: dict[str, Line] = {}
-        """By path."""
-        self._true = defaultdict[int, list[tuple[int, Floats]]](list)
-        """By person: stamps and true poses that are not among the earlier ones yet."""
-        self._reference = _Reference()
-        self._waiting: list[tuple[int, int, str, Floats]] = []
-        """Heap of detections that the last stage has not come to: stamp, number, camera, joints."""
-        self._alive: set[int] = set()
         self._lengths = Counter[int]()
         """Frames of the last stage that everybody is in."""
         self._root = _root_slot(model)
@@ -172,7 +153,12 @@ class Scene:
     @property
     def cameras(self) -> list[str]:
         """Names of the cameras, in the order of their colours."""
-        return list(self._detections)
+        return list(self._crowds)
+
+    @property
+    def has_faults(self) -> bool:
+        """Whether a camera's view was wrong for a while."""
+        return any(path.startswith("/views/") for path in self._lane_looks)
 
     @property
     def longest(self) -> int:
@@ -199,7 +185,7 @@ class Scene:
             self._entities.room(dim_detections=bool(self.final))
         self.camera_poses = cameras
         for number, (name, pose) in enumerate(cameras.items()):
-            _ = self._detections[name]  # cameras keep the order in which they are drawn
+            _ = self._crowds[name]  # cameras keep the order in which they are drawn
             self._entities.camera(name, number, pose)
             for seconds, moved in (later or {}).get(name, {}).items():
                 self._entities.camera(f"{name} from {seconds:.1f} s", number, moved)
@@ -215,51 +201,50 @@ class Scene:
 
     # -- frames --------------------------------------------------------------------------------
 
-    def detections(self, camera: str, frame: Frame | Poses) -> None:
-        """Draw what a camera reports; the frame is in the fixed frame."""
-        rows = self._detections[camera]
-        self._hide_after_pause(rows, frame.stamp)
-        rows.add(frame)
-        self._curve("/people", camera).add(frame.stamp, len(frame.ids))
-        self.most_people = max(self.most_people, len(frame.ids))
+    def draw(self, frames: Mapping[Channel, Poses]) -> None:
+        """Draw frames of all channels that have the same time: detections, then stages."""
+        if self.start is None and frames:
+            self.start = min(int(poses.stamps[0]) for poses in frames.values())
+        for (kind, source), poses in frames.items():
+            if kind == DETECTIONS:
+                self.detections(source, poses)
+        for kind, _ in sorted(frames, key=lambda channel: channel[0] == self.final):
+            if kind != DETECTIONS:
+                self.stage(kind, frames[kind, ""])
+        self._send_texts()
+
+    def detections(self, camera: str, poses: Poses) -> None:
+        """Draw what a camera reports; it is in the fixed frame."""
+        self._entities.start = self.start or 0
+        number = list(self._crowds).index(camera) if camera in self._crowds else len(self._crowds)
+        rows = self._crowds[camera].rows(poses)
+        highest = self._entities.detections(camera, number, poses, rows)
+        self._extend_camera("/people", camera, poses.times, poses.counts.astype(float))
+        self.most_people = max(self.most_people, int(poses.counts.max(initial=0)))
         if self.final:
-            positions = np.ascontiguousarray(frame.positions)
-            heapq.heappush(self._waiting, (frame.stamp, self._n_detections, camera, positions))
-            self._n_detections += 1
-            if len(self._waiting) > _MOST_WAITING:
-                heapq.heappop(self._waiting)
-        self._count(frame.stamp)
+            self._waiting.add(camera, poses)
+        else:
+            self._extend_bounds(highest)
 
-    def _compare(self, newest: _Reference) -> None:
-        """Draw how far detections up to the last stage's newest frame are from its people.
-
-        Each is compared with the frame that is nearest in time. The last stage is seconds behind
-        the cameras: it looks ahead, and waits until it knows people's limbs.
-        """
-        while self._waiting and self._waiting[0][0] <= newest.stamp:
-            stamp, _, camera, positions = heapq.heappop(self._waiting)
-            is_newer = newest.stamp - stamp < stamp - self._reference.stamp
-            near = newest if is_newer else self._reference
-            if abs(near.stamp - stamp) <= GONE_NS:
-                self._residual(camera, stamp, positions, near.positions)
-        self._reference = newest
-
-    def _residual(self, camera: str, stamp: int, positions: Floats, people: Floats) -> None:
+    def _compare(self, some: Iterable[Compared]) -> None:
         """Draw how far detections are from the nearest person each, and mark wrong ones."""
-        check = self._checks[camera]
-        known = len(check.distances)
-        faults = check.compare(positions, people)
-        if len(check.distances) > known:
-            self._curve("/residual", camera).add(stamp, check.distances[-1])
-        for kind, rows in faults.items():
-            if rows.any():
-                wrong = positions[rows]
-                certain = np.ones(wrong.shape[:2])
-                ids = np.full(len(wrong), UNTRACKED)
-                self._marks[camera, kind].add(Poses(stamp, camera, ids, wrong, certain))
-            elif (camera, kind) in self._marks:
-                self._marks[camera, kind].hide(stamp)
-        self._tell(camera, check.spans(stamp, faults))
+        for camera, detections, people, rows in some:
+            check = self._checks[camera]
+            distances, faults = check.compare(detections, people, rows)
+            known = ~np.isnan(distances)
+            self._extend_camera("/residual", camera, detections.times[known], distances[known])
+            for kind, wrong in faults.items():
+                if wrong.any() or (camera, kind) in self._marks:
+                    self._mark(camera, kind, detections.only(wrong))
+            self._tell(camera, check.spans(detections, faults))
+
+    def _mark(self, camera: str, kind: str, wrong: Poses) -> None:
+        """Draw the detections of frames that are wrong, if there are any."""
+        crowd = self._marks[camera, kind]
+        kept = np.flatnonzero(crowd.changes(wrong))
+        if len(kept):
+            wrong = wrong.select(kept)
+            self._entities.marks(camera, kind, wrong, crowd.rows(wrong))
 
     def _tell(self, camera: str, spans: Iterable[FaultySpan]) -> None:
         """Show when a camera's view was wrong: a lane, and a line in the list of events."""
@@ -268,8 +253,9 @@ class Scene:
             self._lane_looks[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
             self._texts[path].add(span.start, span.kind)
             self._texts[path].add(span.end, "gone")
-            detail = f"for {(span.end - span.start) / 1e9:.2f} s"
-            self.event(Event(span.start, f"view {span.kind}", UNTRACKED, camera, detail))
+            detail = f"for {span.seconds:.2f} s"
+            told = Event(int(span.start[0]), f"view {span.kind}", UNTRACKED, camera, detail)
+            self.event(told, int(span.start[1]))
 
     def describe_cameras(self, report: Mapping[str, Mapping[str, Any]]) -> None:
         """Show the numbers of each camera: those of the run, by camera, and what was drawn."""
@@ -282,184 +268,123 @@ class Scene:
         if rows and self.final:
             self._entities.camera_table(rows)
 
-    def stage(self, name: str, frame: Frame | Poses) -> None:
+    def stage(self, name: str, poses: Poses) -> None:
         """Draw a stage's people."""
-        rows = self._stages[name]
-        self._end_before_pause(name, rows, frame.stamp)
-        place = rows.poses.size
-        rows.poses.add(frame)
-        ids = frame.ids.tolist()
-        for person in ids:
-            if person != UNTRACKED:
-                person_rows = rows.people.get(person)
-                if person_rows is None:
-                    person_rows = rows.people[person] = PersonRows()
-                    if name != "truth" or not self.final:
-                        self.people.add(person)
-                self._hide_after_pause(person_rows, frame.stamp)
-                person_rows.add(frame.stamp, place)
-                rows.shown[person] = person_rows
-            place += 1
-        # The tracker's frames are of one camera each, which does not see everybody.
-        self._hide_gone(rows, ids, frame.stamp, GONE_NS if name == "tracked" else 0)
+        self._entities.start = self.start or 0
+        visits = self._stages.get(name)
+        if visits is None:
+            # The tracker's frames are of one camera each, which does not see everybody.
+            visits = self._stages[name] = Visits(GONE_NS if name == "tracked" else 0)
         if name == self.final:
-            self._compare(_Reference(frame.stamp, np.ascontiguousarray(frame.positions)))
-            self._lengths.update(person for person in ids if person != UNTRACKED)
-            self._states(ids, frame.stamp)
-            if self.truth is not None and self.truth.covers(frame.stamp):
-                self._match(frame, self.truth)
-        self._count(frame.stamp)
+            self._compare(self._waiting.reached(poses))
+            if self.truth is not None:
+                self._match(poses, self.truth)
+        for visit in visits.of(poses):
+            if name != "truth" or not self.final:
+                self.people.add(visit.person)
+            self._send_visit(name, visit, poses)
 
-    def _match(self, frame: Frame | Poses, truth: Truth) -> None:
+    def _match(self, poses: Poses, truth: Truth) -> None:
         """Note the true pose of everybody in a frame who is near a true person."""
-        self.n_true += 1
-        true = truth.at(frame.stamp)[0]
-        distances = skeleton_distances(true, frame.positions)
-        distances[:, frame.ids == UNTRACKED] = np.inf
-        for row, column in best_pairs(np.where(distances < MATCH_DISTANCE, distances, np.inf)):
-            self._true[int(frame.ids[column])].append((frame.stamp, true[row]))
+        found = defaultdict[int, list[tuple[int, Floats]]](list)
+        frames = zip(poses.stamps.tolist(), poses.rows.tolist(), strict=True)
+        for stamp, (begin, end) in frames:
+            if not truth.covers(stamp):
+                continue
+            self.n_true += 1
+            true = truth.at(stamp)[0]
+            distances = skeleton_distances(true, poses.positions[begin:end])
+            distances[:, poses.ids[begin:end] == UNTRACKED] = np.inf
+            near = np.where(distances < MATCH_DISTANCE, distances, np.inf)
+            for row, column in best_pairs(near):
+                found[int(poses.ids[begin + column])].append((stamp, true[row]))
+        for person, noted in found.items():
+            stamps, true_poses = zip(*noted, strict=True)
+            self._earlier["truth", person].add(np.array(stamps), np.stack(true_poses))
 
-    def _hide_gone(self, rows: StageRows, ids: list[int], stamp: int, patience: int) -> None:
-        """Hide people whom this frame lacks."""
-        gone = [
-            person
-            for person, person_rows in rows.shown.items()
-            if person not in ids and stamp - person_rows.last >= patience
-        ]
-        for person in gone:
-            rows.shown.pop(person).hide(stamp)
-
-    def _end_before_pause(self, stage: str, rows: StageRows, stamp: int) -> None:
-        """Hide a stage's people during a pause of its channel: nobody knows where they are."""
-        last = rows.last or stamp
-        rows.last = stamp
-        if stamp - last <= 2 * GONE_NS:
-            return
-        rows.hide_all(last + GONE_NS)
+    def _send_visit(self, stage: str, visit: Visit, poses: Poses) -> None:
+        """Send what is drawn of one person of a stage."""
+        path = f"{self._prefix}/{stage}/{person_part(visit.person)}"
+        is_strong = stage == (self.final or "truth")
+        shown, highest = self._entities.person(path, visit, poses, is_strong=is_strong)
+        self._extend_bounds(highest)
+        own = poses.positions[visit.people[shown]]
+        if stage == UNCERTAIN_STAGE:
+            self._show_uncertainty(visit, shown, own)
         if stage == self.final:
-            self._leave(self._alive, last + GONE_NS)
-            self._alive = set()
+            self._states(visit)
+            self._lengths[visit.person] += int(shown.sum())
+            self._show_displacements(visit, shown, own)
+            if shown.any():
+                self._derive_curves(visit.person, visit.times[shown], own)
+        elif stage in self._before():
+            self._earlier[stage, visit.person].add(visit.times[shown, 0], own)
 
-    def _hide_after_pause(self, rows: DetectionRows | PersonRows, stamp: int) -> None:
-        """Hide what was last shown before a pause of the channel."""
-        if rows.shown and stamp - rows.last > 2 * GONE_NS:
-            rows.hide(rows.last + GONE_NS)
+    def _show_uncertainty(self, visit: Visit, shown: Flags, poses: Floats) -> None:
+        """Draw how well the joints ``poses`` (K, M, 3) of the rows shown are known."""
+        if self.uncertainties is not None:
+            sizes = np.full((len(shown), self.model.n_markers), np.nan)
+            sizes[shown] = self.uncertainties.at(visit.person, visit.times[shown, 0])
+            joints = np.full((*sizes.shape, 3), np.nan)
+            joints[shown] = poses
+            self._entities.ellipsoids(visit.person, visit.times, joints, HALF_SIZE * sizes)
 
-    def _states(self, ids: list[int], stamp: int) -> None:
+    def _states(self, visit: Visit) -> None:
         """Note when somebody comes and goes."""
-        here = set(ids) - {UNTRACKED}
-        if here == self._alive:
-            return
-        for person in sorted(here - self._alive):
-            self._lane(person).add(stamp, "tracked")
-        self._leave(self._alive - here, stamp)
-        self._alive = here
+        path = f"{self._prefix}/state/{person_part(visit.person)}"
+        self._lane_looks[path] = self._person_line(visit.person)
+        for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
+            self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
 
-    def _leave(self, people: set[int], stamp: int) -> None:
-        for person in sorted(people):
-            self._lane(person).add(stamp, "gone")
-
-    def _lane(self, person: int) -> TextRows:
-        path = f"{self._prefix}/state/{person_part(person)}"
-        self._lane_looks[path] = self._person_line(person)
-        return self._texts[path]
-
-    def event(self, event: Event) -> None:
-        """Write an event into the log."""
+    def event(self, event: Event, log_time: int | None = None) -> None:
+        """Write an event into the log; its time is also its log time unless that is known."""
         level = "WARN" if event.is_warning else "INFO"
-        self._texts[f"{self._prefix}/log"].add(event.stamp, self._layer.named(event.text), level)
+        times = np.array([event.stamp, event.stamp if log_time is None else log_time])
+        self._texts[f"{self._prefix}/log"].add(times, self._layer.named(event.text), level)
 
-    def distance(self, stamp: int, name: str, millimetres: float) -> None:
-        """Add to the curve of joint distances between two logs, mm."""
-        self._curve("/distance", name).add(stamp, millimetres)
+    def distances(self, name: str, times: Stamps, millimetres: Floats) -> None:
+        """Add to the curve of joint distances between two logs, mm; times (T, 2)."""
+        line = Line(name, curve_colour(["mean", "largest"].index(name)))
+        self._extend(f"/distance/{path_part(name)}", [line], times, millimetres)
 
-    def _curve(self, kind: str, name: str) -> ScalarRows:
-        """Return the rows of a single curve, made when it is first asked for."""
-        rows = self._curves.get((kind, name))
-        if rows is None:
-            known = ["mean", "largest"] if kind == "/distance" else self.cameras
-            line = Line(name, curve_colour(known.index(name)))
-            rows = self._curves[kind, name] = ScalarRows([line])
-            self._scalars[f"{kind}/{path_part(name)}"] = rows
-        return rows
-
-    # -- sending -------------------------------------------------------------------------------
-
-    def _count(self, stamp: int) -> None:
-        """Count a frame, and send what was collected once it is enough."""
-        if self.start is None:
-            self.start = stamp
-        self._collected += 1
-        if self._collected >= (self._batch if self.bounds else min(self._batch, _FIRST_BATCH)):
-            self.flush()
+    def _extend_camera(self, kind: str, camera: str, times: Stamps, values: Floats) -> None:
+        """Add to a curve of a camera."""
+        line = Line(camera, curve_colour(self.cameras.index(camera)))
+        self._extend(f"{kind}/{path_part(camera)}", [line], times, values)
 
     def finish(self) -> None:
-        """Send what is left, and hide everybody after the last frame."""
-        for rows in self._detections.values():
-            rows.hide(rows.last + GONE_NS)
-        for stage in self._stages.values():
-            for person_rows in stage.shown.values():
-                person_rows.hide(person_rows.last + GONE_NS)
-        self._compare(_Reference(self._reference.stamp + 2 * GONE_NS))
-        for marks in self._marks.values():
-            marks.hide(marks.last + GONE_NS)
+        """Hide everybody after the last frame, and send what is left."""
+        for number, (camera, crowd) in enumerate(self._crowds.items()):
+            if len(times := crowd.finish()):
+                rows = times, np.zeros(1, np.int64)
+                self._entities.detections(camera, number, self._nobody(), rows)
+        self._compare(self._waiting.rest())
+        for (camera, kind), crowd in self._marks.items():
+            if len(times := crowd.finish()):
+                self._entities.marks(camera, kind, self._nobody(), (times, np.zeros(1, np.int64)))
+        for name, visits in self._stages.items():
+            for visit in visits.finish():
+                self._send_visit(name, visit, self._nobody())
         for camera, check in self._checks.items():
             self._tell(camera, check.finish())
-        final = self._stages.get(self.final)
-        self._leave(self._alive, (final.last if final else 0) + GONE_NS)
-        self.flush()
+        self._send_texts()
 
-    def flush(self) -> None:
-        """Send what was collected so far."""
-        self._collected = 0
-        self._entities.start = self.start or 0
-        for number, (camera, rows) in enumerate(self._detections.items()):
-            if rows.stamps:
-                highest = self._entities.detections(camera, number, rows)
-                if not self.final:
-                    self._extend_bounds(highest)
-                rows.sent()
-        for (camera, kind), marks in self._marks.items():
-            if marks.stamps:
-                self._entities.marks(camera, kind, marks)
-                marks.sent()
-        for person, noted in self._true.items():
-            stamps, poses = zip(*noted, strict=True)
-            self._earlier["truth", person].add(np.array(stamps), np.stack(poses))
-        self._true.clear()
-        for name in sorted(self._stages, key=lambda name: name == self.final):
-            self._send_stage(name, self._stages[name])
-        for path, curve in self._scalars.items():
-            if curve.stamps:
-                self._entities.curves(path, curve)
-                curve.sent()
-        for path, lines in self._texts.items():
-            if lines.stamps:
+    def _nobody(self) -> Poses:
+        """Return frames without people."""
+        n = self.model.n_markers
+        none = np.zeros(0, np.int64)
+        return Poses(np.zeros((0, 2), np.int64), none, none, np.zeros((0, n, 3)), np.zeros((0, n)))
+
+    def _send_texts(self) -> None:
+        for path, rows in self._texts.items():
+            if rows.times:
                 if path in self._lane_looks:
-                    self._entities.lane(path, lines, self._lane_looks[path])
+                    self._entities.lane(path, rows, self._lane_looks[path])
                 else:
-                    self._entities.log_lines(path, lines)
-                lines.sent()
+                    self._entities.log_lines(path, rows)
+                rows.sent()
 
-    def _send_stage(self, stage: str, rows: StageRows) -> None:
-        """Send everybody of a stage."""
-        for person, person_rows in rows.people.items():
-            if person_rows.stamps:
-                path = f"{self._prefix}/{stage}/{person_part(person)}"
-                shown, highest = self._entities.person(
-                    path, person_rows, rows.poses, is_strong=stage == (self.final or "truth")
-                )
-                self._extend_bounds(highest)
-                poses = rows.poses.positions[np.array(person_rows.places)[shown]]
-                stamps = np.array(person_rows.stamps)
-                if stage == self.final:
-                    self._show_displacements(person, stamps, shown, poses)
-                    if shown.any():
-                        self._derive_curves(person, person_rows, stamps[shown], poses)
-                elif stage in self._before():
-                    self._earlier[stage, person].add(stamps[shown], poses)
-                person_rows.sent()
-        rows.poses.clear()
+    # -- what is derived of the last stage -------------------------------------------------------
 
     def _extend_bounds(self, highest: Floats) -> None:
         """Note where people are, for the eye that is to look at them."""
@@ -470,34 +395,30 @@ class Scene:
         """Return the stages whose frames have the result's times: those between both ends."""
         return STAGES[1 : max(STAGES.index(self.final), 1)] if self.final in STAGES else ()
 
-    def _show_displacements(self, person: int, stamps: Stamps, shown: Flags, poses: Floats) -> None:
+    def _show_displacements(self, visit: Visit, shown: Flags, poses: Floats) -> None:
         """Draw how far the result, ``poses`` (K, M, 3) of the rows shown, is from each stage."""
-        result = np.full((len(stamps), self.model.n_markers, 3), np.nan)
+        person, times = visit.person, visit.times
+        result = np.full((len(times), self.model.n_markers, 3), np.nan)
         result[shown] = poses
         drawn = [stage for stage in self._before() if stage in self._stages]
         for stage in drawn:
-            before = self._earlier[stage, person].at(stamps, self.model.n_markers)
+            before = self._earlier[stage, person].at(times[:, 0], self.model.n_markers)
             path = f"{stage}/{person_part(person)}"
             if stage == drawn[0]:
-                self._entities.displacements(
-                    f"{self._prefix}/displacement/{path}", stamps.tolist(), result, before
-                )
-            apart = 1000 * mean_distances(before, result)
-            known = ~np.isnan(apart)
-            lines = [self._person_line(person)]
-            self._extend(f"{self._prefix}/moved/{path}", lines, stamps[known], apart[known])
+                whole = f"{self._prefix}/displacement/{path}"
+                self._entities.displacements(whole, times, result, before)
+            self._extend_apart(f"moved/{path}", person, times, mean_distances(before, result))
         if self.truth is not None:
-            self._show_errors(person, stamps, result)
+            true = self._earlier["truth", person].at(times[:, 0], self.model.n_markers)
+            part = person_part(person)
+            self._entities.errors(f"{self._prefix}/error_lines/{part}", times, result, true)
+            self._extend_apart(f"error/{part}", person, times, mean_distances(result, true))
 
-    def _show_errors(self, person: int, stamps: Stamps, result: Floats) -> None:
-        """Draw how far the result, (T, M, 3) m, is from the truth."""
-        true = self._earlier["truth", person].at(stamps, self.model.n_markers)
-        part = person_part(person)
-        self._entities.errors(f"{self._prefix}/error_lines/{part}", stamps.tolist(), result, true)
-        mean = 1000 * mean_distances(result, true)
-        known = ~np.isnan(mean)
+    def _extend_apart(self, path: str, person: int, times: Stamps, metres: Floats) -> None:
+        """Add to a person's curve of distances, mm; NaN is left out."""
+        known = ~np.isnan(metres)
         lines = [self._person_line(person)]
-        self._extend(f"{self._prefix}/error/{part}", lines, stamps[known], mean[known])
+        self._extend(f"{self._prefix}/{path}", lines, times[known], 1000 * metres[known])
 
     def _person_line(self, person: int) -> Line:
         """Return the curve of a person, in its colour."""
@@ -513,7 +434,7 @@ class Scene:
         return lines
 
     def _extend_sides(
-        self, kind: str, person: int, names: Sequence[str], stamps: Stamps, values: Floats
+        self, kind: str, person: int, names: Sequence[str], times: Stamps, values: Floats
     ) -> None:
         """Add to curves (T, len(names)); what is left and right of one joint shares an entity."""
         path = f"{self._prefix}/{kind}/{person_part(person)}"
@@ -522,29 +443,24 @@ class Scene:
             columns = [k for k, own in enumerate(parts) if own == part]
             lines = self._side_lines([names[k] for k in columns])
             self._widen(f"{kind}/{part}", values[:, columns])
-            self._extend(f"{path}/{part.replace(' ', '_')}", lines, stamps, values[:, columns])
+            self._extend(f"{path}/{part.replace(' ', '_')}", lines, times, values[:, columns])
 
-    def _derive_curves(self, person: int, rows: PersonRows, stamps: Stamps, poses: Floats) -> None:
+    def _derive_curves(self, person: int, times: Stamps, poses: Floats) -> None:
         """Angles, limb lengths and speed of the last stage."""
+        past = self._pasts[person]
         main = [ANGLE_NAMES.index(name) for name in MAIN_ANGLES]
         jumping = anatomical_angles(self.model, poses, unwrapped=False)[:, main]
-        angles = continued(jumping, rows.last_angles)
-        rows.last_angles = angles[-1]
-        self._extend_sides("angles", person, MAIN_ANGLES, stamps, np.degrees(angles))
+        angles = past.angles(times, jumping, MOST_RAD[main])
+        self._extend_sides("angles", person, MAIN_ANGLES, times, np.degrees(angles))
         if self._limbs:
             lengths = lengths_of(poses, self.model)[:, list(self._limbs.values())]
-            self._extend_sides("limbs", person, tuple(self._limbs), stamps, lengths)
-        moments, roots = stamps, poses[:, self._root]
-        if rows.last_root is not None:
-            moments = np.insert(moments, 0, rows.last_root[0])
-            roots = np.insert(roots, 0, rows.last_root[1], axis=0)
-        rows.last_root = (int(stamps[-1]), poses[-1, self._root])
-        steps = np.diff(moments)
+            self._extend_sides("limbs", person, tuple(self._limbs), times, lengths)
+        moments, roots = past.continued(times, poses[:, self._root])
+        steps = np.diff(moments[:, 0])
         steady = (steps > 0) & (steps < GONE_NS)
         speeds = np.linalg.norm(np.diff(roots, axis=0), axis=-1)[steady] / (steps[steady] / 1e9)
-        lines = [self._person_line(person)]
         path = f"{self._prefix}/speed/{person_part(person)}"
-        self._extend(path, lines, moments[1:][steady], speeds)
+        self._extend(path, [self._person_line(person)], moments[1:][steady], speeds)
 
     def _widen(self, kind: str, values: Floats) -> None:
         """Note where curves are, all but their outliers."""
@@ -554,8 +470,41 @@ class Scene:
             past = self.ranges.get(kind, (low, high))
             self.ranges[kind] = min(past[0], float(low)), max(past[1], float(high))
 
-    def _extend(self, path: str, lines: Sequence[Line], stamps: Stamps, values: Floats) -> None:
-        self._scalars.setdefault(path, ScalarRows(lines)).extend(stamps, values)
+    def _extend(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
+        """Add rows (T, 2) and (T,) or (T, len(lines)) to the curves of an entity."""
+        if len(times):
+            curves = self._curves.setdefault(path, CurveRows(lines))
+            self._entities.curves(path, lines, *curves.ended(times, values))
+
+
+@dataclass(slots=True)
+class _Past:
+    """What curves of a person go on from."""
+
+    _times: Stamps | None = None
+    """(2,) of the newest row."""
+    _root: Floats | None = None
+    """(3,) m, in that row."""
+    _angles: Floats | None = None
+    """(A,) joint angles, rad, each where it was last known."""
+
+    def angles(self, times: Stamps, jumping: Floats, most: Floats) -> Floats:
+        """Continue angles (T, A), at most (A,) rad, over jumps of 360 degrees but not pauses."""
+        places, _ = after_pauses(times, self._times)
+        runs = enumerate(np.split(jumping, places))
+        parts = [continued(part, None if k else self._angles, most) for k, part in runs]
+        newest = parts[-1][::-1]
+        row = newest[(~np.isnan(newest)).argmax(axis=0), np.arange(newest.shape[1])]
+        earlier = row if self._angles is None or len(parts) > 1 else self._angles
+        self._angles = np.where(np.isnan(row), earlier, row)
+        return np.concatenate(parts)
+
+    def continued(self, times: Stamps, roots: Floats) -> tuple[Stamps, Floats]:
+        """Return rows (T, 2) and places of the root (T, 3) with those before the first."""
+        before, place, self._times, self._root = self._times, self._root, times[-1], roots[-1]
+        if before is None or place is None:
+            return times, roots
+        return np.insert(times, 0, before, axis=0), np.insert(roots, 0, place, axis=0)
 
 
 def limb_links(model: SkeletonModel) -> dict[str, int]:

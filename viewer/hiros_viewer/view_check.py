@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.kernels.distance import nearest
-from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_viewer.poses import Poses, ranges
 
 MIRRORED, FAR_OFF = "mirrored", "far off"
 FAULTS = (MIRRORED, FAR_OFF)
@@ -24,16 +25,22 @@ _SHORTEST_NS = 100_000_000
 
 
 class FaultySpan(NamedTuple):
-    """When a camera's view was wrong, ns."""
+    """When a camera's view was wrong."""
 
     kind: str
-    start: int
-    end: int
+    start: Stamps
+    """(2,) stamp and log time, ns."""
+    end: Stamps
+
+    @property
+    def seconds(self) -> float:
+        """How long it was wrong."""
+        return float(self.end[0] - self.start[0]) / 1e9
 
 
 @dataclass(slots=True)
 class ViewCheck:
-    """Compares one camera's detections with the result, message by message."""
+    """Compares one camera's detections with the result."""
 
     mirror: Ints
     """(M,) Marker on the other side."""
@@ -43,54 +50,76 @@ class ViewCheck:
     """People of the result, over all messages."""
     seconds: dict[str, float] = field(default_factory=dict)
     """By kind: how long the view was wrong."""
-    distances: list[float] = field(default_factory=list)
+    distances: list[Floats] = field(default_factory=list)
     """Of each message: mean distance to the result, mm."""
-    _open: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """By kind: first and last stamp of a fault that goes on."""
+    _open: dict[str, Stamps] = field(default_factory=dict)
+    """By kind: (K, 2) times at which a fault that may go on was seen."""
 
-    def compare(self, positions: Floats, result: Floats) -> dict[str, Flags]:
-        """Compare detections (P, M, 3) with the people of the result (Q, M, 3), m.
+    def compare(
+        self, detections: Poses, people: Floats, rows: Stamps
+    ) -> tuple[Floats, Mapping[str, Flags]]:
+        """Compare the detections of N frames with the result.
+
+        Parameters
+        ----------
+        people : (Q, M, 3) joints of the result, m.
+        rows : (N, 2) first row of the people of each frame's instant, and the row after the last.
 
         Returns
         -------
-        Kind of fault -> (P,) which detections have it.
+        (N,) mean distance, mm, NaN where nobody of the result is near; and kind of fault -> (P,)
+        which detections have it.
         """
-        plain, swapped = np.empty(len(positions)), np.empty(len(positions))
-        nearest(positions, result, plain)
-        nearest(np.ascontiguousarray(positions[:, self.mirror]), result, swapped)
-        found = np.empty(len(result))
-        nearest(result, positions, found)
+        frames, poses = detections.frames, detections.positions
+        plain, swapped = np.empty(len(poses)), np.empty(len(poses))
+        nearest(poses, people, rows[frames], plain)
+        nearest(np.ascontiguousarray(poses[:, self.mirror]), people, rows[frames], swapped)
+        expected = rows[:, 1] - rows[:, 0]
+        found = np.empty(int(expected.sum()))
+        own = np.repeat(detections.rows, expected, axis=0)
+        nearest(people[ranges(rows)], poses, own, found)
         self.seen += int((found < SAME_PERSON_M).sum())
-        self.people += len(result)
+        self.people += len(found)
         same = plain < SAME_PERSON_M
-        if same.any():
-            self.distances.append(1000 * float(plain[same].mean()))
+        total, n = (
+            np.bincount(frames[same], weights, len(rows)) for weights in (1000 * plain[same], None)
+        )
+        distances = np.where(n > 0, total / np.maximum(n, 1), np.nan)
+        self.distances.append(distances[n > 0])
         mirrored = same & (plain > _MIRRORED_M) & (swapped < _MIRRORED_SHARE * plain)
-        return {MIRRORED: mirrored, FAR_OFF: same & ~mirrored & (plain > _FAR_OFF_M)}
+        return distances, {MIRRORED: mirrored, FAR_OFF: same & ~mirrored & (plain > _FAR_OFF_M)}
 
-    def spans(self, stamp: int, faults: dict[str, Flags]) -> Iterator[FaultySpan]:
-        """Note the faults at an instant, ns; yield those that are over by now."""
-        for kind, rows in faults.items():
-            start, last = self._open.get(kind, (stamp, stamp))
-            if kind in self._open and stamp - last > _LAPSE_NS:
-                yield from self._close(kind)
-                start = stamp
-            if rows.any():
-                self._open[kind] = (start, stamp)
+    def spans(self, detections: Poses, faults: Mapping[str, Flags]) -> Iterator[FaultySpan]:
+        """Note the faults of frames; yield those that are over at the last frame."""
+        for kind, wrong in faults.items():
+            times = detections.times[np.unique(detections.frames[wrong])]
+            if kind in self._open:
+                times = np.concatenate([self._open.pop(kind), times])
+            breaks = np.flatnonzero(np.diff(times[:, 0]) > _LAPSE_NS) + 1
+            *over, last = np.split(times, breaks)
+            if len(last) and detections.stamps[-1] - last[-1, 0] <= _LAPSE_NS:
+                self._open[kind] = last
+            else:
+                over.append(last)
+            yield from self._long(kind, over)
 
     def finish(self) -> Iterator[FaultySpan]:
         """Yield the faults that go on until the end."""
-        for kind in list(self._open):
-            yield from self._close(kind)
+        for kind, times in self._open.items():
+            yield from self._long(kind, [times])
+        self._open.clear()
 
-    def _close(self, kind: str) -> Iterator[FaultySpan]:
-        start, last = self._open.pop(kind)
-        if last - start >= _SHORTEST_NS:
-            self.seconds[kind] = self.seconds.get(kind, 0.0) + (last - start) / 1e9
-            yield FaultySpan(kind, start, last)
+    def _long(self, kind: str, spans: list[Stamps]) -> Iterator[FaultySpan]:
+        """Yield spans (K, 2) that are no noise."""
+        for times in spans:
+            if len(times) and times[-1, 0] - times[0, 0] >= _SHORTEST_NS:
+                span = FaultySpan(kind, times[0], times[-1])
+                self.seconds[kind] = self.seconds.get(kind, 0.0) + span.seconds
+                yield span
 
     def row(self) -> tuple[str, ...]:
         """Return coverage, median distance, and how long the view was wrong, as text."""
         coverage = f"{self.seen / self.people:.0%}" if self.people else "-"
-        distance = f"{np.median(self.distances):.0f} mm" if self.distances else "-"
+        known = np.concatenate([*self.distances, np.zeros(0)])
+        distance = f"{np.median(known):.0f} mm" if len(known) else "-"
         return (coverage, distance, *(f"{self.seconds.get(kind, 0.0):.1f} s" for kind in FAULTS))

@@ -48,6 +48,13 @@ def view(
             metavar="FILE", help="Camera poses of `hiros calibrate`, compared with the log's."
         ),
     ] = None,
+    uncertainty: Annotated[
+        bool,
+        typer.Option(
+            "--uncertainty",
+            help="Draw 68 % ellipsoids round joints (results of --system fuse).",
+        ),
+    ] = False,
     save: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write a Rerun recording (.rrd) instead."),
@@ -84,7 +91,7 @@ def view(
     prepare(quiet=quiet)
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
-    options = ViewOptions(layout, window, extrinsics, stage or "", truth, calibration)
+    options = ViewOptions(layout, window, extrinsics, stage or "", truth, calibration, uncertainty)
     name = recording_name(list(logs))
 
     def draw(recording: RecordingStream, is_open: Callable[[], bool] = lambda: True) -> None:

@@ -1,0 +1,194 @@
+"""Frames of a log as arrays, channel by channel: as much of them as is drawn.
+
+A log is in the order of its messages, and what a stage that looks ahead says of an instant comes
+later. So frames wait in a :class:`Gatherer` until little that is earlier can come, and are drawn
+many at a time, in the order of their stamps.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from hiros_mcap.frames import Block
+from hiros_mcap.kernels.drawing import pick
+from hiros_mcap.skeletons import Flags, Floats, Frame, Stamps
+
+HORIZON_NS = 3_000_000_000
+"""Frames wait for others of their time; most are at most this much later in a log."""
+BATCH = 4000
+"""Frames that are drawn at once, about."""
+_FIRST_BATCH = 400
+"""Before anything was drawn: the first picture comes soon."""
+
+Channel = tuple[str, str]
+"""A stage, or that these are detections; and their camera, "" for a stage."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """P people in N frames of a channel, in the order of their stamps."""
+
+    times: Stamps
+    """(N, 2) stamp and log time of each frame, ns."""
+    counts: Stamps
+    """(N,) people in each frame; theirs are the next rows of the other arrays."""
+    ids: npt.NDArray[np.integer[Any]]
+    """(P,)"""
+    positions: Floats
+    """(P, M, 3) m, C-contiguous."""
+    confidences: Floats
+    """(P, M) of the markers."""
+
+    @classmethod
+    def of(cls, frame: Frame) -> Poses:
+        """Copy what is drawn of a frame."""
+        return cls.of_block(Block.of(frame), np.zeros(1, np.int64))
+
+    @classmethod
+    def of_block(cls, block: Block, frames: Stamps) -> Poses:
+        """Copy what is drawn of some frames of a block, by their numbers."""
+        rows = block.rows[frames]
+        own, people = ranges(rows), block.people
+        positions = np.empty((len(own), people.markers.shape[1], 3))
+        confidences = np.empty(positions.shape[:2])
+        pick(people.markers, people.marker_confidences, own, positions, confidences)
+        times = np.stack([block.stamps[frames], block.log_times[frames]], axis=1)
+        return cls(times, rows[:, 1] - rows[:, 0], people.ids[own], positions, confidences)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the frames of one or more in the order of their stamps; equal ones stay."""
+        whole = parts[0]
+        if len(parts) > 1:
+            columns = zip(*(p._columns() for p in parts), strict=True)
+            whole = cls(*map(np.concatenate, columns))
+        if (np.diff(whole.stamps) >= 0).all():
+            return whole
+        return whole.select(np.argsort(whole.stamps, kind="stable"))
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.counts)
+
+    @property
+    def stamps(self) -> Stamps:
+        """(N,) ns."""
+        return self.times[:, 0]
+
+    @property
+    def rows(self) -> Stamps:
+        """(N, 2) first row of each frame's people, and the row after the last."""
+        ends = np.cumsum(self.counts)
+        return np.stack([ends - self.counts, ends], axis=1)
+
+    @property
+    def frames(self) -> Stamps:
+        """(P,) the frame that each person is in."""
+        return np.repeat(np.arange(len(self)), self.counts)
+
+    def select(self, frames: Stamps) -> Self:
+        """Return some frames by their numbers."""
+        people = ranges(self.rows[frames])
+        rows = (column[people] for column in self._columns()[2:])
+        return type(self)(self.times[frames], self.counts[frames], *rows)
+
+    def split(self, stamp: int) -> tuple[Self, Self]:
+        """Return the frames before a stamp, ns, and the others."""
+        n = int(np.searchsorted(self.stamps, stamp))
+        p = int(self.counts[:n].sum())
+        ends = [n, n] + [p] * (len(self._columns()) - 2)
+        columns = list(zip(self._columns(), ends, strict=True))
+        early = type(self)(*(column[:end] for column, end in columns))
+        return early, type(self)(*(column[end:] for column, end in columns))
+
+    def only(self, people: Flags) -> Self:
+        """Return all frames with some of their people."""
+        counts = np.bincount(self.frames[people], minlength=len(self))
+        rows = (column[people] for column in self._columns()[2:])
+        return type(self)(self.times, counts, *rows)
+
+    def _columns(self) -> tuple[Any, ...]:
+        return self.times, self.counts, self.ids, self.positions, self.confidences
+
+
+def ranges(rows: Stamps) -> Stamps:
+    """Return the numbers from the first to before the second of each row (N, 2)."""
+    counts = rows[:, 1] - rows[:, 0]
+    starts = rows[:, 0] - (np.cumsum(counts) - counts)
+    return np.asarray(np.repeat(starts, counts) + np.arange(counts.sum()))
+
+
+class Gatherer:
+    """Frames of all channels that wait for others of their time."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        """Frames that came since some were taken."""
+        self._parts = defaultdict[Channel, list[Poses]](list)
+        self._newest = 0
+        self._is_first = True
+
+    def add(self, channels: Sequence[Channel | None], block: Block) -> None:
+        """Add the frames of a block, each to its channel; None leaves a frame out."""
+        frames = defaultdict[Channel, list[int]](list)
+        for k, channel in enumerate(channels):
+            if channel is not None:
+                frames[channel].append(k)
+        for channel, own in frames.items():
+            self._parts[channel].append(Poses.of_block(block, np.array(own)))
+            self.size += len(own)
+        self._newest = max(self._newest, int(block.log_times.max(initial=0)))
+
+    @property
+    def is_due(self) -> bool:
+        """Whether enough frames came to draw some."""
+        return self.size >= (_FIRST_BATCH if self._is_first else BATCH)
+
+    def ready(self) -> Mapping[Channel, Poses]:
+        """Take out the frames that hardly any earlier one will follow."""
+        found = self._before(self._newest - HORIZON_NS)
+        self._is_first &= not found
+        return found
+
+    def rest(self) -> Mapping[Channel, Poses]:
+        """Take out all frames."""
+        return self._before(2**63 - 1)
+
+    def _before(self, stamp: int) -> Mapping[Channel, Poses]:
+        found: dict[Channel, Poses] = {}
+        for channel, parts in self._parts.items():
+            if parts:
+                early, late = Poses.joined(parts).split(stamp)
+                self._parts[channel] = [late] if len(late) else []
+                if len(early):
+                    found[channel] = early
+        self.size = 0
+        return found
+
+
+class Thinner:
+    """Leaves frames out of a long log: a viewer has no room for an hour at 30 Hz.
+
+    Parameters
+    ----------
+    step : ns; of each channel and camera, the first frame of each such interval is kept; 0 = all.
+    """
+
+    def __init__(self, step: int) -> None:
+        self._step = step
+        self._last: dict[object, int] = {}
+
+    def chosen(self, keys: Sequence[object], stamps: Stamps) -> Iterator[bool]:
+        """Say of each frame, with a key per channel and camera, whether it is kept."""
+        if not self._step:
+            yield from [True] * len(keys)
+            return
+        for key, cell in zip(keys, (stamps // self._step).tolist(), strict=True):
+            yield self._last.get(key) != cell
+            self._last[key] = cell

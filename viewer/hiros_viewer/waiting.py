@@ -1,0 +1,79 @@
+"""Detections that wait for the result of their time, which looks ahead and is seconds behind."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.skeletons import Floats, Stamps
+from hiros_viewer.columns import GONE_NS
+from hiros_viewer.poses import Poses
+
+_MOST = 10_000
+"""Frames of a camera that wait, at most, if the result never comes."""
+
+
+class Compared(NamedTuple):
+    """Detections of a camera, and the result nearest in time."""
+
+    camera: str
+    detections: Poses
+    people: Floats
+    """(Q, M, 3) joints of the result, m."""
+    rows: Stamps
+    """(N, 2) first row of the people of each frame's instant, and the row after the last."""
+
+
+def _no_frames() -> defaultdict[str, list[Poses]]:
+    return defaultdict(list)
+
+
+@dataclass(slots=True)
+class Waiting:
+    """Detections of all cameras that the result has not come to."""
+
+    _parts: defaultdict[str, list[Poses]] = field(default_factory=_no_frames)
+    _last: Poses | None = None
+    """The newest frame of the result."""
+
+    def add(self, camera: str, detections: Poses) -> None:
+        """Let detections wait; the oldest are dropped if there are too many."""
+        parts = self._parts[camera]
+        parts.append(detections)
+        while sum(map(len, parts)) > _MOST and len(parts) > 1:
+            parts.pop(0)
+
+    def reached(self, result: Poses) -> Iterator[Compared]:
+        """Yield detections up to the newest frame of the result, each with the nearest one."""
+        known = result if self._last is None else Poses.joined([self._last, result])
+        self._last = known.select(np.array([len(known) - 1]))
+        yield from self._up_to(int(known.stamps[-1]), known)
+
+    def rest(self) -> Iterator[Compared]:
+        """Yield detections soon after the end of the result."""
+        if self._last is not None:
+            yield from self._up_to(int(self._last.stamps[-1]) + GONE_NS, self._last)
+
+    def _up_to(self, stamp: int, known: Poses) -> Iterator[Compared]:
+        for camera, parts in self._parts.items():
+            if parts:
+                ready, later = Poses.joined(parts).split(stamp + 1)
+                self._parts[camera] = [later] if len(later) else []
+                near = _nearest(known.stamps, ready.stamps)
+                chosen = np.flatnonzero(np.abs(known.stamps[near] - ready.stamps) <= GONE_NS)
+                if len(chosen):
+                    rows = known.rows[near[chosen]]
+                    yield Compared(camera, ready.select(chosen), known.positions, rows)
+
+
+def _nearest(stamps: Stamps, asked: Stamps) -> Stamps:
+    """Return which of the stamps, in order, is nearest to each one asked for."""
+    after = np.searchsorted(stamps, asked)
+    before = np.maximum(after - 1, 0)
+    after = np.minimum(after, len(stamps) - 1)
+    is_after = stamps[after] - asked < asked - stamps[before]
+    return np.where(is_after, after, before)
