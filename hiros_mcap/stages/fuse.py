@@ -145,9 +145,11 @@ def fuse_blocks(
     when its window was complete.
     """
     from hiros_mcap.stages.fusion_noise import FusionNoise
+    from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
     from hiros_mcap.stages.window_smoother import WindowSmoother
 
+    events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
     params = params or FuseParams()
     noise = noise or FusionNoise.default(
@@ -155,6 +157,13 @@ def fuse_blocks(
     )
     # variances, filters, smoother, confidences
     smoother = WindowSmoother(model, params, noise, cameras or {})
-    for block, sightings, names in views.run(blocks, events or Events(), fixed_frame):
-        yield from smoother.update(block, sightings, names)
-    yield from smoother.rest()
+    residuals = ResidualMeter(model, noise, cameras or {}, events)
+    for block, sightings, names in views.run(blocks, events, fixed_frame):
+        residuals.expect(len(block), sightings, names)
+        for fused in smoother.update(block, sightings, names):
+            residuals.compare(fused)
+            yield fused
+    for fused in smoother.rest():
+        residuals.compare(fused)
+        yield fused
+    residuals.finish()
