@@ -21,7 +21,15 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.link_lengths import project_all
 from hiros_mcap.skeletons import POSITION, Flags, Floats, Ints, SkeletonModel
-from hiros_mcap.stages.constrain import FEWEST, OUTLIER, SURE, ConstrainParams, own_variances, surer
+from hiros_mcap.stages.constrain import (
+    FEWEST,
+    OUTLIER,
+    SURE,
+    ConstrainParams,
+    own_variances,
+    remembered,
+    surer,
+)
 from hiros_mcap.stages.pose_prior import FEWEST as FEWEST_POSES
 from hiros_mcap.stages.pose_prior import PoseSpace, estimated, local_frames, motion_of
 
@@ -30,7 +38,6 @@ _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first prior, and between
 _LARGEST_STEP = 0.5  # by the prior, in standard deviations
 _POSES = 45  # of 3 s
 _LEFT = 1.0  # s unseen after which the motion is learned anew
-_FORGET = 600.0  # s; somebody who returns has the same body
 
 
 def constrain_live(
@@ -64,7 +71,7 @@ class LiveBodies:
             for row in range(begin, end):
                 body = self._body(int(out.people.ids[row]), stamp)
                 self._correct(body, out.people.markers, row, variances)
-            self._forget(stamp)
+            self._people = remembered(self._people, stamp)
         return replace(out, uncertainty=surer(out, variances, self._links))
 
     def _body(self, person: int, stamp: int) -> _LiveBody:
@@ -93,12 +100,6 @@ class LiveBodies:
             own = markers[row, :, POSITION]
             markers[row, :, POSITION] = body.recent.shrink(own, variances[row], body.last)
             project_all(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
-
-    def _forget(self, now: int) -> None:
-        """Forget who was not seen for long."""
-        gone = [p for p, body in self._people.items() if now - body.last > _FORGET * 1e9]
-        for person in gone:
-            del self._people[person]
 
 
 class RunningLengths:
