@@ -32,7 +32,7 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 
-_DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
+UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 SURE = 0.005  # m; added to the deviations that weight a length
 OUTLIER = 4.0  # robust standard deviations
 FEWEST = 30  # poses that give a length
@@ -194,9 +194,9 @@ def own_variances(block: Block) -> Floats:
     """(P, M) Variance of each marker along each axis by itself, m2, without what all share."""
     known = block.uncertainty
     if known is None:
-        return np.full(block.people.marker_confidences.shape, _DEFAULT_DEVIATION**2)
+        return np.full(block.people.marker_confidences.shape, UNKNOWN_DEVIATION**2)
     variances = known.deviations**2 - known.shared**2
-    return np.where(np.isnan(variances), _DEFAULT_DEVIATION**2, np.maximum(variances, 1e-8))
+    return np.where(np.isnan(variances), UNKNOWN_DEVIATION**2, np.maximum(variances, 1e-8))
 
 
 def surer(out: Block, variances: Floats, links: Ints) -> Uncertainty | None:
