@@ -222,13 +222,12 @@ def left_by_lengths(variances: Floats, links: Ints) -> Floats:
     A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
     along the link. To first order, the links of a marker add up.
     """
-    taken = np.zeros_like(variances)
-    for a, b in links.tolist():
-        if a >= 0 and b >= 0:
-            share = variances[:, a] / (variances[:, a] + variances[:, b])
-            taken[:, a] += share / 3
-            taken[:, b] += (1 - share) / 3
-    return np.asarray(1 - np.minimum(taken, 2 / 3))
+    a, b = links[(links >= 0).all(axis=1)].T
+    share = variances[:, a] / (variances[:, a] + variances[:, b])
+    parts = np.stack([share / 3, (1 - share) / 3], axis=2).reshape(len(variances), 2 * len(a))
+    taken = np.zeros(variances.shape[::-1])
+    np.add.at(taken, np.stack([a, b], axis=1).ravel(), parts.T)
+    return np.asarray(1 - np.minimum(taken.T, 2 / 3))
 
 
 def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
