@@ -55,6 +55,10 @@ class FuseParams(Params):
         description="Learn the noise of cameras and joints, and how joints move, from the log in a "
         "first pass. The fixed values below gave smaller errors on simulated and real logs.",
     )
+    follow_noise: bool = advanced(
+        False,
+        description="Learn on the way which cameras are noisier than others.",
+    )
     acceleration: float = advanced(
         10.0,
         gt=0,
@@ -155,6 +159,10 @@ def fuse_blocks(
     noise = noise or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
+    if params.follow_noise:
+        from hiros_mcap.stages.running_noise import RunningNoise
+
+        noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
     smoother = WindowSmoother(model, params, noise, cameras or {})
     residuals = ResidualMeter(model, noise, cameras or {}, events)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
@@ -98,14 +99,20 @@ def test_the_worst_joint_is_named() -> None:
     assert "(m5 " in next(iter(scatter_notes(cameras)))
 
 
-def test_blocks_change_no_histogram() -> None:
-    frames = detections({})[:600]
+def test_a_noisy_camera_counts_less_from_its_third_second_on() -> None:
+    _, cameras = found(detections({"b": 2.5}), **REALTIME, follow_noise=True)
+    assert [c.ratio for c in cameras] == pytest.approx([1, 1.15, 1], abs=0.15)
+    assert not list(scatter_notes(cameras))
+
+
+@pytest.mark.parametrize("params", [{"window": 1.0}, {**REALTIME, "follow_noise": True}])
+def test_blocks_change_no_histogram_and_no_result(params: dict[str, float]) -> None:
+    frames, settings = detections({"b": 2.5})[:600], FuseParams(**params)
     one, other = Events(), Events()
-    for _ in fuse(frames, BODY, FuseParams(window=1.0), one):
-        pass
+    results = list(fuse(frames, BODY, settings, one))
     whole = join([(Block.of(frame), 0) for frame in frames])
-    for _ in fuse_blocks([whole], BODY, FuseParams(window=1.0), other):
-        pass
+    again = list(frames_of(fuse_blocks([whole], BODY, settings, other)))
+    assert all(map(same, results, again))
     assert one.histograms.keys() == other.histograms.keys()
     for key, counts in one.histograms.items():
         np.testing.assert_array_equal(counts, other.histograms[key])
@@ -146,6 +153,6 @@ def test_a_run_says_which_camera_contradicts_the_model(
             yield frame
 
     monkeypatch.setattr(Simulation, "detections", property(noisier))
-    notes = [n for n in summary_of(tmp_path, "fuse-realtime").notes if "scatter" in n]
+    notes = [n for n in summary_of(tmp_path, "fuse").notes if "scatter" in n]
     assert len(notes) == 1
     assert notes[0].startswith("the detections of camera_1 scatter")
