@@ -103,7 +103,7 @@ def learn_white(
     noise = replace(noise, guessed_below=0.6 * float(upper))
     away = np.log(distances(views, names, places) / 2.0)
     seen, guessed = [], []
-    for source, found, distance, share in _binned(views, away, noise.guessed_below):
+    for source, found, distance, share in binned(views, away, noise.guessed_below):
         seen.append((source, distance, np.where(share == 0, found, np.nan)))
         guessed.append(np.where(share == 1, found, np.nan))
     if not seen:
@@ -137,7 +137,7 @@ def learn_white(
     )
 
 
-def _binned(
+def binned(
     views: Sightings, away: Floats, guessed_below: float
 ) -> Iterator[tuple[int, Floats, float, Floats]]:
     """Yield camera, (M,) log variances, log distance / 2 m and (M,) share of guesses of bins."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.fusion_noise import FusionNoise
-from hiros_mcap.stages.learn_noise import learn_white
+from hiros_mcap.stages.fusion_noise import FusionNoise, distances
+from hiros_mcap.stages.learn_noise import binned
 from hiros_mcap.stages.sightings import chosen, joined
 
 _STRETCH = 2_000_000_000  # ns that give one factor of each camera
@@ -57,12 +57,16 @@ class RunningNoise(FusionNoise):
         return super().variances(views, names, places)
 
     def _learn(self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]) -> None:
-        equal = FusionNoise(self.joints, self.accelerations, self.offsets, power=self.power)
-        found = learn_white(views, names, places, equal).cameras
-        seen = [names[k] for k in np.unique(views.cameras).tolist()]
-        logs = {name: float(np.log(found[name])) for name in seen if name in found}
-        usual = float(np.median(list(logs.values()))) if logs else 0.0
-        for name, log in logs.items():
+        away = np.log(distances(views, names, places) / 2.0)
+        found: dict[str, list[float]] = {}
+        for camera, logs, distance, guesses in binned(views, away, self.guessed_below):
+            expected = np.log(self.joints) + 2 * self.power * distance
+            off = np.where(guesses == 0, logs - expected, np.nan)
+            if np.isfinite(off).any():
+                found.setdefault(names[camera], []).append(float(np.nanmedian(off)))
+        factors = {name: float(np.mean(own)) for name, own in found.items()}
+        usual = float(np.median(list(factors.values()))) if factors else 0.0
+        for name, log in factors.items():
             self.logs[name] = self.logs.get(name, 0.0) + log - usual
             self.counts[name] = self.counts.get(name, 0) + 1
         for name, total in self.logs.items():
