@@ -148,7 +148,8 @@ def binned(
         if len(rows) < _BIN + 3:
             continue
         even = np.abs(gaps / np.median(gaps) - 1) < 0.3
-        third = np.abs(np.diff(views.positions[rows], n=3, axis=0)).mean(axis=2)
+        # Half of the norm has the mean of |D| along an axis, and does not depend on the axes.
+        third = np.linalg.norm(np.diff(views.positions[rows], n=3, axis=0), axis=2) / 2
         third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
         guesses = views.confidences[rows] < guessed_below
         for start in range(0, len(third) - _BIN + 1, _BIN):
