@@ -7,10 +7,15 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
+from hiros_mcap.skeletons import Stamps
 from hiros_mcap.summary import quantity
 
 TOO_LATE = "too late to be merged"
 """Counts messages, by source, that came after their time had been merged."""
+
+RESIDUAL, COMMON = "residual", "common residual"
+"""Histograms by camera: (M, B) of each marker's squared residual over its expected variance; (1, B)
+of the share of a person's squared residuals that all markers have in common."""
 
 COUNTED: Mapping[str, tuple[str, str]] = {
     "bridged": ("skeleton", "predicted while no camera saw the person"),
@@ -77,11 +82,18 @@ class Events:
 
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
     log: list[Event] = field(default_factory=list)
+    histograms: dict[tuple[str, str], Stamps] = field(default_factory=dict)
+    """By (kind, source): how often a quantity had a size, (K, B) for B sizes."""
 
     def count(self, kind: str, source: str = "", n: int = 1) -> None:
         """Add ``n`` to a counter."""
         if n:
             self.counts[kind, source] += n
+
+    def tally(self, kind: str, source: str, counts: Stamps) -> None:
+        """Add to a histogram."""
+        before = self.histograms.get((kind, source))
+        self.histograms[kind, source] = counts if before is None else before + counts
 
     def note(
         self, stamp: int, kind: str, *, person: int = -1, source: str = "", detail: str = ""

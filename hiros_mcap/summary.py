@@ -99,6 +99,21 @@ class CameraSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class ScatterSummary:
+    """How far the detections of one camera are from the result, against what its noise says."""
+
+    name: str
+    ratio: float
+    """How many times as far as expected they are; 1 = as the model says. NaN if seen too little."""
+    worst_joint: str
+    """The joint with the largest ratio, "" if none was seen often enough."""
+    worst_ratio: float
+    common: float
+    """Median share, 0..1, of a person's squared residuals that is the same for all joints: near 1,
+    the pose or the clock of the camera is wrong; near 0, its joints scatter one by one."""
+
+
+@dataclass(frozen=True, slots=True)
 class LimbSummary:
     """The calibration of one person's limb lengths."""
 
@@ -163,6 +178,11 @@ class Summary:
     cameras: tuple[CameraSummary, ...] = ()
     poses: tuple[PoseSummary, ...] = ()
     """Empty if the run did not compare the cameras' poses with the people."""
+    scatter: float = math.nan
+    """How many times as far as expected the detections are from the result: 1 = the uncertainty of
+    the result is right. NaN if the system states none."""
+    scatters: tuple[ScatterSummary, ...] = ()
+    """The same by camera."""
     people: tuple[PersonSummary, ...] = ()
     stages: tuple[StageTime, ...] = ()
     written: Mapping[str, int] = field(default_factory=dict)

@@ -67,8 +67,10 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
 
 def live_system(context: typer.Context, system: str) -> str:
     """Return the system to run: unless one is named, that which waits for nothing."""
+    from hiros_mcap.running.process_live import REALTIME
+
     source = context.get_parameter_source("system")
-    return "hiros-realtime" if source is None or source.name == "DEFAULT" else system
+    return REALTIME if source is None or source.name == "DEFAULT" else system
 
 
 def run_live(

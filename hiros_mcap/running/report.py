@@ -14,6 +14,7 @@ from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
+from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -60,6 +61,7 @@ class Report:
         before = ("read", "calibrate") if self.poses.cameras else ("read",)
         steps = [name for name in (*before, *chain, "write") if name in cpu]
         cameras = tuple(map(self._camera, self.log.cameras))
+        scatters = tuple(scatter_by_camera(self.run.events, self.run.model))
         return Summary(
             source=str(self.log.path),
             target=target,
@@ -67,12 +69,14 @@ class Report:
             wall_s=time.perf_counter() - self.watch.started,
             cameras=cameras,
             poses=tuple(self.poses.cameras),
+            scatter=scatter_of(self.run.events),
+            scatters=scatters,
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
             stages=tuple(StageTime(name, cpu[name]) for name in steps),
             written={f"{OUTPUT_PREFIX}/{name}": self.observer.written[name] for name in chain},
             losses=self.log.recovery.loss if self.log.recovery else "",
             warnings=tuple(self._warnings(cameras)),
-            notes=tuple(self._all_notes()),
+            notes=(*self._all_notes(), *scatter_notes(scatters)),
         )
 
     def _camera(self, camera: CameraChannel) -> CameraSummary:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -31,11 +32,11 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 
-_DEFAULT_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
+UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 SURE = 0.005  # m; added to the deviations that weight a length
 OUTLIER = 4.0  # robust standard deviations
 FEWEST = 30  # poses that give a length
-_MORE = 1.25  # times as many poses give new lengths
+_FORGET = 600.0  # s; somebody who returns has the same body
 
 
 class ConstrainParams(Params):
@@ -44,8 +45,8 @@ class ConstrainParams(Params):
     window: float = Field(
         10.0,
         ge=0,
-        description="Seconds of each person that give the limb lengths, and that are corrected at "
-        "once. In fuse-realtime, 0: each pose by those before it.",
+        description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
+        "fuse-realtime.",
     )
     enough: float = advanced(
         5.0, ge=0, description="Seconds after which the lengths of a person stay as they are."
@@ -113,8 +114,6 @@ class _Body:
     poses: list[Floats] = field(default_factory=list)
     variances: list[Floats] = field(default_factory=list)
     """What the lengths are measured from, until they are known."""
-    measured: int = 0
-    """Poses at the last measurement."""
     known: bool = False
 
 
@@ -141,7 +140,7 @@ class _Bodies:
                 rows = np.flatnonzero(out.people.ids == person)
                 self._measure(int(person), out, rows, variances, stamps[rows])  # 1
                 self._correct(int(person), out, rows, variances)  # 2 and 3
-        self._forget(int(out.stamps[-1]))
+        self._people = remembered(self._people, int(out.stamps[-1]))
         log_times = np.full(len(out), out.log_times[-1])
         known = surer(out, variances, self._links)
         return replace(out, log_times=log_times, uncertainty=known)
@@ -157,12 +156,9 @@ class _Bodies:
         body.poses.append(out.people.markers[rows][:, :, POSITION])
         body.variances.append(variances[rows])
         body.known = body.last - body.first >= self._params.enough * 1e9
-        n = sum(map(len, body.poses))
-        if body.known or n >= _MORE * body.measured:
-            body.measured = n
-            poses, own = np.concatenate(body.poses), np.concatenate(body.variances)
-            found = measured_lengths(poses, own, self._pairs)
-            body.lengths = np.where(np.isnan(found), body.lengths, found)
+        poses, own = np.concatenate(body.poses), np.concatenate(body.variances)
+        found = measured_lengths(poses, own, self._pairs)
+        body.lengths = np.where(np.isnan(found), body.lengths, found)
         if body.known:
             body.poses, body.variances = [], []
             self._events.note(body.last, "limbs calibrated", person=person)
@@ -180,18 +176,27 @@ class _Bodies:
             markers[rows, :, POSITION] = shrink_noise(own, variances[rows], self._lateral)
             project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
 
-    def _forget(self, now: int) -> None:
-        """Forget who was not seen for ten minutes: somebody who returns has the same body."""
-        self._people = {p: b for p, b in self._people.items() if now - b.last < 600 * 10**9}
+
+class _Remembered(Protocol):
+    last: int
+    """When a person was seen last, ns."""
+
+
+S = TypeVar("S", bound=_Remembered)
+
+
+def remembered(people: dict[int, S], now: int) -> dict[int, S]:
+    """Return what is known of the people without those who are gone for long at ``now``, ns."""
+    return {p: body for p, body in people.items() if now - body.last <= _FORGET * 1e9}
 
 
 def own_variances(block: Block) -> Floats:
     """(P, M) Variance of each marker along each axis by itself, m2, without what all share."""
     known = block.uncertainty
     if known is None:
-        return np.full(block.people.marker_confidences.shape, _DEFAULT_DEVIATION**2)
+        return np.full(block.people.marker_confidences.shape, UNKNOWN_DEVIATION**2)
     variances = known.deviations**2 - known.shared**2
-    return np.where(np.isnan(variances), _DEFAULT_DEVIATION**2, np.maximum(variances, 1e-8))
+    return np.where(np.isnan(variances), UNKNOWN_DEVIATION**2, np.maximum(variances, 1e-8))
 
 
 def surer(out: Block, variances: Floats, links: Ints) -> Uncertainty | None:
@@ -217,13 +222,12 @@ def left_by_lengths(variances: Floats, links: Ints) -> Floats:
     A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
     along the link. To first order, the links of a marker add up.
     """
-    taken = np.zeros_like(variances)
-    for a, b in links.tolist():
-        if a >= 0 and b >= 0:
-            share = variances[:, a] / (variances[:, a] + variances[:, b])
-            taken[:, a] += share / 3
-            taken[:, b] += (1 - share) / 3
-    return np.asarray(1 - np.minimum(taken, 2 / 3))
+    a, b = links[(links >= 0).all(axis=1)].T
+    share = variances[:, a] / (variances[:, a] + variances[:, b])
+    parts = np.stack([share / 3, (1 - share) / 3], axis=2).reshape(len(variances), 2 * len(a))
+    taken = np.zeros(variances.shape[::-1])
+    np.add.at(taken, np.stack([a, b], axis=1).ravel(), parts.T)
+    return np.asarray(1 - np.minimum(taken.T, 2 / 3))
 
 
 def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:

@@ -55,6 +55,10 @@ class FuseParams(Params):
         description="Learn the noise of cameras and joints, and how joints move, from the log in a "
         "first pass. The fixed values below gave smaller errors on simulated and real logs.",
     )
+    follow_noise: bool = advanced(
+        False,
+        description="Learn on the way which cameras are noisier than others.",
+    )
     acceleration: float = advanced(
         10.0,
         gt=0,
@@ -145,16 +149,29 @@ def fuse_blocks(
     when its window was complete.
     """
     from hiros_mcap.stages.fusion_noise import FusionNoise
+    from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
     from hiros_mcap.stages.window_smoother import WindowSmoother
 
+    events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
     params = params or FuseParams()
     noise = noise or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
+    if params.follow_noise:
+        from hiros_mcap.stages.running_noise import RunningNoise
+
+        noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
     smoother = WindowSmoother(model, params, noise, cameras or {})
-    for block, sightings, names in views.run(blocks, events or Events(), fixed_frame):
-        yield from smoother.update(block, sightings, names)
-    yield from smoother.rest()
+    residuals = ResidualMeter(model, noise, cameras or {}, events)
+    for block, sightings, names in views.run(blocks, events, fixed_frame):
+        residuals.expect(len(block), sightings, names)
+        for fused in smoother.update(block, sightings, names):
+            residuals.compare(fused)
+            yield fused
+    for fused in smoother.rest():
+        residuals.compare(fused)
+        yield fused
+    residuals.finish()

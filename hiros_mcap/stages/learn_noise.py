@@ -103,7 +103,7 @@ def learn_white(
     noise = replace(noise, guessed_below=0.6 * float(upper))
     away = np.log(distances(views, names, places) / 2.0)
     seen, guessed = [], []
-    for source, found, distance, share in _binned(views, away, noise.guessed_below):
+    for source, found, distance, share in binned(views, away, noise.guessed_below):
         seen.append((source, distance, np.where(share == 0, found, np.nan)))
         guessed.append(np.where(share == 1, found, np.nan))
     if not seen:
@@ -137,7 +137,7 @@ def learn_white(
     )
 
 
-def _binned(
+def binned(
     views: Sightings, away: Floats, guessed_below: float
 ) -> Iterator[tuple[int, Floats, float, Floats]]:
     """Yield camera, (M,) log variances, log distance / 2 m and (M,) share of guesses of bins."""
@@ -148,7 +148,8 @@ def _binned(
         if len(rows) < _BIN + 3:
             continue
         even = np.abs(gaps / np.median(gaps) - 1) < 0.3
-        third = np.abs(np.diff(views.positions[rows], n=3, axis=0)).mean(axis=2)
+        # Half of the norm has the mean of |D| along an axis, and does not depend on the axes.
+        third = np.linalg.norm(np.diff(views.positions[rows], n=3, axis=0), axis=2) / 2
         third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
         guesses = views.confidences[rows] < guessed_below
         for start in range(0, len(third) - _BIN + 1, _BIN):

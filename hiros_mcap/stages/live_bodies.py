@@ -10,7 +10,7 @@ What :mod:`hiros_mcap.stages.constrain` learns from a window, this learns on the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +19,17 @@ from hiros_mcap.body.rigid_groups import constant_pairs
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
-from hiros_mcap.kernels.link_lengths import project_all
+from hiros_mcap.kernels.link_lengths import project
 from hiros_mcap.skeletons import POSITION, Flags, Floats, Ints, SkeletonModel
-from hiros_mcap.stages.constrain import FEWEST, OUTLIER, SURE, ConstrainParams, own_variances, surer
+from hiros_mcap.stages.constrain import (
+    FEWEST,
+    OUTLIER,
+    SURE,
+    ConstrainParams,
+    own_variances,
+    remembered,
+    surer,
+)
 from hiros_mcap.stages.pose_prior import FEWEST as FEWEST_POSES
 from hiros_mcap.stages.pose_prior import PoseSpace, estimated, local_frames, motion_of
 
@@ -30,7 +38,6 @@ _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first prior, and between
 _LARGEST_STEP = 0.5  # by the prior, in standard deviations
 _POSES = 45  # of 3 s
 _LEFT = 1.0  # s unseen after which the motion is learned anew
-_FORGET = 600.0  # s; somebody who returns has the same body
 
 
 def constrain_live(
@@ -61,20 +68,19 @@ class LiveBodies:
         out = join([(block, i) for i in range(len(block))])
         variances = own_variances(out)
         for stamp, (begin, end) in zip(out.stamps.tolist(), out.rows.tolist(), strict=True):
-            for row in range(begin, end):
-                body = self._body(int(out.people.ids[row]), stamp)
-                self._correct(body, out.people.markers, row, variances)
-            self._forget(stamp)
+            bodies = [self._body(i, stamp) for i in out.people.ids[begin:end].tolist()]
+            self._correct(bodies, out.people.markers[begin:end], variances[begin:end])
+            self._people = remembered(self._people, stamp)
         return replace(out, uncertainty=surer(out, variances, self._links))
 
     def _body(self, person: int, stamp: int) -> _LiveBody:
         """Return what is known of who is seen at ``stamp``, ns."""
         body = self._people.get(person)
         if body is None:
-            lengths, recent = RunningLengths(self._pairs, self._mirror), RecentMotion(self._lateral)
-            body = self._people[person] = _LiveBody(lengths, recent, stamp, stamp)
+            lengths = RunningLengths(self._pairs, self._mirror)
+            body = self._people[person] = _LiveBody(lengths, RecentMotion(), stamp, stamp)
         elif stamp - body.last > _LEFT * 1e9:
-            body.recent = RecentMotion(self._lateral)
+            body.recent = RecentMotion()
         before = (body.last - body.first) * 1e-9
         body.last = max(stamp, body.last)
         enough = self._params.enough
@@ -82,23 +88,25 @@ class LiveBodies:
             self._events.note(stamp, "limbs calibrated", person=person)
         return body
 
-    def _correct(self, body: _LiveBody, markers: Floats, row: int, variances: Floats) -> None:
+    def _correct(self, bodies: Sequence[_LiveBody], markers: Floats, variances: Floats) -> None:
         """Project onto the lengths; move towards what the person does; project again."""
-        rows, sweeps = np.array([row]), self._params.sweeps
-        if body.last - body.first <= self._params.enough * 1e9:
-            body.lengths.update(markers[row, :, POSITION], variances[row])
-        lengths = np.column_stack([body.lengths.lengths, np.ones(len(self._pairs))])
-        project_all(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
-        if self._params.prior:
-            own = markers[row, :, POSITION]
-            markers[row, :, POSITION] = body.recent.shrink(own, variances[row], body.last)
-            project_all(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+        for row, body in enumerate(bodies):
+            if body.last - body.first <= self._params.enough * 1e9:
+                body.lengths.update(markers[row, :, POSITION], variances[row])
+        self._project(bodies, markers, variances)
+        if self._params.prior and bodies:
+            frames, origins = local_frames(markers[:, :, POSITION], self._lateral)
+            poses = (markers[:, :, POSITION] - origins) @ frames
+            for row, body in enumerate(bodies):
+                poses[row] = body.recent.shrink(poses[row], variances[row], body.last)
+            markers[:, :, POSITION] = poses @ np.swapaxes(frames, 1, 2) + origins
+            self._project(bodies, markers, variances)
 
-    def _forget(self, now: int) -> None:
-        """Forget who was not seen for long."""
-        gone = [p for p, body in self._people.items() if now - body.last > _FORGET * 1e9]
-        for person in gone:
-            del self._people[person]
+    def _project(self, bodies: Sequence[_LiveBody], markers: Floats, variances: Floats) -> None:
+        """Give the links of each body (P, M, 19) its lengths."""
+        for row, body in enumerate(bodies):
+            lengths = np.column_stack([body.lengths.lengths, np.ones(len(self._pairs))])
+            project(markers[row], self._pairs, lengths, variances[row], self._params.sweeps, 1e-3)
 
 
 class RunningLengths:
@@ -149,15 +157,9 @@ class RunningLengths:
 
 
 class RecentMotion:
-    """The last seconds of a person, and the prior that they give.
+    """The last seconds of a person, and the prior that they give."""
 
-    Parameters
-    ----------
-    lateral : (K, 2) left and right slots that show the yaw.
-    """
-
-    def __init__(self, lateral: Ints) -> None:
-        self._lateral = lateral
+    def __init__(self) -> None:
         self._poses: list[Floats] = []
         self._variances: list[Floats] = []
         self._next = self._pushed = 0
@@ -165,14 +167,15 @@ class RecentMotion:
         self._motion: tuple[PoseSpace, Flags] | None = None
         """With the markers that any pose had."""
 
-    def shrink(self, positions: Floats, variances: Floats, stamp: int) -> Floats:
-        """Return a pose (M, 3), m, moved towards what the person has done; then remember it."""
-        frames, origins = local_frames(positions[None], self._lateral)
-        frame, origin = frames[0], origins[0]
-        local = (positions - origin) @ frame
+    def shrink(self, local: Floats, variances: Floats, stamp: int) -> Floats:
+        """Return a pose (M, 3), m, moved towards what the person has done; then remember it.
+
+        Poses are in the person's own frame (``pose_prior.local_frames``).
+        """
         estimate = self._estimate(local, variances)
-        self._remember(local, variances, stamp)
-        return np.asarray(estimate @ frame.T + origin)
+        # Not the pose as measured: from what has less noise, a better prior is learned.
+        self._remember(estimate, variances, stamp)
+        return estimate
 
     def _estimate(self, local: Floats, variances: Floats) -> Floats:
         if self._motion is None:

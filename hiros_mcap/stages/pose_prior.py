@@ -102,8 +102,11 @@ def estimated(motion: PoseSpace, positions: Floats, variances: Floats) -> Floats
     # (B B' + D)^-1 by Woodbury, with the variances of each pose.
     rank = basis.shape[1]
     d = _FREE**2 + _of_axes(variances, absent)
-    pairs = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), rank * rank)
-    inner = (1 / d @ pairs).reshape(len(y), rank, rank) + np.eye(rank)
+    if len(y) == 1:
+        inner = ((basis / d.T).T @ basis + np.eye(rank))[None]
+    else:  # one product for all poses
+        pairs = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), rank * rank)
+        inner = (1 / d @ pairs).reshape(len(y), rank, rank) + np.eye(rank)
     right = (off / d) @ basis
     solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
     u = (off - solved @ basis.T) / d

@@ -8,6 +8,7 @@ from hiros_mcap.systems.run import Run, Stages
 
 def fuse(run: Run) -> Stages:
     """Output channel -> the stage that fills it."""
+    from hiros_mcap.stages.align_links import align_blocks
     from hiros_mcap.stages.constrain import constrain_blocks
     from hiros_mcap.stages.filter import filter_blocks
     from hiros_mcap.stages.fuse import fuse_blocks
@@ -27,5 +28,6 @@ def fuse(run: Run) -> Stages:
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
         # smoothed positions, before limb lengths and prior
         "merged": lambda blocks: fusion(sides(blocks)),
-        "filtered": lambda blocks: derivatives(bodies(blocks)),  # lengths, prior; velocities
+        # lengths and prior; links along the bones; velocities
+        "filtered": lambda blocks: derivatives(align_blocks(bodies(blocks), run.model)),
     }

@@ -1,0 +1,157 @@
+"""Turn the orientations of links so that they agree with the bones between the markers."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.compile import F2, F4, I1, PEOPLE, inlined, kernel, named_tuple
+from hiros_mcap.kernels.quaternions import (
+    Quaternion,
+    Vector,
+    conjugate,
+    exponential,
+    multiply,
+    normalize,
+)
+from hiros_mcap.skeletons import Floats, Ints, People, Stamps
+
+FEWEST, MOST = 30, 1800
+"""Poses that show how a bone lies in a link's frame, and those that the mean covers at most."""
+_LARGEST = 0.03  # variance, rad2, from which a link does not turn with a bone: 10 degrees
+_ORIENTATION = 3  # first column of a quaternion
+_COUNT = 3  # column of LinkPast.axes
+
+
+class LinkPast(NamedTuple):
+    """How bones lay in the frames of R people's links; a link has C candidates of bones."""
+
+    axes: Floats
+    """(R, L, C, 4) mean direction of a bone in the link's frame, and the number of poses."""
+
+
+J3 = types.int32[:, :, ::1]
+LINK_PAST = named_tuple(LinkPast, F4)
+
+
+@inlined
+def _turned(q: Quaternion, v: Vector) -> Vector:
+    """Rotate a vector."""
+    p = multiply(multiply(q, (v[0], v[1], v[2], 0.0)), conjugate(q))
+    return p[0], p[1], p[2]
+
+
+@inlined
+def _step(markers: Floats, a: int, b: int) -> Vector:
+    """Vector from one marker to another, m; NaN where one is absent or there is no such marker."""
+    if a < 0 or b < 0:
+        return np.nan, np.nan, np.nan
+    return (
+        markers[b, 0] - markers[a, 0],
+        markers[b, 1] - markers[a, 1],
+        markers[b, 2] - markers[a, 2],
+    )
+
+
+@inlined
+def _quaternion(states: Floats, k: int) -> Quaternion:
+    """Orientation of a link."""
+    i = _ORIENTATION
+    return states[k, i], states[k, i + 1], states[k, i + 2], states[k, i + 3]
+
+
+@kernel
+def _observe(people: People, p: int, k: int, bones: Ints, axes: Floats) -> None:
+    """Add a pose to the mean directions of all candidates (C, 4) of a link."""
+    q = _quaternion(people.links[p], k)
+    for c in range(len(bones)):
+        x, y, z = _step(people.markers[p], bones[c, 0], bones[c, 1])
+        length = math.sqrt(x * x + y * y + z * z)
+        if not length > 0.01 or math.isnan(q[0]):
+            continue
+        x, y, z = _turned(conjugate(q), (x / length, y / length, z / length))
+        axes[c, _COUNT] = min(axes[c, _COUNT] + 1.0, MOST)
+        gain = 1.0 / axes[c, _COUNT]
+        axes[c, 0] += gain * (x - axes[c, 0])
+        axes[c, 1] += gain * (y - axes[c, 1])
+        axes[c, 2] += gain * (z - axes[c, 2])
+
+
+@inlined
+def _size(v: Vector) -> float:
+    """Length of a vector."""
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+@kernel
+def _steadiest(axes: Floats) -> int:
+    """Return the candidate (C, 4) that lies most steadily in the link; -1 = none does.
+
+    The length of the mean of unit vectors is 1 - v, where v is the variance about each of the two
+    axes that they deviate about, to second order (Mardia and Jupp 2000, section 9.2).
+    """
+    best, least = -1, _LARGEST
+    for c in range(len(axes)):
+        variance = 1.0 - _size((axes[c, 0], axes[c, 1], axes[c, 2]))
+        # The link's own bone comes first; another one has to be clearly steadier.
+        if axes[c, _COUNT] >= FEWEST and variance < (least if best < 0 else 0.5 * least):
+            best, least = c, variance
+    return best
+
+
+@kernel
+def _align(people: People, p: int, k: int, bone: Ints, axis: Floats, variances: Floats) -> None:
+    """Turn a link by the share of its deviation from a bone that the link has caused.
+
+    ``axis`` (4,) is the bone's mean direction in the link's frame, ``variances`` (P, M) those of
+    the markers, m2. The deviation has the variance of the link's orientation and of the bone's
+    direction together; Wiener's estimate of the link's part is that share of the whole.
+    """
+    step = _step(people.markers[p], bone[0], bone[1])
+    length, mean = _size(step), _size((axis[0], axis[1], axis[2]))
+    q = _quaternion(people.links[p], k)
+    if not length > 0.01 or math.isnan(q[0]):
+        return
+    marker = (variances[p, bone[0]] + variances[p, bone[1]]) / (length * length)
+    share = 1.0 - marker / max(1.0 - mean, 1e-9)
+    if not share > 0.0:
+        return
+    u = _turned(q, (axis[0] / mean, axis[1] / mean, axis[2] / mean))
+    v = (step[0] / length, step[1] / length, step[2] / length)
+    cross = (
+        u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0],
+    )  # fmt: skip
+    sine, cosine = _size(cross), u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+    if sine < 1e-9 or cosine < 0.0:  # more than 90 degrees: one of them is wrong
+        return
+    scale = share * math.atan2(sine, cosine) / sine
+    turn = exponential(scale * cross[0], scale * cross[1], scale * cross[2])
+    q = normalize(multiply(turn, q))
+    for c in range(4):
+        people.links[p, k, _ORIENTATION + c] = q[c]
+
+
+@kernel(types.void(PEOPLE, I1, F2, J3, LINK_PAST))
+def align_links(
+    people: People, rows: Stamps, variances: Floats, bones: Ints, past: LinkPast
+) -> None:
+    """Turn the links of people in place, one person after the other.
+
+    Parameters
+    ----------
+    rows : (P,) row of each person in ``past``; -1 = nobody known.
+    variances : (P, M) of the markers along each axis, m2.
+    bones : (L, C, 2) slots of markers: which bones may turn with a link; -1 = none.
+    """
+    for p in range(len(rows)):
+        if rows[p] < 0:
+            continue
+        for k in range(len(bones)):
+            axes = past.axes[rows[p], k]
+            _observe(people, p, k, bones[k], axes)
+            best = _steadiest(axes)
+            if best >= 0:
+                _align(people, p, k, bones[k, best], axes[best], variances)

@@ -1,0 +1,77 @@
+"""Whether the cameras' residuals contradict the noise that the fuser assumes, in numbers and words.
+
+:mod:`hiros_mcap.stages.residuals` says what is measured. The ratio is that of medians, which
+outliers hardly move.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hiros_mcap.events import COMMON, RESIDUAL, Events
+from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
+from hiros_mcap.stages.log_histograms import medians
+from hiros_mcap.summary import ScatterSummary
+
+_MEDIAN = 2.36597  # of a chi-square distribution with three degrees of freedom
+_FEWEST = 50  # residuals that give a median
+_LARGE = 1.4  # times as far as expected
+_WORSE = 1.2  # a joint is named if it is so many times worse than its camera
+_TOGETHER = 0.6  # share in common from which the camera as a whole is off
+
+
+def scatter_of(events: Events) -> float:
+    """Return how many times as large as expected all residuals are; NaN if there are none."""
+    some = [counts for (kind, _), counts in events.histograms.items() if kind == RESIDUAL]
+    return float(_ratios(sum(each.sum(axis=0) for each in some)[None])[0]) if some else math.nan
+
+
+def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterSummary]:
+    """Yield the same of each camera, by name."""
+    for (kind, name), counts in sorted(events.histograms.items()):
+        if kind != RESIDUAL:
+            continue
+        (ratio,) = _ratios(counts.sum(axis=0, keepdims=True)).tolist()
+        (common,) = medians(events.histograms[COMMON, name], _FEWEST).tolist()
+        joints = np.nan_to_num(_ratios(counts))
+        worst = int(joints.argmax())
+        known = joints[worst] > 0
+        yield ScatterSummary(
+            name=name,
+            ratio=ratio,
+            worst_joint=model.marker_names[worst] if known else "",
+            worst_ratio=float(joints[worst]) if known else math.nan,
+            common=common,
+        )
+
+
+def _ratios(counts: Stamps) -> Floats:
+    """(K,) Size of residuals as a multiple of the expected one, from histograms (K, B)."""
+    return np.sqrt(medians(counts, _FEWEST) / _MEDIAN)
+
+
+def scatter_notes(cameras: Sequence[ScatterSummary]) -> Iterator[str]:
+    """Yield whose detections contradict the model, and what to do."""
+    for camera in cameras:
+        if not camera.ratio >= _LARGE:
+            continue
+        joint = ""
+        if camera.worst_ratio > _WORSE * camera.ratio:
+            joint = f" ({camera.worst_joint} {camera.worst_ratio:.1f} times)"
+        yield (
+            f"the detections of {camera.name} scatter {camera.ratio:.1f} times as much as the "
+            f"model expects{joint}, so the standard deviations of the result are too small; "
+            f"{_remedy(camera)}"
+        )
+
+
+def _remedy(camera: ScatterSummary) -> str:
+    if camera.common > _TOGETHER:
+        return "all joints are off together: check its pose with hiros calibrate people"
+    return (
+        "its joints are off one by one: hiros calibrate noise shows its noise, and --set "
+        "fuse.learn=true learns it"
+    )

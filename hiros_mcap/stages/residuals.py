@@ -1,0 +1,122 @@
+"""How far the cameras' measurements are from the fused poses, against what the model expects.
+
+A measurement is z = x + b + w, with a slow offset b of variance B and white noise w of variance R.
+The error of the best estimate x_s, of variance P_s, is uncorrelated with every measurement that it
+used (principle of orthogonality, Bar-Shalom et al. 2001, section 3.3.1). So
+
+    var(z - x_s) = R + B - P_s
+
+holds for a smoother, and for a filter with any look-ahead. |z - x_s|^2 over this variance has a
+chi-square distribution with three degrees of freedom if the model is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hiros_mcap.events import COMMON, RESIDUAL, Events
+from hiros_mcap.frames import Block, join
+from hiros_mcap.kernels.fusing import Sightings
+from hiros_mcap.skeletons import POSITION, UNTRACKED, VELOCITY, Floats, SkeletonModel, Stamps
+from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.log_histograms import histograms
+from hiros_mcap.stages.sightings import chosen, joined
+
+_EVERY = 3  # instants; residuals of neighbours tell the same
+_BATCH = 48  # frames that are compared at once
+
+
+class ResidualMeter:
+    """Compares the fused poses with what went into them, a batch of frames at a time.
+
+    Parameters
+    ----------
+    model, noise : what the fuser assumes. places : source -> (3,) position of the camera, m.
+    events : gets a histogram of every camera.
+    """
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        noise: FusionNoise,
+        places: Mapping[str, Floats],
+        events: Events,
+    ) -> None:
+        self._n_markers = model.n_markers
+        self._noise, self._places, self._events = noise, places, events
+        self._names: tuple[str, ...] = ()
+        self._views: list[Sightings] = []
+        """Not yet compared; instants are numbered through the log."""
+        self._fused: list[Block] = []
+        self._seen = self._first = self._waiting = 0
+        """Instants so far, those that were compared, and frames in ``_fused``."""
+
+    def expect(self, n_instants: int, views: Sightings, names: tuple[str, ...]) -> None:
+        """Take the views of some instants, which are to be fused."""
+        numbers, self._names = views.instants + self._seen, names
+        some = chosen(views._replace(instants=numbers), numbers % _EVERY == 0)
+        self._views.append(some)
+        self._seen += n_instants
+
+    def compare(self, fused: Block) -> None:
+        """Take the next frames, one for each instant."""
+        self._fused.append(fused)
+        self._waiting += len(fused)
+        if self._waiting >= _BATCH:
+            self.finish()
+
+    def finish(self) -> None:
+        """Count what was fused so far."""
+        if not self._waiting:
+            return
+        fused = join([(block, i) for block in self._fused for i in range(len(block))])
+        views = joined(self._views)
+        done = views.instants < self._first + len(fused)
+        self._count(fused, chosen(views, done))
+        self._views, self._fused = [chosen(views, ~done)], []
+        self._first, self._waiting = self._first + len(fused), 0
+
+    def _count(self, fused: Block, views: Sightings) -> None:
+        """Add the residuals of views to the histograms of their cameras."""
+        rows = _rows_of(fused, self._first, views)
+        views, rows = chosen(views, rows >= 0), rows[rows >= 0]
+        known = fused.uncertainty
+        if known is None or not len(rows):
+            return
+        late = (views.stamps - fused.people.stamps[rows]) * 1e-9
+        markers = fused.people.markers[rows]
+        expected = markers[:, :, POSITION] + late[:, None, None] * markers[:, :, VELOCITY]
+        residuals = views.positions - expected
+        posterior = known.deviations[rows] ** 2 - known.shared[rows] ** 2
+        white = self._noise.variances(views, self._names, self._places)
+        variances = white + self._noise.offsets**2 - posterior
+        # An estimate that no measurement supports is as uncertain as the measurement.
+        variances[variances <= 0.1 * white] = np.nan
+        squares = (residuals**2).sum(axis=2)
+        common = _common_share(residuals, squares)
+        for k, name in enumerate(self._names):
+            own = views.cameras == k
+            counts = histograms((squares[own] / variances[own]).T)
+            self._events.tally(RESIDUAL, name, counts)
+            self._events.tally(COMMON, name, histograms(common[None, own]))
+
+
+def _rows_of(fused: Block, first: int, views: Sightings) -> Stamps:
+    """(N,) Row of the person whom each view shows; -1 = not fused. ``first`` numbers instants."""
+    instants = first + np.repeat(np.arange(len(fused)), np.diff(fused.rows).ravel())
+    keys = zip(instants.tolist(), fused.people.ids.tolist(), strict=True)
+    row_of = {key: row for row, key in enumerate(keys) if key[1] != UNTRACKED}
+    wanted = zip(views.instants.tolist(), views.people.tolist(), strict=True)
+    return np.array([row_of.get(key, -1) for key in wanted], np.int64)
+
+
+def _common_share(residuals: Floats, squares: Floats) -> Floats:
+    """(N,) Share of the squared residuals (N, M) of each view that its markers have in common."""
+    known = ~np.isnan(squares)
+    n = np.maximum(known.sum(axis=1), 1)
+    mean = np.where(known[:, :, None], residuals, 0.0).sum(axis=1) / n[:, None]
+    total = np.where(known, squares, 0.0).sum(axis=1) / n
+    share = (mean**2).sum(axis=1) / np.where(total > 0, total, np.nan)
+    return np.where(n >= 5, share, np.nan)

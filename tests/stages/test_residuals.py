@@ -1,0 +1,158 @@
+"""Residuals against the model: simulated cameras as the fuser assumes them, and worse ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import same
+
+from hiros_mcap.config import load_config
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
+from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.simulation import Simulation
+from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.fuse import FuseParams, fuse, fuse_blocks
+from hiros_mcap.stages.log_histograms import histograms, medians
+from hiros_mcap.summary import ScatterSummary, Summary
+
+BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
+CAMERAS = "abc"
+REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0, "agility": 0.07}
+
+
+def wander(rng: np.random.Generator, steps: int, shape: tuple[int, ...]) -> Floats:
+    """Gauss-Markov offsets of 1 cm with a time constant of 1.7 s at 30 Hz."""
+    keep = np.exp(-1 / 30 / 1.7)
+    b = [rng.normal(0, 0.01, shape)]
+    for _ in range(steps - 1):
+        b.append(keep * b[-1] + rng.normal(0, 0.01 * np.sqrt(1 - keep**2), shape))
+    return np.stack(b)
+
+
+def detections(noise: dict[str, float], shift: Floats | None = None) -> list[Frame]:
+    """20 s of one who moves; noise of each camera in units of the model's, a shift of camera c."""
+    rng = np.random.default_rng(5)
+    times = np.arange(600) / 30
+    place = 0.4 * np.sin(times[:, None, None] + np.arange(24.0).reshape(8, 3))
+    offsets = wander(rng, len(times), (3, 8, 3))
+    frames = []
+    for k, t in enumerate(times):
+        for c, name in enumerate(CAMERAS):
+            stamp = round((t + 0.005 * c) * 1e9) + 10**9
+            frame = Frame.empty(1, BODY, stamp=stamp, source=name)
+            frame.ids[:] = 0
+            white = rng.normal(0, 0.007 * noise.get(name, 1.0), (8, 3))
+            frame.markers[0, :, :3] = place[k] + offsets[k, c] + white
+            if name == "c" and shift is not None:
+                frame.markers[0, :, :3] += shift
+            frame.marker_confidences[:] = frame.confidences[:] = 0.9
+            frames.append(frame)
+    return frames
+
+
+def found(frames: list[Frame], **params: float) -> tuple[float, list[ScatterSummary]]:
+    events = Events()
+    for _ in fuse(frames, BODY, FuseParams(**params), events):
+        pass
+    return scatter_of(events), list(scatter_by_camera(events, BODY))
+
+
+@pytest.mark.parametrize("params", [{}, REALTIME])
+def test_cameras_as_the_model_has_them_scatter_as_expected(params: dict[str, float]) -> None:
+    ratio, cameras = found(detections({}), **params)
+    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert [c.name for c in cameras] == ["a", "b", "c"]
+    assert [c.ratio for c in cameras] == pytest.approx([1, 1, 1], abs=0.15)
+    assert not list(scatter_notes(cameras))
+
+
+@pytest.mark.parametrize("params", [{}, REALTIME])
+def test_a_camera_that_is_noisier_is_named(params: dict[str, float]) -> None:
+    _, cameras = found(detections({"b": 2.5}), **params)
+    (note,) = scatter_notes(cameras)
+    assert "detections of b scatter" in note
+    assert "hiros calibrate noise" in note
+
+
+def test_a_camera_that_stands_elsewhere_is_told_from_a_noisy_one() -> None:
+    _, cameras = found(detections({}, np.array([0.0, 0.15, 0.0])))
+    assert max(cameras, key=lambda c: c.ratio).name == "c"
+    assert any("hiros calibrate people" in note for note in scatter_notes(cameras))
+    assert cameras[2].common > 0.6
+
+
+def test_the_worst_joint_is_named() -> None:
+    frames = detections({"b": 3.0})
+    rng = np.random.default_rng(6)
+    for frame in frames[1::3]:
+        frame.markers[0, 5, :3] += rng.normal(0, 0.06, 3)
+    _, cameras = found(frames)
+    assert cameras[1].worst_joint == "m5"
+    assert "(m5 " in next(iter(scatter_notes(cameras)))
+
+
+def test_a_noisy_camera_counts_less_from_its_third_second_on() -> None:
+    _, cameras = found(detections({"b": 2.5}), **REALTIME, follow_noise=True)
+    assert [c.ratio for c in cameras] == pytest.approx([1, 1.15, 1], abs=0.15)
+    assert not list(scatter_notes(cameras))
+
+
+@pytest.mark.parametrize("params", [{"window": 1.0}, {**REALTIME, "follow_noise": True}])
+def test_blocks_change_no_histogram_and_no_result(params: dict[str, float]) -> None:
+    frames, settings = detections({"b": 2.5})[:600], FuseParams(**params)
+    one, other = Events(), Events()
+    results = list(fuse(frames, BODY, settings, one))
+    whole = join([(Block.of(frame), 0) for frame in frames])
+    again = list(frames_of(fuse_blocks([whole], BODY, settings, other)))
+    assert all(map(same, results, again))
+    assert one.histograms.keys() == other.histograms.keys()
+    for key, counts in one.histograms.items():
+        np.testing.assert_array_equal(counts, other.histograms[key])
+
+
+def test_medians_of_histograms_are_those_of_the_values() -> None:
+    values = np.random.default_rng(7).lognormal(0, 2, (3, 4001))
+    values[1, 100:] = np.nan
+    found = medians(histograms(values), 50)
+    np.testing.assert_allclose(found, np.nanmedian(values, axis=1), rtol=0.02)
+    assert np.isnan(medians(histograms(values[:, :40]), 50)).all()
+
+
+def summary_of(folder: Path, system: str) -> Summary:
+    log = folder / "log.mcap"
+    write_log(log, SimulateParams(cameras=4, seconds=4, seed=4, flips=0, occlusion=0))
+    config = load_config(system=system)
+    return process(log, None, config=config, options=ProcessOptions(system=system))
+
+
+def test_a_run_on_a_log_as_expected_says_nothing(tmp_path: Path) -> None:
+    summary = summary_of(tmp_path, "fuse")
+    assert 0.5 < summary.scatter < 1.3
+    assert len(summary.to_dict()["scatters"]) == 4
+    assert not any("scatter" in note for note in summary.notes)
+
+
+def test_a_run_says_which_camera_contradicts_the_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(8)
+    usual = Simulation.detections.fget
+
+    def noisier(simulation: Simulation) -> Iterator[Frame]:
+        for frame in usual(simulation):
+            if frame.source == "camera_1":
+                frame.positions[:] += rng.normal(0, 0.03, frame.positions.shape)
+            yield frame
+
+    monkeypatch.setattr(Simulation, "detections", property(noisier))
+    notes = [n for n in summary_of(tmp_path, "fuse").notes if "scatter" in n]
+    assert len(notes) == 1
+    assert notes[0].startswith("the detections of camera_1 scatter")
