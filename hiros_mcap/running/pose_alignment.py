@@ -59,6 +59,8 @@ class PoseAlignment:
     """Cameras whose people are not where the others see them."""
     clocks: Mapping[str, float] = field(default_factory=dict)
     """Camera -> s to add to its stamps, found together with poses from nothing."""
+    moved: Mapping[str, Rigid] = field(default_factory=dict)
+    """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
 
     @property
     def replaced(self) -> bool:
@@ -149,6 +151,11 @@ def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlig
         _require(log, alignment)
     if poses:
         log.use_poses(poses, log.fixed_frame)
+        alignment.moved = {
+            c.name: c.pose @ one.pose.inverse()
+            for c, one in zip(cameras, found, strict=False)
+            if one.pose
+        }
     return alignment
 
 

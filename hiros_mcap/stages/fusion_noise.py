@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.kernels.fusing import JointNoise, Sightings
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -39,6 +40,8 @@ class FusionNoise:
     """Factor of the standard deviation where the detector guesses."""
     guessed_below: float = 0.5
     """Confidence below which the detector guesses."""
+    moved: Mapping[str, Rigid] = field(default_factory=dict)
+    """Source -> what takes its people back to the pose that was given, where it was refined."""
 
     @classmethod
     def default(
