@@ -129,6 +129,14 @@ def test_the_prior_takes_noise_off_and_keeps_motion() -> None:
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
 
 
+def test_the_prior_leaves_small_movements_of_who_stands_to_them() -> None:
+    rng = np.random.default_rng(3)
+    sway = 0.004 * np.sin(np.arange(90) / 6)[:, None, None] * rng.normal(0, 1, (1, 12, 3))
+    pose = rng.normal(0, 0.5, (1, 12, 3)) + sway
+    found = shrink_noise(pose, np.full((90, 12), 0.02**2), np.zeros((0, 2), np.int32))
+    assert (found - pose).std() < 0.2 * sway.std()
+
+
 # -- a room ----------------------------------------------------------------------------------------
 
 
