@@ -100,8 +100,8 @@ class FuseParams(Params):
     pose_angle: float = advanced(
         0.3,
         ge=0,
-        description="Standard deviation of a camera's orientation, degrees, assumed until the cameras"
-        " show how far they disagree. It and pose_shift enter the standard deviation of the result "
+        description="Standard deviation of a camera's orientation, degrees, assumed until cameras "
+        "show how far they disagree. It and pose_shift enter the standard deviation of the result "
         "only.",
     )
     pose_shift: float = advanced(

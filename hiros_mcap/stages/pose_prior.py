@@ -18,8 +18,7 @@ FEWEST = 30
 """Poses that a prior needs."""
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
-_SHOWN = 0.4
-"""Share of its variance that an offset with a time constant of 1.7 s shows in 3 s (Gauss-Markov)."""
+_SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
 _ABSENT = 1.0  # m2; variance of a marker that is missing
 
 
