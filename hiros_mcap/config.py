@@ -242,7 +242,7 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
         "track": {"lookahead": 0.0, "reorder": 0.002, "reidentify": 0.0},
         "sides": {"lookahead": 0.0},
         "fuse": {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0, "freedom": 8.0, "agility": 0.07},
-        "constrain": {"window": 0.0},
+        "constrain": {"window": 0.0, "enough": 5.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0, "keep_positions": True},
     },
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
