@@ -289,7 +289,7 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
             "agility": 0.07,
             "follow_noise": True,
         },
-        "constrain": {"window": 0.0},
+        "constrain": {"window": 0.0, "enough": 5.0},
         "filter": {"lookahead": 0.0, "cutoff": 8.0, "keep_positions": True},
     },
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.

@@ -77,6 +77,8 @@ class Outcome:
     disagreement: float = float("nan")
     """Without a truth: distance of a camera left out from the result of the others, mm; median
     over joints, mean over cameras. Neither the error nor a bound on it."""
+    spread: float = float("nan")
+    """The same, mean over joints, without the constant displacement of each joint of a person."""
     coverage: float = float("nan")
     """Without a truth: share of the left-out cameras' skeletons that the others confirm."""
     ids: int = 0
@@ -211,6 +213,7 @@ def _without_truth(task: Task, outcome: Outcome) -> Outcome:
     return replace(
         outcome,
         disagreement=float(np.mean([camera.median for camera in scores.cameras])),
+        spread=float(np.mean([camera.spread for camera in scores.cameras])),
         coverage=1 - unmatched / detections if detections else float("nan"),
         ids=len(scores.consistency.people),
         limb_variation=scores.consistency.limb_variation,

@@ -16,12 +16,15 @@ TRUTH_HEADER = (
     *("System", "Mean", "SD", "Torso", "Upper", "Lower", "Angles", "Limb CV", "Jitter", "Lag"),
     *("Missing", "False", "Switches", "HOTA", "ms/message"),
 )
-SELF_HEADER = ("System", "Disagreement", "Coverage", "Ids", "Limb CV", "Jitter", "ms/message")
+SELF_HEADER = (
+    "System", "Disagreement", "Spread", "Coverage", "Ids", "Limb CV", "Jitter", "ms/message",
+)  # fmt: skip
 WITHOUT_TRUTH = (
     "Not ranked, since there is no truth. Disagreement: median distance, mm, of a camera left out "
     "from the result of the others. This is neither the error nor a bound on it: it adds the "
-    "camera's own noise and misses errors that all cameras share. Coverage: share of that "
-    "camera's skeletons near somebody whom the others see."
+    "camera's own noise and misses errors that all cameras share. Spread: the same, mean, without "
+    "what is constant for a joint. Coverage: share of that camera's skeletons near somebody whom "
+    "the others see."
 )
 
 
@@ -53,6 +56,7 @@ def _self_row(o: Outcome) -> tuple[str, ...]:
     return (
         o.name,
         number(o.disagreement, 1),
+        number(o.spread, 1),
         number(100 * o.coverage, 1, " %"),
         str(o.ids),
         *_motion(o),

@@ -48,6 +48,9 @@ class LeftOut:
     """From the same joint in the result of the others."""
     median: float
     """Of these distances, mm."""
+    spread: float
+    """Mean distance, mm, without what is constant: the median displacement of each joint of a
+    person. Detectors differ by centimetres all the time; systems differ in the rest."""
     offset: float
     """Norm of the mean displacement over all joints, mm: mostly the error of the extrinsics."""
     parts: Mapping[str, ErrorStats]
@@ -156,6 +159,7 @@ def _left_out(
     distances = 1000 * np.linalg.norm(displacement, axis=-1)
     known = distances[~np.isnan(distances)]
     means = [mean_of(displacement[..., axis]) for axis in range(3)]
+    varying = _varying(displacement, found.people[~found.mirrored])
     return LeftOut(
         topic=topic,
         detections=len(found.stamps) + found.unmatched,
@@ -163,10 +167,21 @@ def _left_out(
         mirrored=int(found.mirrored.sum()),
         distance=ErrorStats.of(distances),
         median=float(np.median(known)) if known.size else np.nan,
+        spread=1000 * mean_of(np.linalg.norm(varying, axis=-1)),
         offset=1000 * float(np.linalg.norm(means)),
         parts={part: ErrorStats.of(distances[:, own]) for part, own in parts_of(model).items()},
         joints=ErrorStats.by_name(model.marker_names, distances),
     )
+
+
+def _varying(displacement: Floats, people: Stamps) -> Floats:
+    """(R, M, 3) Displacements without the median of each joint of each person, m."""
+    varying = displacement.copy()
+    for person in np.unique(people):
+        own = people == person
+        for m in np.flatnonzero(~np.isnan(displacement[own, :, 0]).all(axis=0)):
+            varying[own, m] -= np.nanmedian(displacement[own, m], axis=0)
+    return varying
 
 
 def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonModel) -> _Residuals:

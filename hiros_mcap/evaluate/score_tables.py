@@ -108,12 +108,22 @@ def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
 def left_out_table(cameras: Sequence[LeftOut]) -> Table:
     """Distance of each camera left out from what the others give, mm."""
     parts = [p for p in PARTS if any(p in c.parts for c in cameras)]
-    header = ("Left out", "Median", "Mean", "SD", "RMSE", "95 %", *(p.capitalize() for p in parts))
+    header = (
+        "Left out",
+        "Median",
+        "Mean",
+        "SD",
+        "RMSE",
+        "95 %",
+        "Spread",
+        *(p.capitalize() for p in parts),
+    )
     rows = [
         (
             c.topic,
             number(c.median, 1),
             *_millimetres(c.distance),
+            number(c.spread, 1),
             *(number(c.parts[part].mean, 1) for part in parts),
             number(c.offset, 1),
             *map(str, (c.detections, c.unmatched, c.mirrored)),

@@ -116,7 +116,7 @@ def process(
         if poses is None:
             with watch.timing("calibrate"):
                 poses = align_poses(log, clocks, mode)
-            run = replace(run, cameras=camera_positions(log))
+            run = replace(run, cameras=camera_positions(log), to_given=poses.to_given)
         _calibrate_first(log, run, chain, clocks)
         run = _with_noise(log, run, chain, clocks, watch)
         observer = Observer(chain)

@@ -64,6 +64,8 @@ class PoseAlignment:
     """Camera -> s to add to its stamps, found together with poses from nothing."""
     moves: tuple[Move, ...] = ()
     """Cameras that were moved in the middle of the log."""
+    to_given: Mapping[str, Rigid] = field(default_factory=dict)
+    """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
 
     @property
     def replaced(self) -> bool:
@@ -161,6 +163,7 @@ def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlig
     poses = _poses_used(posed)
     if poses:
         log.use_poses(poses, log.fixed_frame)
+        alignment.to_given = _to_given(posed)
     return alignment
 
 
@@ -188,6 +191,16 @@ def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
         elif one.pose is not None:
             poses[camera.frame] = {0: one.pose}
     return poses
+
+
+def _to_given(posed: PosedViews) -> dict[str, Rigid]:
+    """Camera -> what takes its people back to the log's pose, without those with two poses."""
+    twice = {move.camera for move in posed.moves}
+    return {
+        camera.name: camera.pose @ one.pose.inverse()
+        for camera, one in zip(posed.cameras, posed.found, strict=True)
+        if one.pose is not None and camera.name not in twice
+    }
 
 
 def pose_faults(log: Log) -> list[str]:

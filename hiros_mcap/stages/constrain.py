@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
@@ -49,7 +50,11 @@ class ConstrainParams(Params):
         "fuse-realtime.",
     )
     enough: float = advanced(
-        5.0, ge=0, description="Seconds after which the lengths of a person stay as they are."
+        60.0,
+        ge=0,
+        description="Seconds after which the lengths of a person stay as they are. Detectors see "
+        "other lengths in other poses, so a few seconds in one pose do not give them. Results wait "
+        "for it. In fuse-realtime, which does not wait, 5.",
     )
     rigid: bool = advanced(
         True, description="Keep the distances within head, thorax and pelvis, too."
@@ -86,20 +91,26 @@ def constrain_blocks(
 
     Yields
     ------
-    The same frames with other positions, m, and orientations, logged when their window ended.
+    The same frames with other positions, m, and orientations, logged when the lengths of everybody
+    in their window were known.
     """
     params = params or ConstrainParams()
     bodies = _Bodies(model, params, Events() if events is None else events)
+    waiting: deque[Block] = deque()
     held: list[Part] = []
     for block in blocks:
         for i, stamp in enumerate(block.stamps.tolist()):
             held.append((block, i))
             first = held[0][0].stamps[held[0][1]]
             if stamp - first >= params.window * 1e9:
-                yield bodies.constrain(held)
+                waiting.append(bodies.measured(held))
                 held = []
+                while waiting and bodies.can_correct(waiting[0], stamp):
+                    yield bodies.corrected(waiting.popleft(), block.log_times[i])
     if held:
-        yield bodies.constrain(held)
+        waiting.append(bodies.measured(held))
+    for window in waiting:
+        yield bodies.corrected(window, waiting[-1].log_times[-1])
 
 
 @dataclass
@@ -130,18 +141,28 @@ class _Bodies:
         self._pairs = constant_pairs(model, rigid=params.rigid)
         self._people: dict[int, _Body] = {}
 
-    def constrain(self, held: list[Part]) -> Block:
-        """Correct the poses of a window."""
+    def measured(self, held: list[Part]) -> Block:
+        """Measure everybody in a window; return it."""
         out = join(held)
         variances = own_variances(out)
         stamps = np.repeat(out.stamps, np.diff(out.rows).ravel())
-        for person in np.unique(out.people.ids):
-            if person != UNTRACKED:
-                rows = np.flatnonzero(out.people.ids == person)
-                self._measure(int(person), out, rows, variances, stamps[rows])  # 1
-                self._correct(int(person), out, rows, variances)  # 2 and 3
+        for person, rows in _tracked(out):
+            self._measure(person, out, rows, variances, stamps[rows])  # 1
+        return out
+
+    def can_correct(self, window: Block, now: int) -> bool:
+        """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
+        patience = self._params.enough + self._params.window
+        waited = now - int(window.stamps[0]) >= patience * 1e9
+        return waited or all(self._people[person].known for person, _ in _tracked(window))
+
+    def corrected(self, out: Block, log_time: int) -> Block:
+        """Correct the poses of a window."""
+        variances = own_variances(out)
+        for person, rows in _tracked(out):
+            self._correct(person, out, rows, variances)  # 2 and 3
         self._people = remembered(self._people, int(out.stamps[-1]))
-        log_times = np.full(len(out), out.log_times[-1])
+        log_times = np.full(len(out), log_time)
         known = surer(out, variances, self._links)
         return replace(out, log_times=log_times, uncertainty=known)
 
@@ -188,6 +209,13 @@ S = TypeVar("S", bound=_Remembered)
 def remembered(people: dict[int, S], now: int) -> dict[int, S]:
     """Return what is known of the people without those who are gone for long at ``now``, ns."""
     return {p: body for p, body in people.items() if now - body.last <= _FORGET * 1e9}
+
+
+def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:
+    """Yield everybody who has an id, with the person's rows."""
+    for person in np.unique(block.people.ids).tolist():
+        if person != UNTRACKED:
+            yield person, np.flatnonzero(block.people.ids == person)
 
 
 def own_variances(block: Block) -> Floats:

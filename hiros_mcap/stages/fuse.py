@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.params import Params, advanced
@@ -102,8 +104,9 @@ class FuseParams(Params):
     pose_angle: float = advanced(
         0.3,
         ge=0,
-        description="Standard deviation of a camera's orientation, degrees. It and pose_shift enter"
-        " the standard deviation of the result only.",
+        description="Standard deviation of a camera's orientation, degrees, assumed until cameras "
+        "show how far they disagree. It and pose_shift enter the standard deviation of the result "
+        "only.",
     )
     pose_shift: float = advanced(
         0.006, ge=0, description="Standard deviation of a camera's position along each axis, m."
@@ -148,7 +151,6 @@ def fuse_blocks(
     One frame per instant, with positions, m, velocities, m/s, and their uncertainty. Each is logged
     when its window was complete.
     """
-    from hiros_mcap.stages.fusion_noise import FusionNoise
     from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
     from hiros_mcap.stages.window_smoother import WindowSmoother
@@ -156,9 +158,7 @@ def fuse_blocks(
     events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
     params = params or FuseParams()
-    noise = noise or FusionNoise.default(
-        model, params.acceleration, params.offset, params.offset_time
-    )
+    noise = noise or noise_of(model, params)
     if params.follow_noise:
         from hiros_mcap.stages.running_noise import RunningNoise
 
@@ -175,3 +175,18 @@ def fuse_blocks(
         residuals.compare(fused)
         yield fused
     residuals.finish()
+
+
+def noise_of(
+    model: SkeletonModel,
+    params: FuseParams,
+    learned: FusionNoise | None = None,
+    to_given: Mapping[str, Rigid] | None = None,
+) -> FusionNoise:
+    """Return what is assumed of cameras and joints, or ``learned``, and how poses were refined."""
+    from hiros_mcap.stages.fusion_noise import FusionNoise
+
+    noise = learned or FusionNoise.default(
+        model, params.acceleration, params.offset, params.offset_time
+    )
+    return replace(noise, to_given=to_given or {})

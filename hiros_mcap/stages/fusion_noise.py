@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.kernels.fusing import JointNoise, Sightings
@@ -40,6 +41,8 @@ class FusionNoise:
     """Factor of the standard deviation where the detector guesses."""
     guessed_below: float = 0.5
     """Confidence below which the detector guesses."""
+    to_given: Mapping[str, Rigid] = field(default_factory=dict)
+    """Source -> what takes its people back to the pose that was given, where it was refined."""
 
     @classmethod
     def default(

@@ -18,6 +18,7 @@ FEWEST = 30
 """Poses that a prior needs."""
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
+_SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
 _ABSENT = 1.0  # m2; variance of a marker that is missing
 
 
@@ -42,12 +43,23 @@ def shrink_noise(positions: Floats, variances: Floats, lateral: Ints) -> Floats:
         if n >= FEWEST:
             frames, origins = local_frames(positions[part], lateral)
             local = np.einsum("tij,tmi->tmj", frames, positions[part] - origins)
-            some, noise = local[:, known], variances[part][:, known]
+            some = local[:, known]
+            noise = at_most_shown(some, variances[part][:, known])
             local[:, known] = estimated(motion_of(some, noise), some, noise)
             estimate = np.einsum("tij,tmj->tmi", frames, local) + origins
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
+
+
+def at_most_shown(positions: Floats, variances: Floats) -> Floats:
+    """(T, M) Variances without what the window contradicts, m2: noise shows in poses (T, M, 3).
+
+    Errors of detectors depend on the pose: those of a person who stands hardly change. A prior that
+    expects noise there would take small movements for it.
+    """
+    shown = np.nanvar(positions, axis=0).mean(axis=1) / _SHOWN
+    return np.asarray(variances * np.minimum(shown / variances.mean(axis=0), 1.0))
 
 
 def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:

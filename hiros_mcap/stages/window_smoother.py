@@ -22,6 +22,7 @@ from hiros_mcap.skeletons import (
 )
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.pose_error import PoseError
 from hiros_mcap.stages.sightings import chosen, joined
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ class WindowSmoother:
     ) -> None:
         self._params, self._noise, self._places = params, noise, cameras
         self._motion = noise.motion(params.freedom, params.agility)
+        angle, shift = np.radians(params.pose_angle), params.pose_shift
+        self._pose_error = PoseError(float(angle), shift, cameras, noise.to_given)
         self._names: tuple[str, ...] = ()
         self._held: list[Part] = []
         self._views: list[Sightings] = []
@@ -128,7 +131,9 @@ class WindowSmoother:
             wanted = out.stamps[owners[rows]]
             steps, keep = self._steps(chosen(views, own), variances[own], wanted, boundary)
             self._smooth_person(int(person), steps, keep, boundary, rows, poses)
-        seen = cameras_by_row(views, self._first + owners, out.people.ids, poses.variances.shape)
+        of_views = rows_of(views, self._first + owners, out.people.ids)
+        seen = cameras_by_row(views, of_views, poses.variances.shape)
+        self._compare(views, variances, poses, out.stamps[owners], of_views)
         self._drop(n, boundary, views)
         return self._finished(out, log_time, poses, seen)
 
@@ -161,6 +166,16 @@ class WindowSmoother:
         for whole, part in zip(poses, own, strict=True):
             whole[rows] = part
 
+    def _compare(
+        self, views: Sightings, variances: Floats, poses: FusedPoses, stamps: Stamps, rows: Stamps
+    ) -> None:
+        """Let the cameras show how wrong their poses are; ``rows`` are the views' results."""
+        own = np.flatnonzero(rows >= 0)
+        rows = rows[own]
+        later = (views.stamps[own] - stamps[rows])[:, None, None] * 1e-9
+        fused = poses.positions[rows] + later * poses.velocities[rows]
+        self._pose_error.learn(chosen(views, own), variances[own], fused, self._names)
+
     def _drop(self, n: int, boundary: int, views: Sightings) -> None:
         """Forget what the filters have taken over."""
         self._held = self._held[n:]
@@ -171,7 +186,7 @@ class WindowSmoother:
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
         people, params = out.people, self._params
-        shared = self._pose_variance(poses.positions, seen)
+        shared = self._pose_error.variances(poses.positions, seen, self._names)
         variances = poses.variances + shared
         unknown = ~(variances <= params.max_deviation**2)
         variances[unknown] = np.nan
@@ -186,29 +201,19 @@ class WindowSmoother:
         log_times = np.full(len(out), log_time, np.int64)
         return replace(out, log_times=log_times, uncertainty=uncertainty)
 
-    def _pose_variance(self, positions: Floats, seen: Stamps) -> Floats:
-        """(K, M) Variance that the cameras' poses add along each axis, m2: they share an error."""
-        angle, shift = np.radians(self._params.pose_angle), self._params.pose_shift
-        total, count = np.zeros(seen.shape), np.zeros(seen.shape)
-        for k, name in enumerate(self._names):
-            place = self._places.get(name, np.full(3, np.nan))
-            square = np.nan_to_num(((positions - place) ** 2).sum(axis=2), nan=9.0)
-            sees = (seen >> k) & 1
-            total += sees * (shift**2 + 2 / 3 * angle**2 * square)
-            count += sees
-        return np.asarray(total / np.maximum(count, 1) ** 2)
 
-
-def cameras_by_row(
-    views: Sightings, instants: Stamps, people: Ints, shape: tuple[int, int]
-) -> Stamps:
-    """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
-    seen = np.zeros(shape, np.int64)
+def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:
+    """(N,) Row of each view's person and instant among ``instants`` and ``people``; -1 = none."""
     row_of = {
         key: row for row, key in enumerate(zip(instants.tolist(), people.tolist(), strict=True))
     }
     keys = zip(views.instants.tolist(), views.people.tolist(), strict=True)
-    rows = np.array([row_of.get(key, -1) for key in keys], np.int64)
+    return np.array([row_of.get(key, -1) for key in keys], np.int64)
+
+
+def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:
+    """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
+    seen = np.zeros(shape, np.int64)
     own = np.flatnonzero(rows >= 0)
     bits = ~np.isnan(views.positions[own, :, 0]) * (1 << views.cameras[own])[:, None]
     np.bitwise_or.at(seen, rows[own], bits)

@@ -11,7 +11,7 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.align_links import align_blocks
     from hiros_mcap.stages.constrain import constrain_blocks
     from hiros_mcap.stages.filter import filter_blocks
-    from hiros_mcap.stages.fuse import fuse_blocks
+    from hiros_mcap.stages.fuse import fuse_blocks, noise_of
     from hiros_mcap.stages.live_bodies import constrain_live
     from hiros_mcap.stages.track import track_blocks
 
@@ -19,7 +19,7 @@ def fuse(run: Run) -> Stages:
     sides, merging = left_and_right(run)
     fusion = run.stage(
         fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
-        cameras=run.cameras, noise=run.noise,
+        cameras=run.cameras, noise=noise_of(run.model, config.fuse, run.noise, run.to_given),
     )  # fmt: skip
     waits = config.constrain.window > 0
     bodies = run.stage(constrain_blocks if waits else constrain_live, config.constrain)

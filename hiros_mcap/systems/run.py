@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import BlockStage
@@ -37,6 +38,8 @@ class Run:
     """Name of the system that is run."""
     noise: FusionNoise | None = None
     """What a first pass has shown of cameras and joints; None = there was none."""
+    to_given: Mapping[str, Rigid] = field(default_factory=dict)
+    """Source -> what takes its people back to the pose that was given, where it was refined."""
 
     def stage(self, stage: Callable[..., Any], params: Params, **more: Any) -> partial[Any]:
         """Return a stage with what every stage takes (model, parameters, events), and more."""

@@ -51,6 +51,7 @@ def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path: Path) -
     *_, shifted = leave_one_out(log, options=ProcessOptions(extrinsics=extrinsics)).cameras
     assert shifted.median == pytest.approx(100, abs=3)
     assert shifted.offset == pytest.approx(100, abs=3)
+    assert shifted.spread < 10
 
 
 def test_two_cameras_are_needed(walking: Path) -> None:

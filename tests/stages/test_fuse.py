@@ -15,7 +15,7 @@ from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.constrain import measured_lengths
+from hiros_mcap.stages.constrain import ConstrainParams, constrain, measured_lengths
 from hiros_mcap.stages.fuse import FuseParams, fuse
 from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.learn_noise import learn_noise
@@ -23,6 +23,7 @@ from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.pose_prior import shrink_noise
 from hiros_mcap.systems import Run, system
 
+START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
 NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9, 0.0)
 
@@ -127,6 +128,35 @@ def test_the_prior_takes_noise_off_and_keeps_motion() -> None:
     noisy = pose + rng.normal(0, 0.02, pose.shape)
     found = shrink_noise(noisy, np.full((90, 12), 0.02**2), np.zeros((0, 2), np.int32))
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
+
+
+def test_the_prior_leaves_small_movements_of_who_stands_to_them() -> None:
+    rng = np.random.default_rng(3)
+    sway = 0.004 * np.sin(np.arange(90) / 6)[:, None, None] * rng.normal(0, 1, (1, 12, 3))
+    pose = rng.normal(0, 0.5, (1, 12, 3)) + sway
+    found = shrink_noise(pose, np.full((90, 12), 0.02**2), np.zeros((0, 2), np.int32))
+    assert (found - pose).std() < 0.2 * sway.std()
+
+
+def test_results_wait_for_lengths_that_other_poses_show() -> None:
+    """The forearm that a detector shows grows from 0.2 to 0.3 m; the result has one length."""
+    model = SkeletonModel.of(["A", "B"], [("forearm", 0, 1)])
+    frames = []
+    for k in range(240):
+        stamp = START + k * 100_000_000
+        frame = Frame.empty(1, model, stamp=stamp, log_time=stamp, source="a", frame_id="world")
+        frame.ids[:] = 0
+        frame.markers[0, :, :3] = [[0, 0, 1], [0.2 + 0.1 * min(k / 120, 1.0), 0, 1]]
+        frames.append(frame)
+    params = ConstrainParams(window=2.0, enough=12.0, prior=False)
+    out = list(constrain(frames, model, params))
+    lengths = [np.linalg.norm(np.subtract(*frame.positions[0])) for frame in out]
+    assert [frame.stamp for frame in out] == [frame.stamp for frame in frames]
+    assert np.ptp(lengths) < 1e-4
+    assert 0.24 < lengths[0] < 0.26
+    late = [(frame.log_time - frame.stamp) * 1e-9 for frame in out]
+    assert max(late) <= params.enough + 2 * params.window
+    assert max(late[150:]) <= params.window
 
 
 # -- a room ----------------------------------------------------------------------------------------
