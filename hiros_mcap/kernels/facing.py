@@ -193,7 +193,7 @@ class Facings(NamedTuple):
     swapped: Flags
     """(N,) whether the view's left and right are exchanged."""
     turns: Floats
-    """(N,) angle by which the view is turned after that, rad."""
+    """(N,) angle by which shoulders and hips are turned after that, rad."""
     toes: Floats
     """(N,) what was known when this was decided: see FacingTables.reliability of the toes."""
 
@@ -568,7 +568,7 @@ def _open_cell(cell: int, past: FacingPast, row: int, tables: FacingTables, work
     return True
 
 
-# Which views are mirrored, and which are turned.
+# Which views are mirrored, and whose trunk is turned.
 
 
 @inlined
@@ -585,7 +585,7 @@ def _turn_back(deviation: float) -> float:
 
 @kernel
 def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Facings) -> None:
-    """Decide whether view ``i`` is mirrored, and by how much it is turned.
+    """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
 
     The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in :func:`_weigh`:
     the logarithm of their ratio is 4 cos. An honest detector's label is right beforehand in 90 %.
@@ -845,45 +845,31 @@ def exchange_sides(
 
 
 @kernel
-def _turn_vectors(states: Floats, first: int, cosine: float, sine: float, axes: Floats) -> None:
-    """Turn vectors of all markers, from column ``first`` on, in the horizontal plane."""
-    for m in range(len(states)):
-        x, y, z = states[m, first], states[m, first + 1], states[m, first + 2]
-        a, b = _flat(x, y, z, axes, 0), _flat(x, y, z, axes, 1)
-        da, db = cosine * a - sine * b - a, sine * a + cosine * b - b
+def _turn_pair(a: Floats, b: Floats, turn: float, axes: Floats) -> None:
+    """Turn two markers about the upright line through their middle."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for first in (POSITION, VELOCITY, ACCELERATION):
+        x, y, z = b[first] - a[first], b[first + 1] - a[first + 1], b[first + 2] - a[first + 2]
+        p, q = _flat(x, y, z, axes, 0), _flat(x, y, z, axes, 1)
+        dp, dq = cosine * p - sine * q - p, sine * p + cosine * q - q
         for c in range(3):
-            states[m, first + c] += da * axes[0, c] + db * axes[1, c]
-
-
-@kernel
-def _trunk(states: Floats, pairs: Ints) -> tuple[float, float, float]:
-    """Mean position of shoulders and hips; one of a pair counts if both are known."""
-    x = y = z = n = 0.0
-    for i in range(len(pairs)):
-        a, b = states[pairs[i, 0]], states[pairs[i, 1]]
-        if not math.isnan(a[POSITION] + b[POSITION]):
-            n += 2.0
-            x, y = x + a[POSITION] + b[POSITION], y + a[POSITION + 1] + b[POSITION + 1]
-            z += a[POSITION + 2] + b[POSITION + 2]
-    return x / n, y / n, z / n
+            change = 0.5 * (dp * axes[0, c] + dq * axes[1, c])
+            a[first + c] -= change
+            b[first + c] += change
 
 
 @kernel(types.void(PEOPLE, I1, F1, F2, _MARKERS))
-def turn_people(
+def turn_trunks(
     people: People, rows: Stamps, turns: Floats, axes: Floats, markers: FacingMarkers
 ) -> None:
-    """Turn the ``rows`` of ``people`` by ``turns`` (N,), rad, in place; links become unknown.
+    """Turn shoulders and hips of the ``rows`` of ``people`` by ``turns`` (N,), rad, in place.
 
-    The axis is upright and passes through the middle of the trunk.
+    Arms and legs stay: cameras see them better than the line of the body. Links become unknown.
     """
     for i in range(len(rows)):
         states = people.markers[rows[i]]
-        x, y, z = _trunk(states, markers.lateral)
-        for first in (POSITION, VELOCITY, ACCELERATION):
-            _turn_vectors(states, first, math.cos(turns[i]), math.sin(turns[i]), axes)
-        to_x, to_y, to_z = _trunk(states, markers.lateral)
-        for m in range(len(states)):
-            states[m, POSITION] += x - to_x
-            states[m, POSITION + 1] += y - to_y
-            states[m, POSITION + 2] += z - to_z
+        for k in range(len(markers.lateral)):
+            a, b = states[markers.lateral[k, 0]], states[markers.lateral[k, 1]]
+            if not math.isnan(a[POSITION] + b[POSITION]):
+                _turn_pair(a, b, turns[i], axes)
         blank(people.links[rows[i]], people.link_confidences[rows[i]])

@@ -16,9 +16,9 @@ its labels count for nothing.
 
 With ``lookahead``, the facing at each moment follows from what comes before and after it: the
 forward-backward algorithm, in windows that overlap. Without, it follows from the past alone. A view
-that contradicts the facing is mirrored: its left and right are exchanged. A view whose line is far
-from the facing, whatever the labels, is turned towards it, unless its detector is known to be
-honest.
+that contradicts the facing is mirrored: its left and right are exchanged. If the line of a view is
+far from the facing, whatever the labels, shoulders and hips are turned towards it, unless the
+detector is known to be honest.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def decide_sides(
     Yields
     ------
     The same frames in the same order. Left and right of mirrored views are exchanged. Links of
-    views that were mirrored or turned are unknown. People without an id stay as they are.
+    views that are changed are unknown. People without an id stay as they are.
     """
     params = params or SidesParams()
     if not (params.over_time and knows_sides(model)):
@@ -245,7 +245,7 @@ class _Sides:
     # The result
 
     def _mirrored(self, piece: _Piece, facings: kernels.Facings) -> Block:
-        """Return the frames with the sides of swapped views exchanged, and views turned."""
+        """Return the frames with the sides of swapped views exchanged, and trunks turned."""
         n = len(piece.views)
         swapped, turned = np.flatnonzero(facings.swapped[:n]), np.flatnonzero(facings.turns[:n])
         if not len(swapped) and not len(turned):
@@ -258,7 +258,7 @@ class _Sides:
         axes = self._vertical.last
         kernels.exchange_sides(people, piece.views[swapped], facing, axes, self._markers)
         angles = facings.turns[turned]
-        kernels.turn_people(people, piece.views[turned], angles, axes, self._markers)
+        kernels.turn_trunks(people, piece.views[turned], angles, axes, self._markers)
         by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
