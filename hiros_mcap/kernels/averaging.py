@@ -17,8 +17,8 @@ from hiros_mcap.kernels.quaternions import exponential, multiply
 from hiros_mcap.skeletons import STATE, Floats, People, Stamps
 
 # First columns of what a KinematicState holds (hiros_mcap.skeletons).
-POSITION, ORIENTATION, VELOCITY, ANGULAR_VELOCITY = 0, 3, 7, 10
-_VECTORS = (POSITION, VELOCITY, ANGULAR_VELOCITY, 13, 16)
+POSITION, ORIENTATION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION = 0, 3, 7, 10, 13
+_VECTORS = (POSITION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION, 16)
 
 BEGIN, END, TIME, CAMERA = 0, 1, 2, 3
 """Columns of ``Buffers.messages``."""

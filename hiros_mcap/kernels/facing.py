@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.averaging import POSITION, VELOCITY, blank, copy_row, exchange
+from hiros_mcap.kernels.averaging import (
+    ACCELERATION,
+    POSITION,
+    VELOCITY,
+    blank,
+    copy_row,
+    exchange,
+)
 from hiros_mcap.kernels.compile import (
     B1,
     F1,
@@ -53,7 +60,8 @@ _LONGEST_GAP = 30  # cells
 _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
-_UNCLEAR = 0.5  # cosine of a view's facing with the decided one, below which another view decides
+_SURE = 0.5  # length of the mean direction of a belief that overrules labels
+_LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
 _PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
 
 PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
@@ -181,27 +189,29 @@ class Facings(NamedTuple):
     """What was decided on N views."""
 
     facing: Floats
-    """(N, 2) unit vector: the way the person faces."""
+    """(N, 2) the way the person faces; the length, up to 1, tells how sure that is."""
     swapped: Flags
     """(N,) whether the view's left and right are exchanged."""
+    turns: Floats
+    """(N,) angle by which shoulders and hips are turned after that, rad."""
     toes: Floats
     """(N,) what was known when this was decided: see FacingTables.reliability of the toes."""
 
     @classmethod
     def allocate(cls, n: int) -> Facings:
         """Make room."""
-        return cls(np.empty((n, 2)), np.zeros(n, np.bool_), np.zeros(n))
+        return cls(np.empty((n, 2)), np.zeros(n, np.bool_), np.zeros(n), np.zeros(n))
 
     def at(self, views: slice) -> Facings:
         """Return what was decided on some of the views; the arrays are shared."""
-        return Facings(self.facing[views], self.swapped[views], self.toes[views])
+        return Facings._make(array[views] for array in self)
 
 
 _MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2)
 _LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2)
 _PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1)
 _TABLES = named_tuple(FacingTables, F2, F2, F2)
-_FACINGS = named_tuple(Facings, F2, B1, F1)
+_FACINGS = named_tuple(Facings, F2, B1, F1, F1)
 
 
 # What a view shows.
@@ -375,6 +385,14 @@ def _doubt(agreement: Floats) -> float:
 
 
 @inlined
+def _honesty(agreement: Floats) -> float:
+    """How certain it is that labels err by chance: 0 until toes have shown them to be wrong."""
+    toes = agreement[TOES, 0] / agreement[TOES, 1]
+    honesty: float = min(max((toes - 0.5) / 0.2, 0.0), 1.0)
+    return honesty
+
+
+@inlined
 def _squash(x: float) -> float:
     """Hyperbolic tangent within 0.025, in a tenth of its time."""
     x = min(max(x, -3.0), 3.0)
@@ -382,15 +400,23 @@ def _squash(x: float) -> float:
     return squashed
 
 
+@inlined
+def _line_reliability(looks: Looks, i: int, past: FacingPast) -> float:
+    """How far the line through shoulders and hips is trusted: 0 if it is short, at most 1."""
+    if math.isnan(looks.facing[i, 0]):
+        return 0.0
+    share = looks.widths[i] / past.widths[looks.rows[i]]
+    reliability: float = min(max((share - 0.25) / 0.5, 0.0), 1.0)
+    return reliability
+
+
 @kernel
 def _weigh(
     looks: Looks, i: int, weight: float, past: FacingPast, tables: FacingTables, out: Floats
 ) -> None:
     """Write the logarithm of the likelihood of view ``i`` for every facing."""
-    row, cues = looks.rows[i], looks.cues[i]
-    x, y, reliable = looks.facing[i, 0], looks.facing[i, 1], 0.0
-    if not math.isnan(x):
-        reliable = min(max((looks.widths[i] / past.widths[row] - 0.25) / 0.5, 0.0), 1.0)
+    x, y, cues = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i]
+    reliable = _line_reliability(looks, i, past)
     doubt, sharpness = _doubt(tables.agreement), 2.0 * _LINE_SHARPNESS * reliable
     for b in range(_HALF if reliable > 0.0 else 0):
         cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
@@ -518,13 +544,13 @@ def _multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
 
 @kernel
 def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
-    """Circular mean, a unit vector."""
-    x = y = 0.0
+    """Mean of the directions; its length, up to 1, tells how sure it is."""
+    x = y = total = 0.0
     for b in range(BINS):
         x += belief[b] * tables.directions[b, 0]
         y += belief[b] * tables.directions[b, 1]
-    length = max(math.sqrt(x * x + y * y), 1e-12)
-    out[0], out[1] = x / length, y / length
+        total += belief[b]
+    out[0], out[1] = x / total, y / total
 
 
 @kernel
@@ -542,59 +568,44 @@ def _open_cell(cell: int, past: FacingPast, row: int, tables: FacingTables, work
     return True
 
 
-# Which views are mirrored.
+# Which views are mirrored, and whose trunk is turned.
 
 
 @inlined
-def _is_swapped(own: float, other: float, between: float) -> bool:
-    """Whether a view is mirrored.
+def _turn_back(deviation: float) -> float:
+    """Angle, rad, that brings a facing nearer to the decided one, from which it deviates.
 
-    Parameters
-    ----------
-    own, other : cosine of the view's facing with the decided one, and of the surest view beside it.
-    between : cosine of the angle between the two views' facings.
+    The line through shoulders and hips has no say in the facing if it is at a right angle to where
+    it should be: there, one labelling is as near as the other. Deviations beyond 45 degrees
+    are reflected at 45 degrees, so the result does not depend on the labelling and never jumps.
     """
-    if abs(own) < _UNCLEAR and abs(other) >= _UNCLEAR:
-        return between * other < 0.0
-    return own < 0.0
+    beyond: float = max(abs(deviation) - _LARGEST_DEVIATION, 0.0)
+    return math.copysign(2.0 * beyond, -deviation)
 
 
 @kernel
-def _decide_now(looks: Looks, i: int, past: FacingPast, out: Facings) -> None:
-    """Decide on view ``i`` beside those that came before it."""
-    row, x, y = looks.rows[i], looks.facing[i, 0], looks.facing[i, 1]
-    fx, fy = out.facing[i, 0], out.facing[i, 1]
-    surest = between = 0.0
-    for v in range(VIEWS):
-        if (
-            past.view_cameras[row, v] == looks.cameras[i]
-            or past.view_stamps[row, v] == 0
-            or abs(looks.stamps[i] - past.view_stamps[row, v]) >= CELL
-        ):
-            continue
-        ox, oy = past.view_looks[row, v, 0], past.view_looks[row, v, 1]
-        cosine = ox * fx + oy * fy
-        if abs(cosine) > abs(surest):
-            surest, between = cosine, ox * x + oy * y
-    out.swapped[i] = _is_swapped(x * fx + y * fy, surest, between)
+def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Facings) -> None:
+    """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
 
-
-@kernel
-def _decide_among(looks: Looks, order: Stamps, j: int, out: Facings) -> None:
-    """Decide on a view beside its neighbours in time; ``order`` holds one person's views."""
-    i = order[j]
+    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in :func:`_weigh`:
+    the logarithm of their ratio is 4 cos. An honest detector's label is right beforehand in 90 %.
+    Labels that do not follow a detector's assumption stay while the facing is not sure.
+    """
     x, y = looks.facing[i, 0], looks.facing[i, 1]
     fx, fy = out.facing[i, 0], out.facing[i, 1]
-    surest = between = 0.0
-    for k in range(max(j - VIEWS, 0), min(j + VIEWS, len(order))):
-        o = order[k]
-        if looks.cameras[o] == looks.cameras[i] or abs(looks.stamps[o] - looks.stamps[i]) >= CELL:
-            continue
-        ox, oy = looks.facing[o, 0], looks.facing[o, 1]
-        cosine = ox * fx + oy * fy
-        if abs(cosine) > abs(surest):
-            surest, between = cosine, ox * x + oy * y
-    out.swapped[i] = _is_swapped(x * fx + y * fy, surest, between)
+    sure = max(math.sqrt(fx * fx + fy * fy), 1e-12)
+    if math.isnan(x) or (sure < _SURE and _doubt(tables.agreement) < 0.5):
+        return
+    cosine, sine = (fx * x + fy * y) / sure, (fx * y - fy * x) / sure
+    honesty = _honesty(tables.agreement)
+    right = 0.5 + 0.4 * honesty
+    odds = math.log(right / (1.0 - right)) if honesty > 0.0 else 0.0
+    reliable = _line_reliability(looks, i, past) if honesty > 0.0 else 1.0
+    if odds + 2.0 * _LABEL_SHARPNESS * reliable * cosine < 0.0:
+        out.swapped[i] = True
+        cosine, sine = -cosine, -sine
+    if honesty == 0.0:
+        out.turns[i] = _turn_back(math.atan2(sine, cosine))
 
 
 @kernel(types.void(_LOOKS, _PAST, _TABLES, F1, _FACINGS))
@@ -623,7 +634,7 @@ def follow(
             past.evidence[row, b] += here[b]
         _multiply(past.beliefs[row], past.evidence[row], belief)
         _mean_direction(belief, tables, out.facing[i])
-        _decide_now(looks, i, past, out)
+        _decide(looks, i, past, tables, out)
         out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
 
 
@@ -649,7 +660,7 @@ class SmoothWork(NamedTuple):
     evidence: Floats
     """(N, BINS) before the cell's views; of them."""
     facing: Floats
-    """(N, 2) unit vectors."""
+    """(N, 2) as Facings.facing."""
     bins: Floats
     """(3, BINS)."""
 
@@ -789,8 +800,7 @@ def smooth(
         _keep(past, row, first, n, until, work)
         for j in range(len(order)):
             copy_row(out.facing, order[j], work.facing, work.places[j])
-        for j in range(len(order)):
-            _decide_among(looks, order, j, out)
+            _decide(looks, order[j], past, tables, out)
 
 
 # Exchanging the sides.
@@ -799,9 +809,10 @@ def smooth(
 @kernel
 def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floats) -> None:
     """Mirror the toes at the plane through the ankle that is normal to the facing."""
-    x = facing[0] * axes[0, 0] + facing[1] * axes[1, 0]
-    y = facing[0] * axes[0, 1] + facing[1] * axes[1, 1]
-    z = facing[0] * axes[0, 2] + facing[1] * axes[1, 2]
+    length = max(math.sqrt(facing[0] * facing[0] + facing[1] * facing[1]), 1e-12)
+    x = (facing[0] * axes[0, 0] + facing[1] * axes[1, 0]) / length
+    y = (facing[0] * axes[0, 1] + facing[1] * axes[1, 1]) / length
+    z = (facing[0] * axes[0, 2] + facing[1] * axes[1, 2]) / length
     for first in (POSITION, VELOCITY):
         along = x * (states[toes, first] - states[ankle, first])
         along += y * (states[toes, first + 1] - states[ankle, first + 1])
@@ -831,3 +842,34 @@ def exchange_sides(
         if not math.isnan(facing[i, 0]):
             for f in range(len(markers.feet)):
                 _turn_toes(states, markers.feet[f, 0], markers.feet[f, 1], facing[i], axes)
+
+
+@kernel
+def _turn_pair(a: Floats, b: Floats, turn: float, axes: Floats) -> None:
+    """Turn two markers about the upright line through their middle."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for first in (POSITION, VELOCITY, ACCELERATION):
+        x, y, z = b[first] - a[first], b[first + 1] - a[first + 1], b[first + 2] - a[first + 2]
+        p, q = _flat(x, y, z, axes, 0), _flat(x, y, z, axes, 1)
+        dp, dq = cosine * p - sine * q - p, sine * p + cosine * q - q
+        for c in range(3):
+            change = 0.5 * (dp * axes[0, c] + dq * axes[1, c])
+            a[first + c] -= change
+            b[first + c] += change
+
+
+@kernel(types.void(PEOPLE, I1, F1, F2, _MARKERS))
+def turn_trunks(
+    people: People, rows: Stamps, turns: Floats, axes: Floats, markers: FacingMarkers
+) -> None:
+    """Turn shoulders and hips of the ``rows`` of ``people`` by ``turns`` (N,), rad, in place.
+
+    Arms and legs stay: cameras see them better than the line of the body. Links become unknown.
+    """
+    for i in range(len(rows)):
+        states = people.markers[rows[i]]
+        for k in range(len(markers.lateral)):
+            a, b = states[markers.lateral[k, 0]], states[markers.lateral[k, 1]]
+            if not math.isnan(a[POSITION] + b[POSITION]):
+                _turn_pair(a, b, turns[i], axes)
+        blank(people.links[rows[i]], people.link_confidences[rows[i]])

@@ -4,8 +4,9 @@ Each newcomer is one of the people who are absent, or a stranger. The model, wit
 
 - Limb lengths: the ratio of two sizes, a size being the sum of the limbs that both have, and the
   ratio of each limb besides. Of one person the logarithms are normal with the SD of the
-  measurement, of two people also with that of adults' stature and proportions. The proportions
-  count half: the two sides of a body are alike.
+  measurement, of two people also with that of adults' stature and proportions. One in ten
+  measurements is three times as noisy: somebody bends or is half hidden. The proportions count
+  less than they would if the two sides of a body were not alike.
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. A stranger may be anywhere in it.
 - Number of people: whoever comes while somebody is missing, of as many as were there at once, is
@@ -28,17 +29,18 @@ from hiros_mcap.skeletons import Floats
 THRESHOLD = 0.9
 """Least probability with which somebody gets an old id."""
 
-_SIZE_NOISE, _SIZE_NOISE_OF_ONE = 0.02, 0.06  # SD of the logarithm of a ratio of sizes: lasting,
+_SIZE_NOISE, _SIZE_NOISE_OF_ONE = 0.0125, 0.06  # SD of the logarithm of a ratio of sizes: lasting,
 # and what one detection adds, which falls with the root of their number
 _LIMB_NOISE, _LIMB_NOISE_OF_ONE = 0.014, 0.04  # the same of a limb's length, m
+_NOISY, _NOISE_OF_NOISY = 0.1, 3.0  # share of noisy measurements, and how many times the SD
 _STATURE, _PROPORTION = 0.055, 0.04  # SD of the logarithm among adults
-_PROPORTIONS_COUNT = 0.5
+_PROPORTIONS_COUNT = 0.8
 _SHORT = 0.15  # m: shorter limbs are too noisy
 _FEWEST_LENGTHS = 5.0  # detections that make a limb's length worth comparing
 _PLACE, _WALK, _ROOM = 0.4, 0.7, 2.5  # SD of the place, m: at once, more per s, at most
 _TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
 _REACH = 0.6  # m, besides
-_KNOWN_IF_MISSING, _KNOWN_IF_COMPLETE = 0.9, 0.5  # that a newcomer was there before
+_KNOWN_IF_MISSING, _KNOWN_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
 
 LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
@@ -134,9 +136,18 @@ def place_cue(new: PersonCues, old: PersonCues) -> float:
 
 
 def _ratio(x: float, noise: float, spread: float) -> float:
-    """Logarithm of the ratio of two normal densities of variances noise and noise + spread."""
-    both = noise + spread
-    return 0.5 * (x * x * (1 / both - 1 / noise) + math.log(both / noise))
+    """Logarithm of the ratio of two densities: of one person and of two people.
+
+    One person: normal of variance ``noise``, or noisier. Two people: of ``noise + spread``.
+    """
+    usual = (1 - _NOISY) * _normal(x, noise)
+    one = usual + _NOISY * _normal(x, noise * _NOISE_OF_NOISY**2)
+    return math.log(max(one, 1e-300) / max(_normal(x, noise + spread), 1e-300))
+
+
+def _normal(x: float, variance: float) -> float:
+    """Return a normal density, but for a constant factor."""
+    return math.exp(-x * x / (2 * variance)) / math.sqrt(variance)
 
 
 def _marginals(

@@ -16,7 +16,9 @@ its labels count for nothing.
 
 With ``lookahead``, the facing at each moment follows from what comes before and after it: the
 forward-backward algorithm, in windows that overlap. Without, it follows from the past alone. A view
-that contradicts the facing is mirrored: its left and right are exchanged.
+that contradicts the facing is mirrored: its left and right are exchanged. If the line of a view is
+far from the facing, whatever the labels, shoulders and hips are turned towards it, unless the
+detector is known to be honest.
 """
 
 from __future__ import annotations
@@ -50,11 +52,11 @@ class SidesParams(Params):
         "views of each instant vote (Hi-ROS 2023, section 3.2; see merge.flips).",
     )
     lookahead: float = Field(
-        2.0,
+        1.0,
         ge=0,
         le=600,
         description="Time, s, that the decision looks ahead at least; at most twice as long. "
-        "On real recordings 1 s and 10 s give the same sides. 0 = a live system without delay.",
+        "On real recordings 1, 2 and 10 s give the same sides. 0 = a live system without delay.",
     )
 
 
@@ -80,8 +82,8 @@ def decide_sides(
 
     Yields
     ------
-    The same frames in the same order. Of a mirrored view, left and right are exchanged, and its
-    links are unknown; people without an id stay as they are.
+    The same frames in the same order. Left and right of mirrored views are exchanged. Links of
+    views that are changed are unknown. People without an id stay as they are.
     """
     params = params or SidesParams()
     if not (params.over_time and knows_sides(model)):
@@ -243,9 +245,10 @@ class _Sides:
     # The result
 
     def _mirrored(self, piece: _Piece, facings: kernels.Facings) -> Block:
-        """Return the frames with the sides of swapped views exchanged."""
-        swapped = np.flatnonzero(facings.swapped[: len(piece.views)])
-        if not len(swapped):
+        """Return the frames with the sides of swapped views exchanged, and trunks turned."""
+        n = len(piece.views)
+        swapped, turned = np.flatnonzero(facings.swapped[:n]), np.flatnonzero(facings.turns[:n])
+        if not len(swapped) and not len(turned):
             return piece.block
         if self._copy is None or self._copy[0] is not piece.block.people:
             self._copy = piece.block.people, piece.block.people.copy()
@@ -254,6 +257,8 @@ class _Sides:
         facing[facings.toes[swapped] >= _SLAVED] = np.nan
         axes = self._vertical.last
         kernels.exchange_sides(people, piece.views[swapped], facing, axes, self._markers)
+        angles = facings.turns[turned]
+        kernels.turn_trunks(people, piece.views[turned], angles, axes, self._markers)
         by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)

@@ -234,6 +234,17 @@ def test_nobody_runs_faster_than_people_do() -> None:
     assert not verdict.accepted
 
 
+def test_two_people_of_almost_one_size_are_told_apart_by_each_other() -> None:
+    old = [cues(0, 0.0, 0.0), cues(1, 0.1, 0.0, 1.03)]
+    verdicts = reidentify([cues(9, 5.0, 0.0, 1.03), cues(8, 5.1, 0.0)], old, missing=2)
+    assert {new: verdict.person for new, verdict in verdicts.items()} == {9: 1, 8: 0}
+    assert all(verdict.accepted for verdict in verdicts.values())
+
+
+def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out() -> None:
+    assert reidentify([cues(9, 5.0, 0.0, 1.05)], [cues(0, 0.0, 0.0)], missing=1)[9].accepted
+
+
 def test_an_old_id_is_given_once_at_most() -> None:
     """Both newcomers fit the one who is absent: together they can't be him."""
     verdicts = reidentify([cues(8, 5.0, 0.0), cues(9, 5.0, 0.1)], [cues(0, 0.0, 0.0)], 1)

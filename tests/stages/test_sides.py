@@ -159,6 +159,59 @@ def test_links_of_mirrored_views_are_unknown() -> None:
     assert np.isnan(results[-1].links).all() and np.isnan(results[-1].link_confidences).all()
 
 
+def turned(frame: Frame, degrees: float) -> Frame:
+    """Turn a person about the upright line through the hips."""
+    hips = frame.positions[0, [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]].mean(axis=0) * [1, 1, 0]
+    turn = Rotation.from_euler("z", degrees, degrees=True)
+    (out,) = moved(moved([frame], Rotation.identity(), -hips), turn, hips)
+    return replace(out, source=frame.source)
+
+
+def swinging(frame: Frame, _: int, t: float) -> Frame:
+    """Let the line through shoulders and hips swing round to the other labelling, from 2 s on."""
+    angle = min(max((t - 2) * 600, 0.0), 180.0)
+    return turned(frame, angle) if angle < 90 else mirror(turned(frame, angle - 180))
+
+
+def largest_turn(frames: Iterable[Frame]) -> float:
+    """Largest change of the facing from one frame of camera 0 to the next, degrees."""
+    hips = [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]
+    across = np.array(
+        [np.diff(f.positions[0, hips, :2], axis=0)[0] for f in frames if f.source == "c0"]
+    )
+    angles = np.degrees(np.unwrap(np.arctan2(across[:, 1], across[:, 0])))
+    return float(np.abs(np.diff(angles)).max())
+
+
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_the_facing_does_not_jump_while_the_line_swings_round(params: SidesParams) -> None:
+    frames = views(3.5, swinging)
+    results = decided(frames, params)
+    assert right(results[-30:], 3.5) == 1
+    assert largest_turn(results) < 60
+
+
+def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing() -> None:
+    frames = views(
+        4, lambda frame, camera, t: turned(frame, 80) if camera == 0 and t > 3.8 else frame
+    )
+    result, honest = decided(frames)[-2:]
+    hips = [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]
+    a, b = (np.diff(f.positions[0, hips, :2], axis=0)[0] for f in (result, honest))
+    assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > np.cos(np.radians(20))
+    middles = [f.positions[0, SYMMETRY.lateral].mean(axis=1) for f in (result, frames[-2])]
+    np.testing.assert_allclose(*middles, atol=1e-9)
+    hands = SLOT["WRIST_LEFT"], SLOT["WRIST_RIGHT"]
+    assert np.array_equal(result.positions[0, hands], frames[-2].positions[0, hands])
+    assert np.isnan(result.links).all() and not np.isnan(honest.links).all()
+
+
+def test_the_first_view_keeps_its_labels() -> None:
+    """Nothing but that view speaks of the facing."""
+    frames = [turned_toes(frame) for frame in views(0.1, cameras=1)]
+    assert same_markers(decided(frames, LIVE)[0], frames[0])
+
+
 def test_the_input_is_not_written_into() -> None:
     block = join([(Block.of(f), 0) for f in views(3, lambda f, c, t: mirror(f) if t > 2 else f)])
     before = block.people.copy()
