@@ -33,10 +33,10 @@ from hiros_mcap.body.forward_cues import ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.vertical import Vertical
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import facing as kernels
 from hiros_mcap.params import Params
-from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
@@ -141,8 +141,6 @@ class _Sides:
         self._held: list[_Piece] = []
         self._decided = 0
         """Cell before which everything is decided; 0 = nothing was seen yet."""
-        self._copy: tuple[People, People] | None = None
-        """Arrays of people that came last, and their copy with other sides."""
 
     def take(self, block: Block) -> Iterator[Block]:
         """Take frames; yield those that are decided."""
@@ -250,19 +248,19 @@ class _Sides:
         swapped, turned = np.flatnonzero(facings.swapped[:n]), np.flatnonzero(facings.turns[:n])
         if not len(swapped) and not len(turned):
             return piece.block
-        if self._copy is None or self._copy[0] is not piece.block.people:
-            self._copy = piece.block.people, piece.block.people.copy()
-        people = self._copy[1]
+        # A copy of these frames only: the tracker may still write into others of the arrays.
+        block = join([(piece.block, i) for i in range(len(piece.block))])
+        views = piece.views + (block.rows - piece.block.rows)[piece.owners, 0]
         facing = facings.facing[swapped]
         facing[facings.toes[swapped] >= _SLAVED] = np.nan
         axes = self._vertical.last
-        kernels.exchange_sides(people, piece.views[swapped], facing, axes, self._markers)
+        kernels.exchange_sides(block.people, views[swapped], facing, axes, self._markers)
         angles = facings.turns[turned]
-        kernels.turn_trunks(people, piece.views[turned], angles, axes, self._markers)
+        kernels.turn_trunks(block.people, views[turned], angles, axes, self._markers)
         by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)
-        return replace(piece.block, people=people)
+        return block
 
 
 def _window(looks: kernels.Looks, evidence: Floats) -> kernels.FacingWindow:

@@ -17,7 +17,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.stages.sides import SidesParams, decide_sides
 from hiros_mcap.systems import Run, system
 
@@ -219,6 +219,20 @@ def test_the_input_is_not_written_into() -> None:
     assert all(
         np.array_equal(a, b, equal_nan=True) for a, b in zip(block.people, before, strict=True)
     )
+
+
+def test_ids_may_come_after_earlier_frames_of_the_same_arrays() -> None:
+    whole = join([(Block.of(f), 0) for f in views(8, lambda f, c, t: mirror(f) if t > 2 else f)])
+    ids = whole.people.ids.copy()
+    whole.people.ids[:] = UNTRACKED
+
+    def feed() -> Iterable[Block]:
+        for i, (begin, end) in enumerate(whole.rows.tolist()):
+            whole.people.ids[begin:end] = ids[begin:end]
+            yield whole.select([i], [int(whole.log_times[i])])
+
+    out = list(frames_of(decide_sides(feed(), MODEL)))
+    assert all(len(frame.ids) and (frame.ids != UNTRACKED).all() for frame in out)
 
 
 @pytest.mark.parametrize("params", [SidesParams(lookahead=1.0), LIVE])
