@@ -168,9 +168,10 @@ class _Sides:
     def _look(self, block: Block) -> _Piece:
         """Measure what the views of a block show."""
         rows = block.rows
-        none = np.zeros(0, np.int64)
-        views = np.concatenate([none, *(np.arange(*pair) for pair in rows.tolist())])
-        owners = np.repeat(np.arange(len(block)), rows[:, 1] - rows[:, 0])
+        counts = rows[:, 1] - rows[:, 0]
+        owners = np.repeat(np.arange(len(block)), counts)
+        begins = rows[:, 0] - (np.cumsum(counts) - counts)
+        views = begins[owners] + np.arange(len(owners))
         tracked = block.people.ids[views] != UNTRACKED
         views, owners = views[tracked], owners[tracked]
         looks = kernels.Looks.allocate(len(views))

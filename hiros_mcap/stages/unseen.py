@@ -98,6 +98,7 @@ class Unseen:
 
 
 def _centre(people: People, row: int) -> Floats:
-    """Mean marker position (3,) of a person, m."""
-    centre: Floats = np.nanmean(people.markers[row, :, POSITION], axis=0)
-    return centre
+    """Mean marker position (3,) of a person, m; NaN if no marker was seen."""
+    places = people.markers[row, :, POSITION]
+    known = places[~np.isnan(places[:, 0])]
+    return np.asarray(known.sum(axis=0) / (len(known) or np.nan))
