@@ -14,7 +14,7 @@ from pathlib import Path
 
 import hiros_mcap
 
-NOTICE = "hiros: compiling kernels for this machine, once (about 30 s with two cores)"
+NOTICE = "hiros: compiling kernels for this machine, once (about a minute with two cores)"
 
 RUN = ("hiros_mcap.running.pipeline",)
 """What a run imports."""
