@@ -169,9 +169,10 @@ def test_an_output_may_be_logged_at_the_time_of_its_data(tmp_path: Path) -> None
             same(a.replace(log_time=a.stamp), b) for a, b in zip(causal, stamped, strict=True)
         )
     with (tmp_path / "stamp").open("rb") as file:
-        decoded = list(
-            make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        )
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        first_second = min(frame.stamp for frame in stamped) + 10**9
+        topics = [*PLAYED, "/hiros/log"]
+        decoded = list(reader.iter_decoded_messages(topics, ending_before=first_second))
     shown = [(c.topic, m.log_time, d) for _, c, m, d in decoded if c.topic in PLAYED]
     for _, log_time, data in shown:
         header = data.markers[0].header if hasattr(data, "markers") else data.header

@@ -314,10 +314,12 @@ def test_flips_come_at_the_same_times_with_and_without_noise() -> None:
         params = {**scene, **OFF, "flips": 4.0, "noise": noise}
         simulation = simulate(SimulateParams.model_validate(params))
         left, right = SLOT["SHOULDER_LEFT"], SLOT["SHOULDER_RIGHT"]
+        stamps = np.array([frame.stamp for frame in simulation.detections], np.int64)
+        truth = simulation.truth_at(stamps)
+        poses = {c.name: c.pose for c in simulation.cameras}
         flipped = []
-        for frame in simulation.detections:
-            true = simulation.truth_at(frame.stamps[:1])[0].positions[0]
-            pose = {c.name: c.pose for c in simulation.cameras}[frame.source]
+        for frame, known in zip(simulation.detections, truth, strict=True):
+            true, pose = known.positions[0], poses[frame.source]
             seen = frame.positions[0] @ _matrix(pose.xyzw).T + pose.translation
             across = (seen[left] - seen[right]) @ (true[left] - true[right])
             flipped.append(bool(across < 0))
