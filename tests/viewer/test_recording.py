@@ -253,6 +253,16 @@ def test_a_camera_is_shown_from_its_own_pose(ahead: tuple[float, ...], target: f
     assert np.allclose(looked_at, [1.0, 2.0, target])
 
 
+def test_a_camera_beside_the_eye_does_not_hide_the_picture() -> None:
+    places = {"left": [0.0, 0.0, 0.0], "beside": [0.3, 0.0, 0.0], "far": [3.0, 0.0, 0.0]}
+    poses = {name: Rigid(np.array([0, 0, 0, 1.0]), np.array(p)) for name, p in places.items()}
+    content = Content(["filtered"], [0], list(places), np.array([0, 0, 3.0]), 1.0, poses)
+    (grid, _) = cameras(content).contents
+    shown = grid.contents[0].contents
+    for name, hidden in (("left", "**"), ("beside", "**"), ("far", "name")):
+        assert f"- /world/cameras/{name}/{hidden}" in shown
+
+
 def test_seconds_count_from_the_logs_start(recording: Path, processed: Path) -> None:
     with open_log(processed) as log:
         start = log.span[0]

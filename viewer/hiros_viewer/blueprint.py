@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 TRAIL_S = 2.0
 JOINTS = ("shoulder", "elbow", "hip", "knee")
 LIMBS = ("upper arm", "forearm", "thigh", "shin")
+_BESIDE_M = 1.0
 _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
 _THIN_JOINT_M = 0.012
@@ -259,8 +260,10 @@ def _room(
         ahead = rotate(pose.xyzw, _AHEAD)
         if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
             target = eye + ahead
-        what.append(f"- /world/cameras/{seen_by}/**")
-        what += [f"- /world/cameras/{other}/name" for other in content.cameras]  # they hide people
+        for other in content.cameras:  # names hide people, and so does a frustum beside the eye
+            place = content.camera_poses.get(other, pose).translation
+            near = float(np.linalg.norm(place - pose.translation)) < _BESIDE_M
+            what.append(f"- /world/cameras/{other}/{'**' if near else 'name'}")
     return rrb.Spatial3DView(
         origin="/",
         contents=what,
