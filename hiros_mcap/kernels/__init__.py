@@ -30,10 +30,15 @@ def sources() -> Mapping[str, str]:
 
 
 def cache_folder() -> Path:
-    """Folder for compiled kernels of exactly this source and this numba."""
+    """Folder for compiled kernels of exactly this source, at this place, and this numba.
+
+    numba takes no kernel that was compiled for a source at another place. In one folder for both,
+    a second installation would seem to be compiled.
+    """
     import platformdirs
 
     digest = hashlib.sha256(version("numba").encode())
+    digest.update(str(Path(__file__).parent).encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())

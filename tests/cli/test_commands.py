@@ -226,6 +226,15 @@ def test_what_is_compiled_in_advance_is_not_compiled_again(tmp_path: Path) -> No
     assert any(name.startswith("local_line.") for name in found[0])
 
 
+def test_two_installations_do_not_take_each_others_kernels_for_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = kernels.cache_folder()
+    shutil.copytree(Path(kernels.__file__).parent, tmp_path / "kernels")
+    monkeypatch.setattr(kernels, "__file__", str(tmp_path / "kernels" / "__init__.py"))
+    assert kernels.cache_folder() != here
+
+
 def test_a_run_uses_no_other_kernels_than_those_compiled_before_it(tmp_path: Path) -> None:
     log, out = "sample_data/one_person_walking.mcap", str(tmp_path / "o.mcap")
     code = (
