@@ -30,7 +30,7 @@ from hiros_mcap.simulate.body_model import SLOT, SYMMETRY
 from hiros_mcap.simulate.motion import Person
 from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.simulation import Simulation
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel, nearest_stamps
 from hiros_mcap.systems import Run, system
 
 VOTE = ("sides.over_time=false",)
@@ -67,7 +67,7 @@ def clear_directions(log: Path) -> tuple[np.ndarray, Floats]:
     stamps, ways = [np.zeros(0, np.int64)], [np.zeros((0, 2))]
     for k, a in enumerate(tracks):
         for b in tracks[k + 1 :]:
-            near = nearest(b.stamps, a.stamps)
+            near = nearest_stamps(b.stamps, a.stamps)
             close = np.abs(b.stamps[near] - a.stamps) <= NEAR
             contradict = (a.facing * b.facing[near]).sum(axis=1) < 0
             speed, along = a.along()
@@ -80,18 +80,11 @@ def clear_directions(log: Path) -> tuple[np.ndarray, Floats]:
     return np.concatenate(stamps), np.concatenate(ways)
 
 
-def nearest(times: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Index of the nearest of increasing times for each time that is asked for."""
-    after = np.searchsorted(times, asked).clip(max=len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(asked - times[before] < times[after] - asked, before, after)
-
-
 def right_of(tracks: Sequence[FacingTrack], stamps: np.ndarray, ways: Floats) -> tuple[int, int]:
     """How many of the ways the result faces, of how many it has a facing at that time."""
     right = total = 0
     for track in tracks:
-        near = nearest(track.stamps, stamps)
+        near = nearest_stamps(track.stamps, stamps)
         facing = track.facing[near]
         known = (np.abs(track.stamps[near] - stamps) <= 2 * NEAR) & ~np.isnan(facing[:, 0])
         total += int(known.sum())

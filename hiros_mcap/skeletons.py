@@ -289,5 +289,17 @@ class Frame:
 
 _OWN = Frame.__slots__
 
+
+def nearest_stamps(stamps: Stamps, asked: Stamps) -> Stamps:
+    """(...) Index of the nearest of ``stamps`` (N,) for each one asked; of two, the earlier.
+
+    ``stamps`` are in order.
+    """
+    after = np.minimum(np.searchsorted(stamps, asked), len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    is_before = np.abs(asked - stamps[before]) <= np.abs(stamps[after] - asked)
+    return np.where(is_before, before, after)
+
+
 Stage = Callable[[Iterable[Frame]], Iterator[Frame]]
 """A step of a system: a generator over frames. ``list(stage(frames))`` is its whole test."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import RegistrationError
-from hiros_mcap.skeletons import Flags, Floats, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Stamps, nearest_stamps
 
 _FLAT = 1e-9
 """Points lie on a line below this ratio of their second to their first singular value."""
@@ -182,10 +182,10 @@ def common_frames(
     first = sensors[0][0]
     if any(len(times) == 0 for times, _ in sensors):
         return CommonFrames(np.zeros(0, np.int64), np.zeros((len(sensors), 0, 3)))
-    others = (_nearest(first, times) for times, _ in sensors[1:])
+    others = (nearest_stamps(times, first) for times, _ in sensors[1:])
     rows = np.stack([np.arange(len(first)), *others])
     paired = np.stack([times[row] for (times, _), row in zip(sensors, rows, strict=True)])
-    mutual = np.all(_nearest(paired, first) == rows[0], axis=0)
+    mutual = np.all(nearest_stamps(first, paired) == rows[0], axis=0)
     kept = mutual & (np.ptp(paired, axis=0) <= max_delta_time * 1e9)
     late = (paired[:, kept] - first[kept]).mean(axis=0)
     places = [places[row[kept]] for (_, places), row in zip(sensors, rows, strict=True)]
@@ -202,13 +202,6 @@ def _seen(stamps: Stamps, centres: Floats) -> tuple[Stamps, Floats]:
     seen = np.flatnonzero(np.isfinite(centres).all(axis=1))
     order = seen[np.argsort(stamps[seen], kind="stable")]
     return stamps[order], centres[order]
-
-
-def _nearest(times: Stamps, others: Stamps) -> Stamps:
-    """Index of the nearest of the sorted ``others``, the earlier of two, for each time."""
-    after = np.minimum(np.searchsorted(others, times), len(others) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(times - others[before] <= others[after] - times, before, after)
 
 
 def rigid_fit(source: Floats, target: Floats) -> Rigid:

@@ -15,7 +15,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.config import Config
@@ -27,7 +26,7 @@ from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.pipeline import ProcessOptions, open_input, process
-from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
 
 SIMULTANEOUS_NS = 50_000_000
 """Largest difference in time of two cameras' views that are compared."""
@@ -216,17 +215,10 @@ def _disagreement(a: _Residuals, b: _Residuals) -> float:
         theirs = np.nonzero((b.people == person) & ~b.mirrored)[0]
         if not len(mine) or not len(theirs):
             continue
-        nearest = theirs[_nearest(b.stamps[theirs], a.stamps[mine])]
+        nearest = theirs[nearest_stamps(b.stamps[theirs], a.stamps[mine])]
         close = np.abs(b.stamps[nearest] - a.stamps[mine]) <= SIMULTANEOUS_NS
         difference = a.displacement[mine[close]] - b.displacement[nearest[close]]
         distances.append(np.linalg.norm(difference, axis=-1).ravel())
     known = np.concatenate(distances)
     known = known[~np.isnan(known)]
     return 1000 * float(np.median(known)) if known.size else np.nan
-
-
-def _nearest(times: Stamps, asked: Stamps) -> npt.NDArray[np.intp]:
-    """Index of the nearest of increasing times for each time that is asked for."""
-    after = np.searchsorted(times, asked).clip(max=len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(asked - times[before] < times[after] - asked, before, after)

@@ -11,7 +11,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.assignment import assign
-from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps, nearest_stamps
 from hiros_viewer.poses import Poses
 from hiros_viewer.scene import Scene
 
@@ -69,10 +69,7 @@ def simultaneous(first: Stamps, second: Stamps) -> tuple[Stamps, Stamps]:
     """Return the numbers of instants of two channels, in order, that are the same time."""
     if not (len(first) and len(second)):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    after = np.minimum(np.searchsorted(second, first), len(second) - 1)
-    before = np.maximum(after - 1, 0)
-    is_before = np.abs(first - second[before]) <= np.abs(second[after] - first)
-    near = np.where(is_before, before, after)
+    near = nearest_stamps(second, first)
     same = np.flatnonzero(np.abs(second[near] - first) <= SIMULTANEOUS_NS)
     _, once = np.unique(near[same], return_index=True)
     return same[once], near[same][once]

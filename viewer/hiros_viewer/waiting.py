@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.skeletons import Floats, Stamps, nearest_stamps
 from hiros_viewer.columns import GONE_NS
 from hiros_viewer.poses import Poses
 
@@ -63,17 +63,8 @@ class Waiting:
             if parts:
                 ready, later = Poses.joined(parts).split(stamp + 1)
                 self._parts[camera] = [later] if len(later) else []
-                near = _nearest(known.stamps, ready.stamps)
+                near = nearest_stamps(known.stamps, ready.stamps)
                 chosen = np.flatnonzero(np.abs(known.stamps[near] - ready.stamps) <= GONE_NS)
                 if len(chosen):
                     rows = known.rows[near[chosen]]
                     yield Compared(camera, ready.select(chosen), known.positions, rows)
-
-
-def _nearest(stamps: Stamps, asked: Stamps) -> Stamps:
-    """Return which of the stamps, in order, is nearest to each one asked for."""
-    after = np.searchsorted(stamps, asked)
-    before = np.maximum(after - 1, 0)
-    after = np.minimum(after, len(stamps) - 1)
-    is_after = stamps[after] - asked < asked - stamps[before]
-    return np.where(is_after, after, before)
