@@ -276,6 +276,7 @@ upstream: the same with workable launch values of the published code; its defect
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "hiros-realtime": PRESETS["realtime"],
+    "fuse": {"filter": {"keep_positions": True}},
     # 0.04 s of a usual camera, and 0.1 s in all.
     "fuse-realtime": {
         "input": {"clocks": "causal"},
@@ -286,7 +287,6 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
             "max_lag": 0.1,
             "window": 0.0,
             "freedom": 8.0,
-            "agility": 0.07,
             "follow_noise": True,
         },
         "constrain": {"window": 0.0, "enough": 5.0},

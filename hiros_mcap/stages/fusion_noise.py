@@ -48,7 +48,7 @@ class FusionNoise:
     def default(
         cls,
         model: SkeletonModel,
-        acceleration: float = 10.0,
+        acceleration: float = 3.0,
         offset: float = 0.01,
         time: float = 1.7,
     ) -> FusionNoise:
@@ -88,9 +88,9 @@ class FusionNoise:
         power, guessed = numbers.get("power", self.power), numbers.get("guessed", self.guessed)
         return replace(self, joints=white, cameras=dict(cameras), power=power, guessed=guessed)
 
-    def motion(self, freedom: float = FREEDOM, agility: float = 0.0) -> JointNoise:
-        """Return the part that the filter takes; the numbers are those of FuseParams."""
-        return JointNoise(self.accelerations, self.offsets**2, self.time, freedom, agility)
+    def motion(self, freedom: float = FREEDOM) -> JointNoise:
+        """Return the part that the filter takes; the number is that of FuseParams."""
+        return JointNoise(self.accelerations, self.offsets**2, self.time, freedom)
 
     def variances(
         self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from hiros_mcap.kernels.fusing import POSE, FusedPoses, JointStates, Sightings, 
 from hiros_mcap.skeletons import (
     POSITION,
     VELOCITY,
+    Flags,
     Floats,
     Ints,
     SkeletonModel,
@@ -21,6 +22,7 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.displaced_views import DisplacedViews, view_offsets
 from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.pose_error import PoseError
 from hiros_mcap.stages.sightings import chosen, joined
@@ -30,6 +32,19 @@ if TYPE_CHECKING:
 
 _FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
+_ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
+
+
+class _Window(NamedTuple):
+    """N views of people, and the K poses that are wanted of them."""
+
+    views: Sightings
+    new: Flags
+    """(N,) whether the filters have not taken a view yet."""
+    people: Ints
+    """(K,) whose pose is wanted."""
+    stamps: Stamps
+    """(K,) at which time, ns."""
 
 
 class WindowSmoother:
@@ -43,9 +58,10 @@ class WindowSmoother:
         cameras: Mapping[str, Floats],
     ) -> None:
         self._params, self._noise, self._places = params, noise, cameras
-        self._motion = noise.motion(params.freedom, params.agility)
+        self._motion = noise.motion(params.freedom)
         angle, shift = np.radians(params.pose_angle), params.pose_shift
         self._pose_error = PoseError(float(angle), shift, cameras, noise.to_given)
+        self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
         self._held: list[Part] = []
         self._views: list[Sightings] = []
@@ -105,6 +121,7 @@ class WindowSmoother:
         if not new:
             return
         self._names, past = names, self._bank.past
+        self.displaced.name(names)
         means = np.pad(past.means, ((0, 0), (0, 0), (0, new), (0, 0)))
         covariances = np.pad(past.covariances, ((0, 0), (0, 0), (0, new), (0, new)))
         size = means.shape[2]
@@ -120,22 +137,58 @@ class WindowSmoother:
         boundary = self._stamp(min(n, len(self._held) - 1))  # nothing older is merged any more
         out = join(self._held[:n])
         views = joined(self._views)
-        variances = self._noise.variances(views, self._names, self._places)
         owners = np.repeat(np.arange(n), np.diff(out.rows).ravel())
-        poses = FusedPoses.absent(len(owners), out.people.markers.shape[1])
-        self._bank.expire(self._stamp(0))
-        new = views.stamps >= self._taken
-        for person in np.unique(out.people.ids):
-            rows = np.flatnonzero(out.people.ids == person)
-            own = (views.people == person) & new
-            wanted = out.stamps[owners[rows]]
-            steps, keep = self._steps(chosen(views, own), variances[own], wanted, boundary)
-            self._smooth_person(int(person), steps, keep, boundary, rows, poses)
+        window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
         of_views = rows_of(views, self._first + owners, out.people.ids)
+        self._bank.expire(self._stamp(0))
+        poses, variances = self._without_displaced(window, of_views, boundary)
         seen = cameras_by_row(views, of_views, poses.variances.shape)
         self._compare(views, variances, poses, out.stamps[owners], of_views)
         self._drop(n, boundary, views)
         return self._finished(out, log_time, poses, seen)
+
+    def _without_displaced(
+        self, window: _Window, of_views: Stamps, boundary: int
+    ) -> tuple[FusedPoses, Floats]:
+        """Smooth a window; return the variances of the views, (N, M) m2, that it was done with.
+
+        Cameras that prove to be displaced have lost their weight.
+        """
+        views, new = window.views, window.new
+        white = self._noise.variances(views, self._names, self._places)
+        ahead = self._params.window > 0
+        excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
+        for person in np.unique(window.people).tolist():
+            self._bank.row(person, boundary)
+        for again in range(1 + _ROUNDS):
+            variances = white + excess[:, None]
+            before = self._bank.past
+            if ahead:
+                self._bank.past = before._make(array.copy() for array in before)
+            poses = self._smooth_people(window, variances, boundary)
+            offsets = view_offsets(views, white, poses, window.stamps, of_views)
+            if not ahead:
+                self.displaced.remember(views, offsets, new & (of_views >= 0))
+                break
+            last, excess = excess, self.displaced.excess(views, offsets)
+            if again == _ROUNDS or not ((excess > 0) != (last > 0)).any():
+                excess = last
+                break
+            self._bank.past = before
+        self.displaced.count(views, excess, new & (of_views >= 0))
+        return poses, variances
+
+    def _smooth_people(self, window: _Window, variances: Floats, boundary: int) -> FusedPoses:
+        """Smooth everybody; the filters stand at ``boundary``, ns, afterwards."""
+        poses = FusedPoses.absent(len(window.people), variances.shape[1])
+        for person in np.unique(window.people):
+            rows = np.flatnonzero(window.people == person)
+            own = (window.views.people == person) & window.new
+            steps, keep = self._steps(
+                chosen(window.views, own), variances[own], window.stamps[rows], boundary
+            )
+            self._smooth_person(int(person), steps, keep, boundary, rows, poses)
+        return poses
 
     def _steps(
         self, views: Sightings, variances: Floats, wanted: Stamps, boundary: int
