@@ -15,8 +15,8 @@ copies of people. Nobody but a copy moves as the person does. The model, with it
   lie near enough to the person to be taken for the person. It is forgotten once the camera shows
   people in place, or no copy for a while.
 
-Of two cameras without a third, nobody can know which is displaced. It is taken to be the one whose
-people came later.
+Of two cameras without a third, nobody can know which is displaced. Each then shows copies of the
+people whom the other one knows: whoever came first stays.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _UNSEEN = 0.7  # share of the samples in which the camera does not show the pers
 _PURE_ANGLE, _PURE_SHIFT = np.radians(15.0), 0.3  # rad and m besides a mirror's reflection
 _NEAR = 0.3  # m from the person, once the displacement is undone
 _BACK = 500_000_000  # ns for which a camera that shows people in place is believed to be back
-_FORGET = 10_000_000_000  # ns since the last copy
+_FORGET = 60_000_000_000  # ns since the last copy
 _ROUNDS, _OUTLYING = 3, 1.7  # fits; samples this many medians off are left out of the next one
 _SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new ones for a new fit
 
@@ -66,6 +66,11 @@ class Displacement(NamedTuple):
     mirrors: bool
     swaps: bool
     """Whether left and right are swapped as well."""
+
+    def inverse(self) -> Displacement:
+        """Return what takes people from where the other cameras see them to where this one does."""
+        back = self.rotation.T
+        return self._replace(rotation=back, shift=-back @ self.shift)
 
     def undo(self, poses: Floats, mirror: Ints) -> Floats:
         """Return where the people of (..., M, 3) markers are, m."""
@@ -204,10 +209,24 @@ class _State:
             self.by = by if distance < _ALIKE else self.by
 
     def explains(self, pairs: _Pairs, mirror: Ints) -> bool:
-        """Whether a track is where the displacement puts the person, whom it does not show."""
-        apart = _mean_distances(self.by.undo(pairs.own, mirror), pairs.other)
-        unseen = self.by.mirrors or pairs.unseen >= _UNSEEN
-        return bool(unseen and np.nanmedian(apart) < _NEAR)
+        """Whether a track is where the displacement puts the person, whom it does not show.
+
+        A displacement that is known from one place is not precise elsewhere. So it is enough that
+        some displacement fits this track and the copies so far; that one is remembered.
+        """
+        if not self.by.mirrors and pairs.unseen < _UNSEEN:
+            return False
+        if _median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
+            return True
+        own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
+        together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
+        by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
+        parts = (own, other), (pairs.own, pairs.other)
+        if max(_median_distance(by, *part, mirror) for part in parts) > _ALIKE_IF_DISPLACED:
+            return False
+        self.by = by
+        self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        return True
 
 
 class DisplacedCameras:
@@ -348,12 +367,15 @@ class DisplacedCameras:
 
     def _declare(self, like: Likeness, pairs: _Pairs, since: int, sight: Sight) -> None:
         """Note that a camera is displaced, or displaced anew."""
+        right = sorted(self._right_ones(sight))
         state = self._cameras[sight.source] = _State(like.by, sight.stamp)
         state.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        if not like.by.mirrors and [*sight.heard] == right and len(right) == 1:
+            other = self._cameras[right[0]] = _State(like.by.inverse(), sight.stamp)
+            other.pairs.extend(zip(pairs.other, pairs.own, strict=True))
         if sight.source in self._named:
             return
-        self._named.add(sight.source)
-        right = sorted(self._right_ones(sight))
+        self._named |= {sight.source} if right[1:] else {sight.source, *right}
         if like.by.mirrors:
             detail = f"shows mirror images of people, {like.apart:.2f} m from them"
         elif pairs.agreed and len(right) > 1:
@@ -386,14 +408,24 @@ def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
     motion = float(np.sqrt(np.mean(np.nanvar(other[:, often], axis=0).sum(axis=-1))))
     if motion <= _MOTION:
         return None
-    sides = (False, True) if (mirror != np.arange(len(mirror))).any() else (False,)
-    ways = [(mirrors, swaps) for mirrors in (False, True) for swaps in sides]
-    fits = [fit(own, other, mirror, mirrors, swaps) for mirrors, swaps in ways]
-    by, distance = min(fits, key=lambda each: each[1])
+    by, distance = _best_fit(own, other, mirror, mirrors=False)
+    if distance > _ALIKE:  # a body that is almost flat looks like its mirror image, too
+        by, distance = min(
+            (by, distance), _best_fit(own, other, mirror, mirrors=True), key=lambda each: each[1]
+        )
     away = np.nanmean(own - other, axis=1)
     apart = float(np.median(np.linalg.norm(away, axis=-1)))
     pure = by.mirrors and _only_reflects(by.rotation, away.mean(axis=0))
     return Likeness(distance, motion, apart, by, pure)
+
+
+def _best_fit(
+    own: Floats, other: Floats, mirror: Ints, *, mirrors: bool
+) -> tuple[Displacement, float]:
+    """Return the better of the fits with sides as they are and with sides swapped."""
+    sides = (False, True) if (mirror != np.arange(len(mirror))).any() else (False,)
+    fits = [fit(own, other, mirror, mirrors, swaps) for swaps in sides]
+    return min(fits, key=lambda each: each[1])
 
 
 def fit(
@@ -401,21 +433,28 @@ def fit(
 ) -> tuple[Displacement, float]:
     """Return the displacement that fits best, and the median over time of the distance left, m.
 
-    Instants that fit much worse than most are left out. Parameters: see :func:`likeness`.
+    Instants that fit much worse than most are left out; inf if too few are left. Parameters: see :func:`likeness`.
     """
     source = own[:, mirror] if swaps else own
     both = np.isfinite(source[..., 0] + other[..., 0])
-    used = both.any(axis=1)
+    used = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
+    if np.count_nonzero(used) < _FEWEST:
+        return Displacement(np.eye(3), np.zeros(3), mirrors, swaps), np.inf
     for _ in range(_ROUNDS):
         rows = both & used[:, None]
         rotation, shift = kabsch(source[rows], other[rows], mirrors=mirrors)
         by = Displacement(rotation, shift, mirrors, swaps)
         distances = _mean_distances(by.undo(own, mirror), other)
-        distance = float(np.nanmedian(distances))
+        distance = float(np.median(distances))
         if distance > 2.0 * _ALIKE_IF_DISPLACED:  # nothing that is left out would mend it
             break
         used = distances <= _OUTLYING * distance
     return by, distance
+
+
+def _median_distance(by: Displacement, own: Floats, other: Floats, mirror: Ints) -> float:
+    """Median over time of the distance, m, of a track from a person, the displacement undone."""
+    return float(np.median(_mean_distances(by.undo(own, mirror), other)))
 
 
 def _mean_distances(one: Floats, other: Floats) -> Floats:
