@@ -19,68 +19,24 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scenes import Scene, late, simulated, wrong_stamps
 
-from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.body.rotations import angle
 from hiros_mcap.calibrate.cameras_file import save_cameras
 from hiros_mcap.calibrate.people import PeopleCalibration, calibrate_people
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
-from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
-from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import Summary
 
 WRONG_DEG, WRONG_M, WRONG_S = 3.0, 0.15, 0.1
 """A pose or clock that is further off and passes for good is silently wrong."""
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What cameras see, and where they stand, by the cameras' names."""
-
-    model: SkeletonModel
-    frames: list[Frame]
-    poses: Mapping[str, Rigid]
-    clocks: Mapping[str, float]
-    """s that the stamps of each camera are too late."""
-
-    def write(self, path: Path, *, transforms: bool = False) -> None:
-        """Write a log, by default without transforms."""
-        encoder = Encoder(self.model)
-        with McapWriter(path) as writer:
-            if transforms:
-                start = min(frame.log_time for frame in self.frames)
-                add_static_poses(writer, self.poses, "world", start)
-            channels: dict[str, int] = {}
-            for frame in sorted(self.frames, key=lambda frame: frame.log_time):
-                if frame.source not in channels:
-                    channels[frame.source] = add_skeleton_channel(writer, f"/{frame.source}/people")
-                writer.write(channels[frame.source], frame.log_time, encoder.encode(frame))
-            writer.commit()
-
-
-def simulated(seed: int, *, shift: float = 2.0, **params: object) -> Scene:
-    """Simulate a scene whose cameras' clocks are wrong by up to ``shift`` s; log times as well."""
-    simulation = simulate(SimulateParams.model_validate({"seed": seed, **params}))
-    rng = np.random.default_rng(seed)
-    clocks = {camera.name: rng.uniform(-shift, shift) for camera in simulation.cameras}
-    frames = [late(frame, clocks[frame.source]) for frame in simulation.detections]
-    poses = {camera.name: camera.pose for camera in simulation.cameras}
-    return Scene(simulation.model, frames, poses, clocks)
-
-
-def late(frame: Frame, seconds: float) -> Frame:
-    ns = round(1e9 * seconds)
-    return frame.replace(
-        stamp=frame.stamp + ns, log_time=frame.log_time + ns, stamps=frame.stamps + ns
-    )
 
 
 def calibrated(scene: Scene) -> tuple[PeopleCalibration, float]:
@@ -436,19 +392,15 @@ def wrong_clocks(seed: int, **params: object) -> None:
     each clock is stated against the median one, and the joint error after that shift, too.
     """
     scene = simulated(seed, shift=0.0, **params)
-    rng = np.random.default_rng(seed)
-    clocks = {name: float(rng.uniform(-0.1, 0.1)) for name in scene.poses}
-    frames = []
-    for frame in scene.frames:
-        moved = late(frame, clocks[frame.source])
-        frames.append(moved.replace(log_time=frame.log_time))
+    wrong = wrong_stamps(scene, seed)
+    clocks = wrong.clocks
     with tempfile.TemporaryDirectory() as folder:
         truth, log, out = (Path(folder) / f"{name}.mcap" for name in ("truth", "log", "out"))
         write_log(truth, SimulateParams.model_validate({"seed": seed, **params}))
         scene.write(log, transforms=True)
         process(log, out)
         healthy = joint_errors(out, truth)[0]
-        replace(scene, frames=frames).write(log, transforms=True)
+        wrong.write(log, transforms=True)
         summary = process(log, out, force=True)
         found = dict.fromkeys(clocks, 0.0)
         for camera in summary.cameras:

@@ -24,6 +24,7 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "bridged": ("skeleton", "predicted while no camera saw the person"),
     "carried": ("skeleton", "predicted while others hid the person from every camera"),
     "calibration rejected": ("calibration", "rejected: limb lengths stay as measured"),
+    "displaced": ("detection", "ignored: a camera shows a person elsewhere than the others do"),
     "filter: cut-off lowered": ("filter", "with a lower cut-off: the frame rate is too low"),
     "filter: time not increasing": ("skeleton", "not filtered: its time did not increase"),
     "leap": ("detection", "ignored: it leaps away from its person faster than anybody moves"),

@@ -63,8 +63,9 @@ class PoseSummary:
     none."""
     moved_deg: float = math.nan
     clock_ms: float = math.nan
-    """By how much the clock that was used is still behind most of the others; NaN if no motion
-    tells."""
+    """What the people say that is to be added to its stamps, besides what the times of its messages
+    have shown; NaN if no motion tells. Offsets that are significant are corrected: see
+    :attr:`CameraSummary.clock`."""
     error_mm: float = math.nan
     """Standard error of the people's pose against the other cameras."""
     error_deg: float = math.nan

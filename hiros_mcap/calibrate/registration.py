@@ -243,13 +243,16 @@ def rigid_fit(source: Floats, target: Floats) -> Rigid:
     return Rigid(Rotation.from_matrix(matrix).as_quat(canonical=True), shift)
 
 
-def kabsch(source: Floats, target: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
+def kabsch(
+    source: Floats, target: Floats, weights: Floats | None = None, *, mirrors: bool = False
+) -> tuple[Floats, Floats]:
     """Return the rotation (3, 3) and shift (3,) of :func:`rigid_fit`, of points that suffice.
 
     Parameters
     ----------
     source, target : (N, 3) corresponding points, m, none of them NaN.
     weights : (N,) not negative; None = all equal.
+    mirrors : the best improper rotation, with determinant -1, instead.
     """
     if weights is None:
         weights = np.ones(len(source))
@@ -257,7 +260,8 @@ def kabsch(source: Floats, target: Floats, weights: Floats | None = None) -> tup
     start, goal = share @ source, share @ target
     covariance = (source - start).T @ (share[:, None] * (target - goal))
     u, _, vt = np.linalg.svd(covariance)
-    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    proper = np.sign(np.linalg.det(u @ vt))
+    flip = np.array([1.0, 1.0, -proper if mirrors else proper])
     rotation = vt.T @ (flip[:, None] * u.T)
     return rotation, goal - rotation @ start
 

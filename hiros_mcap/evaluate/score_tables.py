@@ -19,11 +19,12 @@ Table = tuple[tuple[str, ...], Rows]
 def error_table(scores: Mapping[str, Scores]) -> Table:
     """Joint errors, mm, and PCK, a row per channel."""
     parts = [p for p in PARTS if any(p in s.parts for s in scores.values())]
-    header = ("Channel", "Mean", "SD", "RMSE", "95 %", *(p.capitalize() for p in parts))
+    header = ("Channel", "Mean", "SD", "RMSE", "95 %", "99 %", *(p.capitalize() for p in parts))
     rows = [
         (
             topic,
             *_millimetres(s),
+            number(s.percentile_99, 1),
             *(number(s.parts[part].mean, 1) for part in parts),
             number(100 * s.pck_at(50), 1, " %"),
             number(100 * s.pck_at(100), 1, " %"),
@@ -53,10 +54,11 @@ def motion_table(scores: Mapping[str, Scores]) -> Table:
             number(s.limb_variation, 4),
             number(s.jitter, 1),
             number(s.lag, 1),
+            number(s.mean_at_lag, 1),
         )
         for topic, s in scores.items()
     ]
-    return (*header, "Limbs, mm", "Limb CV", "Jitter, mm", "Lag, ms"), rows
+    return (*header, "Limbs, mm", "Limb CV", "Jitter, mm", "Lag, ms", "Mean at lag"), rows
 
 
 def people_table(scores: Mapping[str, Scores]) -> Table:

@@ -14,7 +14,7 @@ from hiros_mcap.body.segments import SIDES
 from hiros_mcap.evaluate.match import MATCH_DISTANCE, Matches, explain_no_overlap, match
 from hiros_mcap.evaluate.mot import TrackingScores, tracking_scores
 from hiros_mcap.evaluate.parts import parts_of
-from hiros_mcap.evaluate.smoothness import jitter, lag, lengths_of, limb_variations
+from hiros_mcap.evaluate.smoothness import distances_at, jitter, lag, lengths_of, limb_variations
 from hiros_mcap.evaluate.statistics import AngleStats, ErrorStats, mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
@@ -39,6 +39,8 @@ class Scores:
     rmse: float
     percentile_95: float
     """95 % of the joint errors are below, mm."""
+    percentile_99: float
+    """99 % of them, mm: what happens in bad moments."""
     angle_rmse: float
     """Root mean square error of the eight bending angles from marker positions, degrees, over all
     joints (Hi-ROS eq. 20)."""
@@ -58,6 +60,9 @@ class Scores:
     """Mean norm of the second difference of joint positions between frames, mm."""
     lag: float
     """By how many ms the result is late: the shift that fits the truth best."""
+    mean_at_lag: float
+    """Mean joint error, mm, if all stamps are moved by the lag: where the cameras' clocks are
+    wrong, no stamp tells the time base that they have in common."""
     first_frames: float
     """Mean joint error in the first five frames of an id, mm."""
     missing: int
@@ -129,11 +134,13 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
     angles = {name: AngleStats.of(bending[:, k]) for k, name in enumerate(ANGLES)}
     by_links = _link_angle_stats(model, orientations, true_orientations)
     tracks = matches.tracks.values()
+    late_ms = lag(matches, truth)
     return Scores(
         mean=all_errors.mean,
         deviation=all_errors.deviation,
         rmse=all_errors.rmse,
         percentile_95=all_errors.percentile_95,
+        percentile_99=all_errors.percentile_99,
         angle_rmse=_pooled_rmse(angles),
         angle_deviation=_mean_deviation(angles),
         link_angle_rmse=_pooled_rmse(by_links),
@@ -142,7 +149,8 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         limb_error=_limb_error(matches, truth, model),
         limb_variation=mean_of(limb_variations(tracks, model)),
         jitter=mean_of(jitter(tracks)),
-        lag=lag(matches, truth),
+        lag=late_ms,
+        mean_at_lag=mean_of(1000 * distances_at(matches, truth, late_ms)),
         first_frames=mean_of(errors[_first_rows(matches)]),
         missing=len(matches.missed),
         false=None if truth.partial else matches.false,

@@ -11,8 +11,9 @@ from hiros_mcap.evaluate.statistics import nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
-SHIFTS_MS = range(-60, 181, 5)
-"""Delays that are tried: filters of this field lag by up to 150 ms."""
+MOST_MS = 180
+"""Longest delay that is tried: filters of this field lag by up to 150 ms, clocks err either way."""
+_COARSE_MS, _FINE_MS = 30, 5
 _SAMPLES = 400
 """The lag is measured on about this many matches; more do not change it."""
 _STANDS_STILL = 4e-6
@@ -69,20 +70,34 @@ def lag(matches: Matches, truth: Truth) -> float:
     chosen = [
         k
         for k in range(0, len(matches.stamps), step)
-        if truth.covers(matches.stamps[k] - SHIFTS_MS[-1] * 1_000_000)
-        and truth.covers(matches.stamps[k] - SHIFTS_MS[0] * 1_000_000)
+        if all(truth.covers(matches.stamps[k] + s * MOST_MS * 1_000_000) for s in (-1, 1))
     ]
     if not chosen:
         return np.nan
-    costs = np.array([_cost(matches, truth, chosen, shift) for shift in SHIFTS_MS])
-    if np.isnan(costs).any():
+    coarse = list(range(-MOST_MS, MOST_MS + 1, _COARSE_MS))
+    costs = np.array([_cost(matches, truth, chosen, shift) for shift in coarse])
+    if np.isnan(costs).any() or costs.max() - costs.min() < _STANDS_STILL:
         return np.nan
+    about = coarse[int(np.clip(np.argmin(costs), 1, len(costs) - 2))]
+    shifts = range(about - _COARSE_MS, about + _COARSE_MS + 1, _FINE_MS)
+    costs = np.array([_cost(matches, truth, chosen, shift) for shift in shifts])
     best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
     left, middle, right = costs[best - 1 : best + 2]
     curvature = left - 2 * middle + right
-    if costs.max() - costs.min() < _STANDS_STILL or curvature <= 0:
+    if curvature <= 0:
         return np.nan
-    return float(SHIFTS_MS[best] + 0.5 * (SHIFTS_MS[1] - SHIFTS_MS[0]) * (left - right) / curvature)
+    return float(shifts[best] + 0.5 * _FINE_MS * (left - right) / curvature)
+
+
+def distances_at(matches: Matches, truth: Truth, late_ms: float) -> Floats:
+    """(R, M) Distances, m, from the truth at stamps moved by ``late_ms``; NaN if that is NaN."""
+    if np.isnan(late_ms) or not matches.stamps:
+        return np.zeros((0, 0))
+    late = round(late_ms * 1e6)
+    rows = zip(matches.stamps, matches.people, matches.poses, strict=True)
+    errors = [pose - truth.at(stamp - late)[0][person] for stamp, person, pose in rows]
+    distances: Floats = np.linalg.norm(np.stack(errors), axis=-1)
+    return distances
 
 
 def _cost(matches: Matches, truth: Truth, chosen: Sequence[int], shift: int) -> float:

@@ -29,6 +29,7 @@ class ErrorStats:
     deviation: float
     rmse: float
     percentile_95: float
+    percentile_99: float
     count: int
 
     @classmethod
@@ -36,12 +37,12 @@ class ErrorStats:
         """Summarise errors in mm, whatever their shape."""
         known = errors[~np.isnan(errors)]
         if not known.size:
-            return cls(np.nan, np.nan, np.nan, np.nan, 0)
+            return cls(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
         return cls(
             float(known.mean()),
             float(known.std()),
             float(np.sqrt((known * known).mean())),
-            float(np.percentile(known, 95)),
+            *(float(p) for p in np.percentile(known, [95, 99])),
             known.size,
         )
 

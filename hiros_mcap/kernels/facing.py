@@ -1,8 +1,9 @@
 """Kernels that decide which way a person faces: evidence of each view, and a hidden Markov model.
 
-The hidden state is the facing: BINS directions in the horizontal plane. Time goes in cells of
-1/30 s. What a cell's views show is summed as logarithms of likelihoods. Weights and scales were
-fitted to recordings of two cameras at 30 Hz.
+The hidden state is the facing: BINS directions across the person's trunk, in axes that are carried
+along with the body (kernels.body_axes). Time goes in cells of 1/30 s. What a cell's views show is
+summed as logarithms of likelihoods. Weights and scales were fitted to recordings of two cameras at
+30 Hz.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.averaging import (
-    ACCELERATION,
-    POSITION,
-    VELOCITY,
-    blank,
-    copy_row,
-    exchange,
+from hiros_mcap.kernels.averaging import copy_row
+from hiros_mcap.kernels.body_axes import (
+    component,
+    follow_line,
+    follow_trunk,
+    learn_up,
+    left_to_right,
+    ramp,
+    upright,
 )
 from hiros_mcap.kernels.compile import (
     B1,
@@ -60,6 +63,9 @@ _LONGEST_GAP = 30  # cells
 _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
+_TOES_LABEL = 0.2, 0.5  # agreement of toes: labels say nothing; they say all that labels can
+_TOES_FOLLOW = 0.3, 0.5  # lines say nothing of turns; they do
+_TOES_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
 _SURE = 0.5  # length of the mean direction of a belief that overrules labels
 _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
 _PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
@@ -79,10 +85,12 @@ class FacingMarkers(NamedTuple):
     """(V, 4)."""
     feet: Ints
     """(F, 2)."""
+    trunk: Ints
+    """(T, 2)."""
 
 
 class Looks(NamedTuple):
-    """What N views of anybody show, in the horizontal plane."""
+    """What N views of anybody show, across the person's trunk."""
 
     cells: Stamps
     """(N,) number of the cell of time."""
@@ -97,16 +105,25 @@ class Looks(NamedTuple):
     widths: Floats
     """(N,) length of the line that it was measured on, m."""
     centres: Floats
-    """(N, 2) mean position of the markers, m."""
+    """(N, 3) mean position of the markers, m."""
     cues: Floats
     """(N, CUES * 2) vectors that point forwards, m; 0 = not known."""
+    axes: Floats
+    """(N, 3, 3) the person's: two across the trunk, one along it; NaN = not known."""
+    starts: Stamps
+    """(N,) how often they were chosen anew: facings before and after that have no relation."""
+    weights: Floats
+    """(N,) 1 for a camera of 30 Hz or slower, less for a faster one."""
 
     @classmethod
     def allocate(cls, n: int) -> Looks:
         """Make room."""
-        cells, stamps, cameras, rows = np.zeros((4, n), np.int64)
-        facing, centres, cues = np.empty((n, 2)), np.empty((n, 2)), np.zeros((n, CUES * 2))
-        return cls(cells, stamps, cameras, rows, facing, np.empty(n), centres, cues)
+        cells, stamps, cameras, rows, starts = np.zeros((5, n), np.int64)
+        facing, centres, cues = np.empty((n, 2)), np.empty((n, 3)), np.zeros((n, CUES * 2))
+        axes, widths, weights = np.empty((n, 3, 3)), np.empty(n), np.empty(n)
+        return cls(
+            cells, stamps, cameras, rows, facing, widths, centres, cues, axes, starts, weights
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[Looks]) -> Looks:
@@ -139,9 +156,20 @@ class FacingPast(NamedTuple):
     way_cells: Stamps
     """(S, CELLS) the last cells, a ring."""
     way: Floats
-    """(S, CELLS, 3) sum of the centres of their views, m, and the number of these."""
+    """(S, CELLS, 4) sum of the centres of their views, m, and the number of these."""
     next_cell: Stamps
     """(S,) place of the next one in the ring."""
+    axes: Floats
+    """(S, 3, 3) as Looks.axes, of the last view."""
+    trunks: Floats
+    """(S, 3) mean of the last unit vectors along the trunk."""
+    trunk_stamps: Stamps
+    """(S,) time of the last view that showed it, ns."""
+    lines: Floats
+    """(S,) angle of the line through shoulders and hips in the axes, rad; NaN = not known."""
+    starts: Stamps
+    belief_starts: Stamps
+    """(S,) as Looks.starts: of the last view; of the current cell."""
 
     @classmethod
     def empty(cls) -> FacingPast:
@@ -150,7 +178,8 @@ class FacingPast(NamedTuple):
         views, cells = np.zeros((0, VIEWS), np.int64), np.zeros((0, CELLS), np.int64)
         return cls(
             n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
-            np.zeros((0, VIEWS, 2 + CUES * 2)), n, cells, np.zeros((0, CELLS, 3)), n,
+            np.zeros((0, VIEWS, 2 + CUES * 2)), n, cells, np.zeros((0, CELLS, 4)), n,
+            np.zeros((0, 3, 3)), np.zeros((0, 3)), n, np.zeros(0), n, n,
         )  # fmt: skip
 
 
@@ -164,6 +193,8 @@ class FacingTables(NamedTuple):
     agreement: Floats
     """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
     other, and how often it was asked. It tells physical cues from those that follow the label."""
+    up: Floats
+    """(4,) learned, see body_axes.learn_up."""
 
     @classmethod
     def make(cls) -> FacingTables:
@@ -177,6 +208,7 @@ class FacingTables(NamedTuple):
             np.stack([np.cos(angles), np.sin(angles)], axis=1),
             turns + _TELEPORT,
             np.array([[p * _PRIOR_SAMPLES, _PRIOR_SAMPLES] for p in PRIOR_AGREEMENT]),
+            np.zeros(4),
         )
 
     def reliability(self, cue: int) -> float:
@@ -207,53 +239,36 @@ class Facings(NamedTuple):
         return Facings._make(array[views] for array in self)
 
 
-_MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2)
-_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2)
-_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1)
-_TABLES = named_tuple(FacingTables, F2, F2, F2)
+MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2, J2)
+_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2, F3, I1, F1)
+_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1, F3, F2, I1, F1, I1, I1)
+_TABLES = named_tuple(FacingTables, F2, F2, F2, F1)
 _FACINGS = named_tuple(Facings, F2, B1, F1, F1)
 
 
 # What a view shows.
 
 
-@inlined
-def _flat(x: float, y: float, z: float, axes: Floats, k: int) -> float:
-    """Component of a vector along an axis of the horizontal plane."""
-    component: float = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-    return component
-
-
 @kernel
-def _left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, float]:
-    """Sum of the horizontal vectors from left to right shoulders and hips, m."""
-    x = y = 0.0
-    for i in range(len(pairs)):
-        a, b = pairs[i, 0], pairs[i, 1]
-        dx = positions[b, 0] - positions[a, 0]
-        dy = positions[b, 1] - positions[a, 1]
-        dz = positions[b, 2] - positions[a, 2]
-        if not math.isnan(dx + dy + dz):
-            x, y = x + _flat(dx, dy, dz, axes, 0), y + _flat(dx, dy, dz, axes, 1)
-    return x, y
-
-
-@kernel
-def _centre(positions: Floats, axes: Floats, out: Floats) -> None:
-    """Mean of the markers in the horizontal plane."""
-    x = y = z = 0.0
+def _centre(positions: Floats, out: Floats) -> None:
+    """Mean of the markers."""
+    out[:] = 0.0
     n = 0
     for m in range(len(positions)):
         if not math.isnan(positions[m, 0]):
-            x, y, z = x + positions[m, 0], y + positions[m, 1], z + positions[m, 2]
+            for c in range(3):
+                out[c] += positions[m, c]
             n += 1
-    for k in range(2):
-        out[k] = _flat(x, y, z, axes, k) / n if n > 0 else np.nan
+    for c in range(3):
+        out[c] = out[c] / n if n > 0 else np.nan
 
 
 @kernel
 def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -> None:
     """Mean of each cue over the sides that show it."""
+    out[:] = 0.0
+    if math.isnan(axes[0, 0]):
+        return
     for k in range(CUES):
         n = 0
         sx = sy = 0.0
@@ -263,7 +278,7 @@ def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -
             x, y, z = _cue(positions, vectors[v, 1], vectors[v, 2], vectors[v, 3])
             if not math.isnan(x):
                 n += 1
-                sx, sy = sx + _flat(x, y, z, axes, 0), sy + _flat(x, y, z, axes, 1)
+                sx, sy = sx + component(x, y, z, axes, 0), sy + component(x, y, z, axes, 1)
         scale = _CUE_SIGNS[k] / n if n > 0 else 0.0
         out[2 * k], out[2 * k + 1] = scale * sx, scale * sy
 
@@ -286,35 +301,16 @@ def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, f
     return jx - share * x, jy - share * y, jz - share * z
 
 
-@kernel(types.void(PEOPLE, I1, F2, _MARKERS, _LOOKS))
-def measure(
-    people: People, rows: Stamps, axes: Floats, markers: FacingMarkers, looks: Looks
-) -> None:
-    """Measure facing, width, centre and cues of the ``rows`` of ``people``.
-
-    ``axes`` (2, 3) span the horizontal plane; a positive turn leads from the first to the second.
-    """
-    for i in range(len(rows)):
-        positions = people.markers[rows[i]]
-        x, y = _left_to_right(positions, markers.lateral, axes)
-        width = math.sqrt(x * x + y * y)
-        looks.widths[i] = width
-        looks.facing[i, 0] = -y / width if width > 1e-6 else np.nan
-        looks.facing[i, 1] = x / width if width > 1e-6 else np.nan
-        _centre(positions, axes, looks.centres[i])
-        _measure_cues(positions, axes, markers.vectors, looks.cues[i])
-
-
 # What is learned from one view after the other.
 
 
 @kernel
-def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> float:
-    """Learn from view ``i``; return its weight, which is 1 for a camera of 30 Hz or slower."""
+def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> None:
+    """Learn from view ``i``, and write its weight."""
     row, stamp, camera = looks.rows[i], looks.stamps[i], looks.cameras[i]
     weight: float = _rate_weight(stamp, camera, past, row)
+    looks.weights[i] = weight
     if not math.isnan(looks.facing[i, 0]):
-        _learn_width(looks.widths[i], past, row)
         for v in range(VIEWS):
             if (
                 past.view_cameras[row, v] != camera
@@ -329,7 +325,6 @@ def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> floa
     for c in range(2 * CUES):
         past.view_looks[row, place, 2 + c] = looks.cues[i, c]
     past.next_view[row] = (place + 1) % VIEWS
-    return weight
 
 
 @kernel
@@ -372,24 +367,95 @@ def _compare(looks: Looks, i: int, other: Floats, weight: float, agreement: Floa
 @inlined
 def _gate(k: int, agreement: Floats) -> float:
     """How far a cue is trusted: 0 if it follows the label, 1 if it is physical."""
-    gate: float = min(max((agreement[k, 0] / agreement[k, 1] - 0.5) / 0.3, 0.0), 1.0)
+    gate: float = ramp(agreement[k, 0] / agreement[k, 1], 0.5, 0.8)
     return gate
 
 
 @inlined
-def _doubt(agreement: Floats) -> float:
-    """Probability that a label is wrong: 0.5 for a detector whose toes follow its label."""
-    toes = agreement[TOES, 0] / agreement[TOES, 1]
-    doubt: float = 0.1 + 0.4 * min(max((0.5 - toes) / 0.3, 0.0), 1.0)
-    return doubt
+def _toes(agreement: Floats) -> float:
+    """How often toes point the same way where labels contradict each other.
+
+    A detector that errs by chance leaves the toes alone.
+    """
+    share: float = agreement[TOES, 0] / agreement[TOES, 1]
+    return share
 
 
 @inlined
-def _honesty(agreement: Floats) -> float:
-    """How certain it is that labels err by chance: 0 until toes have shown them to be wrong."""
-    toes = agreement[TOES, 0] / agreement[TOES, 1]
-    honesty: float = min(max((toes - 0.5) / 0.2, 0.0), 1.0)
-    return honesty
+def _mistrust(agreement: Floats) -> float:
+    """Probability that a label is wrong: 0.5 for a detector whose toes follow its label."""
+    wrong: float = 0.5 - 0.4 * ramp(_toes(agreement), *_TOES_LABEL)
+    return wrong
+
+
+@inlined
+def _line_reliability(width: float, usual: float) -> float:
+    """How far the line through shoulders and hips is trusted: 0 if it is short, at most 1."""
+    return 0.0 if math.isnan(width) else ramp(width / usual, 0.25, 0.75)
+
+
+# Views, one after the other, in the axes of each person.
+
+
+@kernel
+def _follow_body(
+    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int, trust: float
+) -> tuple[float, float]:
+    """Bring a person's axes to a view; return the line through shoulders and hips in them, m."""
+    axes = past.axes[row]
+    seconds = 1e-9 * max(stamp - past.trunk_stamps[row], 0) if past.starts[row] > 0 else np.inf
+    seen, anew = follow_trunk(positions, markers.trunk, seconds, past.trunks[row], axes)
+    if seen:
+        past.trunk_stamps[row] = max(stamp, past.trunk_stamps[row])
+    if anew:
+        past.starts[row] += 1
+        past.lines[row] = np.nan
+        past.view_looks[row] = np.nan
+    x, y = left_to_right(positions, markers.lateral, axes)
+    width = math.sqrt(x * x + y * y)
+    if not width > 1e-6:
+        return np.nan, np.nan
+    _learn_width(width, past, row)
+    reliable = _line_reliability(width, past.widths[row])
+    past.lines[row], turn = follow_line(past.lines[row], math.atan2(y, x), reliable, trust, axes)
+    cosine, sine = math.cos(turn), math.sin(turn)
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
+@kernel
+def _measure(
+    people: People, view: int, markers: FacingMarkers, looks: Looks, i: int,
+    past: FacingPast, tables: FacingTables,
+) -> None:  # fmt: skip
+    """Measure what view ``i`` shows in the person's axes, and learn from it."""
+    positions, row = people.markers[view], looks.rows[i]
+    trust = ramp(_toes(tables.agreement), *_TOES_FOLLOW)
+    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, trust)
+    width = math.sqrt(x * x + y * y)
+    looks.widths[i], looks.facing[i, 0], looks.facing[i, 1] = width, -y / width, x / width
+    looks.starts[i] = past.starts[row]
+    copy_row(looks.axes, i, past.axes, row)
+    _centre(positions, looks.centres[i])
+    _measure_cues(positions, looks.axes[i], markers.vectors, looks.cues[i])
+    _learn(looks, i, past, tables)
+
+
+@kernel(types.void(PEOPLE, I1, MARKERS, _LOOKS, _PAST, _TABLES))
+def measure(
+    people: People, views: Stamps, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    tables: FacingTables,
+) -> None:  # fmt: skip
+    """Measure what ``views``, rows of ``people``, show, and learn from one after the other.
+
+    Parameters
+    ----------
+    looks : cells, stamps, cameras and rows are given; the others are written.
+    """
+    for i in range(len(views)):
+        _measure(people, views[i], markers, looks, i, past, tables)
+
+
+# What a view tells of the facing.
 
 
 @inlined
@@ -400,31 +466,19 @@ def _squash(x: float) -> float:
     return squashed
 
 
-@inlined
-def _line_reliability(looks: Looks, i: int, past: FacingPast) -> float:
-    """How far the line through shoulders and hips is trusted: 0 if it is short, at most 1."""
-    if math.isnan(looks.facing[i, 0]):
-        return 0.0
-    share = looks.widths[i] / past.widths[looks.rows[i]]
-    reliability: float = min(max((share - 0.25) / 0.5, 0.0), 1.0)
-    return reliability
-
-
 @kernel
-def _weigh(
-    looks: Looks, i: int, weight: float, past: FacingPast, tables: FacingTables, out: Floats
-) -> None:
+def _weigh(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Floats) -> None:
     """Write the logarithm of the likelihood of view ``i`` for every facing."""
-    x, y, cues = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i]
-    reliable = _line_reliability(looks, i, past)
-    doubt, sharpness = _doubt(tables.agreement), 2.0 * _LINE_SHARPNESS * reliable
+    x, y, cues, weight = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i], looks.weights[i]
+    reliable = _line_reliability(looks.widths[i], past.widths[looks.rows[i]])
+    wrong, sharpness = _mistrust(tables.agreement), 2.0 * _LINE_SHARPNESS * reliable
     for b in range(_HALF if reliable > 0.0 else 0):
         cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
         # cos(2 a) - 1 = 2 (cos(a)^2 - 1). The line has twice the weight of the label: a square.
         line = (1.0 - _LINE_OUTLIERS) * math.exp(sharpness * (cosine * cosine - 1.0))
         line = (line + _LINE_OUTLIERS) ** 2
         p = 0.5 + 0.5 * _squash(_LABEL_SHARPNESS * cosine)
-        p = p * (1.0 - doubt) + (1.0 - p) * doubt
+        p = p * (1.0 - wrong) + (1.0 - p) * wrong
         shared = _VIEW * math.log(line)
         out[b] = weight * (shared + _VIEW * reliable * math.log(p))
         out[b + _HALF] = weight * (shared + _VIEW * reliable * math.log(1.0 - p))
@@ -454,35 +508,35 @@ def _step(looks: Looks, i: int, past: FacingPast) -> None:
         place = past.next_cell[row]
         past.next_cell[row] = (place + 1) % CELLS
         past.way_cells[row, place] = cell
-        for c in range(3):
-            past.way[row, place, c] = 0.0
-    past.way[row, place, 0] += looks.centres[i, 0]
-    past.way[row, place, 1] += looks.centres[i, 1]
-    past.way[row, place, 2] += 1.0
+        past.way[row, place, :] = 0.0
+    for c in range(3):
+        past.way[row, place, c] += looks.centres[i, c]
+    past.way[row, place, 3] += 1.0
 
 
 @kernel
-def _velocity(cells: Stamps, way: Floats, first: int, last: int) -> tuple[float, float]:
+def _velocity(cells: Stamps, way: Floats, first: int, last: int) -> tuple[float, float, float]:
     """Slope of a line through the way from cell ``first`` to cell ``last``, m/s; 0 = not known."""
-    n = st = sx = sy = 0.0
+    n = st = sx = sy = sz = 0.0
     for j in range(len(cells)):
-        if first <= cells[j] <= last and way[j, 2] > 0.0:
-            n, st = n + 1.0, st + (cells[j] - first)
-            sx, sy = sx + way[j, 0] / way[j, 2], sy + way[j, 1] / way[j, 2]
+        if first <= cells[j] <= last and way[j, 3] > 0.0:
+            n, st, views = n + 1.0, st + (cells[j] - first), way[j, 3]
+            sx, sy, sz = sx + way[j, 0] / views, sy + way[j, 1] / views, sz + way[j, 2] / views
     if n < 3.0:
-        return 0.0, 0.0
-    st, sx, sy = st / n, sx / n, sy / n
-    tt = tx = ty = 0.0
+        return 0.0, 0.0, 0.0
+    st, sx, sy, sz = st / n, sx / n, sy / n, sz / n
+    tt = tx = ty = tz = 0.0
     for j in range(len(cells)):
-        if first <= cells[j] <= last and way[j, 2] > 0.0:
-            t = cells[j] - first - st
+        if first <= cells[j] <= last and way[j, 3] > 0.0:
+            t, views = cells[j] - first - st, way[j, 3]
             tt += t * t
-            tx += t * (way[j, 0] / way[j, 2] - sx)
-            ty += t * (way[j, 1] / way[j, 2] - sy)
+            tx += t * (way[j, 0] / views - sx)
+            ty += t * (way[j, 1] / views - sy)
+            tz += t * (way[j, 2] / views - sz)
     if tt < 1.0:
-        return 0.0, 0.0
-    rate = 1e9 / CELL
-    return rate * tx / tt, rate * ty / tt
+        return 0.0, 0.0, 0.0
+    rate = 1e9 / CELL / tt
+    return rate * tx, rate * ty, rate * tz
 
 
 @inlined
@@ -492,10 +546,20 @@ def _forwards(along: float, against: float) -> float:
 
 
 @kernel
-def _walk(vx: float, vy: float, tables: FacingTables, out: Floats) -> None:
-    """Add what the walking direction says of the facing: seldom do people walk backwards."""
+def _walk(
+    velocity: tuple[float, float, float], axes: Floats, tables: FacingTables, out: Floats
+) -> None:
+    """Add what the walking direction says of the facing: seldom do people walk backwards.
+
+    It says nothing of somebody who is not upright, or while nothing shows which way is up.
+    """
+    weight = _VIEW * upright(axes, tables.up)
+    if weight == 0.0:
+        return
+    x, y, z = velocity
+    vx, vy = component(x, y, z, axes, 0), component(x, y, z, axes, 1)
     speed = math.sqrt(vx * vx + vy * vy)
-    weight = _VIEW / (1.0 + math.exp(-(speed - _WALK_SPEED) / _WALK_SLOPE))
+    weight /= 1.0 + math.exp(-(speed - _WALK_SPEED) / _WALK_SLOPE)
     if weight < 0.01 * _VIEW:
         return
     for b in range(_HALF):
@@ -511,8 +575,11 @@ def _walk(vx: float, vy: float, tables: FacingTables, out: Floats) -> None:
 
 @kernel
 def _turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
-    """Predict a belief ``gap`` cells later."""
-    gap = min(max(gap, 1), _LONGEST_GAP)
+    """Predict a belief ``gap`` cells later; 0 = in new axes, where every facing is as probable."""
+    if gap == 0:
+        out[:] = 1.0 / BINS
+        return
+    gap = min(gap, _LONGEST_GAP)
     reach = min(_HALF - 1, 6 * gap)
     total = 0.0
     for b in range(BINS):
@@ -554,16 +621,22 @@ def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
 
 
 @kernel
-def _open_cell(cell: int, past: FacingPast, row: int, tables: FacingTables, work: Floats) -> bool:
-    """Start a person's next cell, unless the current one is as late; whether it did."""
-    if past.cells[row] == 0:
-        past.beliefs[row, :] = 1.0 / BINS
-    elif cell > past.cells[row]:
-        _multiply(past.beliefs[row], past.evidence[row], work)
-        _turn(work, cell - past.cells[row], tables, past.beliefs[row])
-    else:
+def _starts_anew(start: int, past: FacingPast, row: int) -> bool:
+    """Whether nothing is known of a person's facing in these axes."""
+    anew: bool = past.cells[row] == 0 or start != past.belief_starts[row]
+    return anew
+
+
+@kernel
+def _open_cell(looks: Looks, i: int, past: FacingPast, tables: FacingTables, work: Floats) -> bool:
+    """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
+    row, cell, start = looks.rows[i], looks.cells[i], looks.starts[i]
+    anew = _starts_anew(start, past, row)
+    if not anew and cell <= past.cells[row]:
         return False
-    past.cells[row] = cell
+    _multiply(past.beliefs[row], past.evidence[row], work)
+    _turn(work, 0 if anew else cell - past.cells[row], tables, past.beliefs[row])
+    past.cells[row], past.belief_starts[row] = max(cell, past.cells[row]), start
     past.evidence[row, :] = 0.0
     return True
 
@@ -594,13 +667,14 @@ def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: F
     x, y = looks.facing[i, 0], looks.facing[i, 1]
     fx, fy = out.facing[i, 0], out.facing[i, 1]
     sure = max(math.sqrt(fx * fx + fy * fy), 1e-12)
-    if math.isnan(x) or (sure < _SURE and _doubt(tables.agreement) < 0.5):
+    if math.isnan(x) or (sure < _SURE and _mistrust(tables.agreement) < 0.5):
         return
     cosine, sine = (fx * x + fy * y) / sure, (fx * y - fy * x) / sure
-    honesty = _honesty(tables.agreement)
+    honesty = ramp(_toes(tables.agreement), *_TOES_HONEST)
     right = 0.5 + 0.4 * honesty
     odds = math.log(right / (1.0 - right)) if honesty > 0.0 else 0.0
-    reliable = _line_reliability(looks, i, past) if honesty > 0.0 else 1.0
+    usual = past.widths[looks.rows[i]]
+    reliable = _line_reliability(looks.widths[i], usual) if honesty > 0.0 else 1.0
     if odds + 2.0 * _LABEL_SHARPNESS * reliable * cosine < 0.0:
         out.swapped[i] = True
         cosine, sine = -cosine, -sine
@@ -608,43 +682,42 @@ def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: F
         out.turns[i] = _turn_back(math.atan2(sine, cosine))
 
 
-@kernel(types.void(_LOOKS, _PAST, _TABLES, F1, _FACINGS))
+@kernel(types.void(PEOPLE, I1, MARKERS, _LOOKS, _PAST, _TABLES, F1, _FACINGS))
 def follow(
-    looks: Looks, past: FacingPast, tables: FacingTables, work: Floats, out: Facings
-) -> None:
-    """Decide on one view after the other, by the past alone: the forward pass.
+    people: People, views: Stamps, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    tables: FacingTables, work: Floats, out: Facings,
+) -> None:  # fmt: skip
+    """Measure and decide on one view after the other, by the past alone: the forward pass.
 
     Parameters
     ----------
-    looks : views of anybody, in order.
+    people, views, markers, looks : as in :func:`measure`; views of anybody, in order.
     past : brought to the last view.
     work : (2 * BINS,) scratch.
     """
     here, belief = work[:BINS], work[BINS:]
-    for i in range(len(looks.cells)):
-        row = looks.rows[i]
-        weight = _learn(looks, i, past, tables)
+    for i in range(len(views)):
+        row, cell = looks.rows[i], looks.cells[i]
+        _measure(people, views[i], markers, looks, i, past, tables)
         _step(looks, i, past)
-        if _open_cell(looks.cells[i], past, row, tables, here):
-            cell = looks.cells[i]
-            vx, vy = _velocity(past.way_cells[row], past.way[row], cell - 12, cell)
-            _walk(vx, vy, tables, past.evidence[row])
-        _weigh(looks, i, weight, past, tables, here)
+        if _open_cell(looks, i, past, tables, here):
+            velocity = _velocity(past.way_cells[row], past.way[row], cell - 12, cell)
+            learn_up(velocity, looks.axes[i], tables.up)
+            _walk(velocity, looks.axes[i], tables, past.evidence[row])
+        _weigh(looks, i, past, tables, here)
         for b in range(BINS):
             past.evidence[row, b] += here[b]
         _multiply(past.beliefs[row], past.evidence[row], belief)
         _mean_direction(belief, tables, out.facing[i])
         _decide(looks, i, past, tables, out)
-        out.toes[i] = tables.agreement[TOES, 0] / tables.agreement[TOES, 1]
+        out.toes[i] = _toes(tables.agreement)
 
 
 @kernel(types.void(_LOOKS, _PAST, _TABLES, F2))
 def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: Floats) -> None:
-    """Learn from all views, then write the evidence (N, BINS) of each."""
+    """Write the evidence (N, BINS) of each view."""
     for i in range(len(looks.cells)):
-        out[i, 0] = _learn(looks, i, past, tables)
-    for i in range(len(looks.cells)):
-        _weigh(looks, i, out[i, 0], past, tables, out[i])
+        _weigh(looks, i, past, tables, out[i])
 
 
 class SmoothWork(NamedTuple):
@@ -654,8 +727,11 @@ class SmoothWork(NamedTuple):
     """(N,) place of each view's cell among the cells."""
     cells: Stamps
     """(N,) numbers of the cells."""
+    starts: Stamps
+    axes: Floats
+    """(N,) and (N, 3, 3) as in Looks, of the last view of each cell."""
     way: Floats
-    """(N, 3) as FacingPast.way."""
+    """(N, 4) as FacingPast.way."""
     beliefs: Floats
     evidence: Floats
     """(N, BINS) before the cell's views; of them."""
@@ -668,12 +744,12 @@ class SmoothWork(NamedTuple):
     def of(cls, views: int) -> SmoothWork:
         """Make room for so many views."""
         n = views + CELLS
-        sizes = (n, 3), (n, BINS), (n, BINS), (n, 2), (3, BINS)
-        whole = np.zeros(n, np.int64)
-        return cls(whole, whole.copy(), *[np.zeros(size) for size in sizes])
+        sizes = (n, 3, 3), (n, 4), (n, BINS), (n, BINS), (n, 2), (3, BINS)
+        places, cells, starts = np.zeros((3, n), np.int64)
+        return cls(places, cells, starts, *[np.zeros(size) for size in sizes])
 
 
-_WORK = named_tuple(SmoothWork, I1, I1, F2, F2, F2, F2, F2)
+_WORK = named_tuple(SmoothWork, I1, I1, I1, F3, F2, F2, F2, F2, F2)
 
 
 @kernel
@@ -684,7 +760,7 @@ def _past_way(past: FacingPast, row: int, work: SmoothWork) -> int:
         place = (past.next_cell[row] + k) % CELLS
         if past.way_cells[row, place] > 0:
             work.cells[n] = past.way_cells[row, place]
-            for c in range(3):
+            for c in range(4):
                 work.way[n, c] = past.way[row, place, c]
             n += 1
     return n
@@ -696,45 +772,64 @@ def _lay_out(
 ) -> int:
     """Add up one person's views by cells behind the first ``n``; return how many cells there are.
 
-    A view that is late counts as one of the first cell that is not decided yet.
+    A view that is late counts as one of the first cell that is not decided yet. Views in new axes
+    have a cell of their own.
     """
     first, cell = n, past.cells[looks.rows[order[0]]]
     for j in range(len(order)):
         i = order[j]
-        if n == first or looks.cells[i] > cell:
+        if n == first or looks.cells[i] > cell or looks.starts[i] != work.starts[n - 1]:
             cell = max(looks.cells[i], cell + 1)
             work.cells[n], work.way[n, :], work.evidence[n, :] = cell, 0.0, 0.0
+            work.starts[n] = looks.starts[i]
             n += 1
         work.places[j] = n - 1
+        copy_row(work.axes, n - 1, looks.axes, i)
         if not math.isnan(looks.centres[i, 0]):
-            work.way[n - 1, 0] += looks.centres[i, 0]
-            work.way[n - 1, 1] += looks.centres[i, 1]
-            work.way[n - 1, 2] += 1.0
+            for c in range(3):
+                work.way[n - 1, c] += looks.centres[i, c]
+            work.way[n - 1, 3] += 1.0
         for b in range(BINS):
             work.evidence[n - 1, b] += evidence[i, b]
     return n
 
 
 @kernel
+def _add_walking(first: int, n: int, until: int, tables: FacingTables, work: SmoothWork) -> None:
+    """Add what the walking direction says to the evidence of each cell.
+
+    Cells from ``until`` on come again: nothing is learned from them yet.
+    """
+    for j in range(first, n):
+        begin, end = max(j - 8, 0), min(j + 9, n)
+        cells, way = work.cells[begin:end], work.way[begin:end]
+        velocity = _velocity(cells, way, work.cells[j] - 8, work.cells[j] + 8)
+        if work.cells[j] < until:
+            learn_up(velocity, work.axes[j], tables.up)
+        _walk(velocity, work.axes[j], tables, work.evidence[j])
+
+
+@kernel
+def _cells_between(work: SmoothWork, j: int) -> int:
+    """Count the cells from the one before cell ``j`` to it; 0 = they are in different axes."""
+    same = work.starts[j] == work.starts[j - 1]
+    cells: int = work.cells[j] - work.cells[j - 1] if same else 0
+    return cells
+
+
+@kernel
 def _go_forwards(
     past: FacingPast, row: int, first: int, n: int, tables: FacingTables, work: SmoothWork
 ) -> None:
-    """Write the belief before each cell, after what its walking direction says is added."""
+    """Write the belief before each cell."""
     belief = work.bins[0]
-    for j in range(first, n):
-        vx, vy = _velocity(
-            work.cells[max(j - 8, 0) : min(j + 9, n)], work.way[max(j - 8, 0) : min(j + 9, n)],
-            work.cells[j] - 8, work.cells[j] + 8,
-        )  # fmt: skip
-        _walk(vx, vy, tables, work.evidence[j])
-        if j > first:
-            _multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
-            _turn(belief, work.cells[j] - work.cells[j - 1], tables, work.beliefs[j])
-        elif past.cells[row] > 0:
-            _multiply(past.beliefs[row], past.evidence[row], belief)
-            _turn(belief, work.cells[j] - past.cells[row], tables, work.beliefs[j])
-        else:
-            work.beliefs[j, :] = 1.0 / BINS
+    _multiply(past.beliefs[row], past.evidence[row], belief)
+    anew = _starts_anew(work.starts[first], past, row)
+    gap = 0 if anew else work.cells[first] - past.cells[row]
+    _turn(belief, gap, tables, work.beliefs[first])
+    for j in range(first + 1, n):
+        _multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
+        _turn(belief, _cells_between(work, j), tables, work.beliefs[j])
 
 
 @kernel
@@ -748,7 +843,7 @@ def _go_backwards(first: int, n: int, tables: FacingTables, work: SmoothWork) ->
             both[b] = work.beliefs[j, b] * belief[b]
         _mean_direction(both, tables, work.facing[j])
         if j > first:
-            _turn(belief, work.cells[j] - work.cells[j - 1], tables, later)
+            _turn(belief, _cells_between(work, j), tables, later)
 
 
 @kernel
@@ -760,9 +855,10 @@ def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: Smoo
         past.cells[row] = work.cells[j]
         copy_row(past.beliefs, row, work.beliefs, j)
         copy_row(past.evidence, row, work.evidence, j)
+        past.belief_starts[row] = work.starts[j]
         place = past.next_cell[row]
         past.way_cells[row, place] = work.cells[j]
-        for c in range(3):
+        for c in range(4):
             past.way[row, place, c] = work.way[j, c]
         past.next_cell[row] = (place + 1) % CELLS
 
@@ -795,81 +891,10 @@ def smooth(
         row = looks.rows[order[0]]
         first = _past_way(past, row, work)
         n = _lay_out(looks, order, window.evidence, past, first, work)
+        _add_walking(first, n, until, tables, work)
         _go_forwards(past, row, first, n, tables, work)
         _go_backwards(first, n, tables, work)
         _keep(past, row, first, n, until, work)
         for j in range(len(order)):
             copy_row(out.facing, order[j], work.facing, work.places[j])
             _decide(looks, order[j], past, tables, out)
-
-
-# Exchanging the sides.
-
-
-@kernel
-def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floats) -> None:
-    """Mirror the toes at the plane through the ankle that is normal to the facing."""
-    length = max(math.sqrt(facing[0] * facing[0] + facing[1] * facing[1]), 1e-12)
-    x = (facing[0] * axes[0, 0] + facing[1] * axes[1, 0]) / length
-    y = (facing[0] * axes[0, 1] + facing[1] * axes[1, 1]) / length
-    z = (facing[0] * axes[0, 2] + facing[1] * axes[1, 2]) / length
-    for first in (POSITION, VELOCITY):
-        along = x * (states[toes, first] - states[ankle, first])
-        along += y * (states[toes, first + 1] - states[ankle, first + 1])
-        along += z * (states[toes, first + 2] - states[ankle, first + 2])
-        states[toes, first] -= 2.0 * along * x
-        states[toes, first + 1] -= 2.0 * along * y
-        states[toes, first + 2] -= 2.0 * along * z
-
-
-@kernel(types.void(PEOPLE, I1, F2, F2, _MARKERS))
-def exchange_sides(
-    people: People, rows: Stamps, facing: Floats, axes: Floats, markers: FacingMarkers
-) -> None:
-    """Exchange left and right of the ``rows`` of ``people``, in place.
-
-    A detector that mirrors a person turns the links by a convention of its own, so they become
-    unknown. Where ``facing`` (N, 2) is known, the detector turns the toes, too: what of them points
-    along the facing is turned round.
-    """
-    mirror = markers.mirror
-    for i in range(len(rows)):
-        states, confidences = people.markers[rows[i]], people.marker_confidences[rows[i]]
-        for m in range(len(mirror)):
-            if mirror[m] > m:
-                exchange(states, confidences, m, mirror[m])
-        blank(people.links[rows[i]], people.link_confidences[rows[i]])
-        if not math.isnan(facing[i, 0]):
-            for f in range(len(markers.feet)):
-                _turn_toes(states, markers.feet[f, 0], markers.feet[f, 1], facing[i], axes)
-
-
-@kernel
-def _turn_pair(a: Floats, b: Floats, turn: float, axes: Floats) -> None:
-    """Turn two markers about the upright line through their middle."""
-    cosine, sine = math.cos(turn), math.sin(turn)
-    for first in (POSITION, VELOCITY, ACCELERATION):
-        x, y, z = b[first] - a[first], b[first + 1] - a[first + 1], b[first + 2] - a[first + 2]
-        p, q = _flat(x, y, z, axes, 0), _flat(x, y, z, axes, 1)
-        dp, dq = cosine * p - sine * q - p, sine * p + cosine * q - q
-        for c in range(3):
-            change = 0.5 * (dp * axes[0, c] + dq * axes[1, c])
-            a[first + c] -= change
-            b[first + c] += change
-
-
-@kernel(types.void(PEOPLE, I1, F1, F2, _MARKERS))
-def turn_trunks(
-    people: People, rows: Stamps, turns: Floats, axes: Floats, markers: FacingMarkers
-) -> None:
-    """Turn shoulders and hips of the ``rows`` of ``people`` by ``turns`` (N,), rad, in place.
-
-    Arms and legs stay: cameras see them better than the line of the body. Links become unknown.
-    """
-    for i in range(len(rows)):
-        states = people.markers[rows[i]]
-        for k in range(len(markers.lateral)):
-            a, b = states[markers.lateral[k, 0]], states[markers.lateral[k, 1]]
-            if not math.isnan(a[POSITION] + b[POSITION]):
-                _turn_pair(a, b, turns[i], axes)
-        blank(people.links[rows[i]], people.link_confidences[rows[i]])

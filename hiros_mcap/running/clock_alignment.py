@@ -2,7 +2,8 @@
 
 A run of a file judges every clock first, by the times of all messages
 (:mod:`hiros_mcap.io.camera_clock`) and by the people
-(:mod:`hiros_mcap.calibrate.clock_offset`). A causal run judges each message by those before it
+(:mod:`hiros_mcap.calibrate.clock_offset`). Poses and clocks that are found together may show more
+(:mod:`hiros_mcap.running.pose_alignment`). A causal run judges each message by those before it
 (:mod:`hiros_mcap.running.clock_follower`).
 """
 
@@ -23,6 +24,7 @@ from hiros_mcap.io.camera_clock import (
     LATE,
     LONGEST_WAIT,
     OFFSET,
+    CameraTimes,
     ClockCorrection,
     ClockJudgement,
     described,
@@ -65,6 +67,25 @@ class ClockAlignment:
             blocks = (_corrected(block, self.corrections) for block in blocks)
         yield from late_in_order(blocks, self.wait) if self.wait else blocks
 
+    def add_offsets(self, offsets: Mapping[str, float], log: Log) -> None:
+        """Correct clocks that are still ahead by so many seconds, by camera."""
+        if not offsets:
+            return
+        times = log.times()
+        for name, seconds in offsets.items():
+            before = self.corrections.get(name, ClockCorrection())
+            self.corrections[name] = before.plus(-seconds)
+            self._note_offset(name, seconds, int(times[name].stamps[0] - round(seconds * 1e9)))
+        corrected = (_corrected_times(times[name], self.corrections.get(name)) for name in times)
+        self.wait = _wait_for(longest_wait(corrected), self.reorder)
+
+    def _note_offset(self, camera: str, seconds: float, at_ns: int) -> None:
+        """Add to the fault of a camera's offset, or begin one."""
+        before = [f for f in self.faults if (f.camera, f.kind) == (camera, OFFSET)]
+        self.faults = [fault for fault in self.faults if fault not in before]
+        total = seconds + sum(fault.seconds for fault in before if fault.corrected)
+        self.faults.append(ClockFault(camera, OFFSET, total, at_ns, corrected=True))
+
     def tell(self, events: Events) -> None:
         """Note the faults."""
         for fault in self.faults:
@@ -81,12 +102,13 @@ def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
     """
     given = given_corrections(log, config)
     if config.input.clocks == "off":
-        return ClockAlignment({name: ClockCorrection().plus(s) for name, s in given.items()})
+        plain = {name: ClockCorrection().plus(s) for name, s in given.items()}
+        return ClockAlignment(plain, reorder=reorder)
     if config.input.clocks == "causal":
         return ClockAlignment(given=given, reorder=reorder)
     times = log.times()
     judged = judge_clocks(times, given)
-    alignment = ClockAlignment(dict(judged.corrections), list(judged.faults))
+    alignment = ClockAlignment(dict(judged.corrections), list(judged.faults), reorder=reorder)
     late = judged.wait
     if len(judged.lags) > 1:
         late = _align_by_people(log, alignment, judged, set(given)) or judged.wait
@@ -95,8 +117,19 @@ def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
         for name, one in alignment.corrections.items()
         if name in times and one.changes(times[name])
     }
-    alignment.wait = min(late + _MARGIN, LONGEST_WAIT) if late > reorder else 0.0
+    alignment.wait = _wait_for(late, reorder)
     return alignment
+
+
+def _wait_for(late: float, reorder: float) -> float:
+    """Return how long, s, messages wait if they are late by so much; 0 if the stages take them."""
+    return min(late + _MARGIN, LONGEST_WAIT) if late > reorder else 0.0
+
+
+def _corrected_times(times: CameraTimes, correction: ClockCorrection | None) -> CameraTimes:
+    if correction is None:
+        return times
+    return CameraTimes(correction.apply(times.stamps, times.log_times), times.log_times)
 
 
 def _align_by_people(

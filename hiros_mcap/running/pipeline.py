@@ -24,9 +24,9 @@ from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
-from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
+from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks, given_corrections
 from hiros_mcap.running.observe import DETECTIONS, Observer
-from hiros_mcap.running.pose_alignment import align_poses, find_missing_poses
+from hiros_mcap.running.pose_alignment import PoseAlignment, align_poses, find_missing_poses
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import (
     Calibration,
@@ -106,17 +106,8 @@ def process(
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
         config = with_clocks(config, log, options.extrinsics)
         mode = _calibration(config, options)
-        with watch.timing("calibrate"):
-            poses = find_missing_poses(log, mode)
-        if poses is not None:
-            config = _with_found_clocks(config, poses.clocks)
-        run = set_up(log, config, options)
-        with watch.timing("read"):
-            clocks = align_clocks(log, config, _reorder_of(run))
-        if poses is None:
-            with watch.timing("calibrate"):
-                poses = align_poses(log, clocks, mode)
-            run = replace(run, cameras=camera_positions(log), to_given=poses.to_given)
+        config, clocks, poses = _align(log, config, options.system, mode, watch)
+        run = replace(set_up(log, config, options), to_given=poses.to_given)
         _calibrate_first(log, run, chain, clocks)
         run = _with_noise(log, run, chain, clocks, watch)
         observer = Observer(chain)
@@ -141,6 +132,31 @@ def process(
         if options.limbs_out:
             run.limbs.save(options.limbs_out)
         return report.summary(None if target is None else str(target))
+
+
+def _align(
+    log: Log, config: Config, name: str, mode: Calibration, watch: Stopwatch
+) -> tuple[Config, ClockAlignment, PoseAlignment]:
+    """Find out how the cameras stand and go, for a run of a system.
+
+    Return the configuration, with clocks that were found together with poses from nothing, the
+    clocks and the poses.
+    """
+    with watch.timing("calibrate"):
+        poses = find_missing_poses(log, mode)
+    if poses is None:
+        with watch.timing("read"):
+            clocks = align_clocks(log, config, _reorder_of(config, name))
+        with watch.timing("calibrate"):
+            poses = align_poses(log, clocks, mode)
+        if not poses.from_nothing:
+            if config.input.clocks != "off":
+                clocks.add_offsets(poses.clock_offsets(given_corrections(log, config)), log)
+            return config, clocks, poses
+    config = _with_found_clocks(config, poses.clocks)
+    with watch.timing("read"):
+        clocks = align_clocks(log, config, _reorder_of(config, name))
+    return config, clocks, poses
 
 
 def _check_limbs(options: ProcessOptions, chain: Sequence[str]) -> None:
@@ -251,9 +267,9 @@ def _given_noise(log: Log, config: Config, options: ProcessOptions) -> FusionNoi
     return usual.measured(log.model, noise.numbers, *tables)
 
 
-def _reorder_of(run: Run) -> float:
-    """Return the longest time, s, by which the first stage takes messages that are late."""
-    first = run.config.track if "track" in sections_of(run.system) else run.config.associate
+def _reorder_of(config: Config, name: str) -> float:
+    """Return the longest time, s, by which a system's first stage takes messages that are late."""
+    first = config.track if "track" in sections_of(name) else config.associate
     return first.reorder
 
 

@@ -9,10 +9,12 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
@@ -48,6 +50,11 @@ CHECKED_S = 10.0
 WRONG_DEG, WRONG_MM = 1.0, 30.0
 """What a quick check reports: such a pose shows in the results if nobody corrects it."""
 
+_LEAST_CLOCK_MS = 10.0
+"""Smaller offsets are left: a person who walks is then off by 1 cm, less than the joints are."""
+_SURE_CLOCK = 3.0
+"""An offset counts if it is so many standard errors long."""
+
 _ALONE = "no other camera stands still in a frame of its own"
 
 
@@ -66,6 +73,23 @@ class PoseAlignment:
     """Cameras that were moved in the middle of the log."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
+
+    def clock_offsets(self, given: Collection[str]) -> dict[str, float]:
+        """Return by how many seconds the clocks of cameras are ahead, where the people prove it.
+
+        ``given`` are the cameras whose clocks the user has set: the others are compared with
+        these. Without any, the median clock counts as right.
+        """
+        measured = {c.name: c for c in sorted(self.cameras, key=_clock_error) if _has_clock(c)}
+        right = [camera.clock_ms for name, camera in measured.items() if name in given]
+        middle = float(np.median(right)) if right else 0.0
+        behind = {name: camera.clock_ms - middle for name, camera in measured.items()}
+        return {
+            name: -behind[name] / 1000.0
+            for name, camera in measured.items()
+            if name not in given
+            and abs(behind[name]) > max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
+        }
 
     @property
     def replaced(self) -> bool:
@@ -111,6 +135,16 @@ class PoseAlignment:
                     f"{camera.name} {UNLINKED}; if it should, its pose is wrong, and hiros "
                     "calibrate people may find it"
                 )
+
+
+def _has_clock(camera: PoseSummary) -> bool:
+    """Whether the people show the camera's clock, and nothing speaks against its pose."""
+    return camera.verdict in ("good", "improved") and not math.isnan(camera.clock_ms)
+
+
+def _clock_error(camera: PoseSummary) -> float:
+    """Return a key that puts the surest clock of a moved camera last."""
+    return -camera.error_ms
 
 
 def find_missing_poses(log: Log, mode: Calibration) -> PoseAlignment | None:

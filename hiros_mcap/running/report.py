@@ -18,6 +18,7 @@ from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, sca
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.stages.displaced import CAMERA_DISPLACED, DISPLACED
 from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,
@@ -143,9 +144,23 @@ class Report:
                 )
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
         yield from self.poses.warnings()
+        yield from self._displaced()
         yield from self.log.warnings
         if not self.observer.people:
             yield from self._nobody()
+
+    def _displaced(self) -> Iterator[str]:
+        """Yield which cameras show people elsewhere than the others do."""
+        for event in self.run.events.log:
+            if event.kind == CAMERA_DISPLACED:
+                n = self.run.events.counts[DISPLACED, event.source]
+                at = max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
+                mirrors = "mirror" in event.detail
+                remedy = "Cover the mirror" if mirrors else "Calibrate the cameras anew"
+                yield (
+                    f"{event.source} {event.detail}, from {at:.1f} s on; hiros left out "
+                    f"{quantity(n, 'such detection')}. {remedy}"
+                )
 
     def _nobody(self) -> Iterator[str]:
         """Yield why nobody was found in detections of somebody."""

@@ -24,10 +24,16 @@ from hiros_mcap.simulate.spatial import from_euler
 from hiros_mcap.skeletons import Floats
 
 REACH = 0.996
-"""Longest hip-to-ankle distance relative to the straight leg: the knee never locks."""
-_SOFTNESS = 0.015  # m, over which a leg's reach saturates
-_TOE_AHEAD = 0.10  # m, toes in front of the pelvis at mid-stance
+"""Longest distance between a limb's ends relative to the straight one: no knee or elbow locks."""
+_SOFTNESS = 0.015  # m, over which a limb's reach saturates
+TOE_AHEAD = 0.10  # m, toes in front of the pelvis at mid-stance
 _SIDES = ("left", "right")
+_STRAIGHT = np.zeros(3)
+_TO_SHOULDER = (
+    ("pelvis", ("SPINE_NAVAL",)),
+    ("abdomen", ("SPINE_CHEST",)),
+    ("thorax", ("CLAVICLE_SIDE", "SHOULDER_SIDE")),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +63,15 @@ class Gait:
 WALK = Gait(0.92, 0.58, 0.05, 0.6, 0.058, 0.014, 0.42, 0.35, 0.03)
 MARCH = Gait(0.85, 0.60, 0.18, 0.7, 0.012, 0.006, 0.35, 0.35, 0.0)  # on the spot: knees up
 JOG = Gait(1.30, 0.36, 0.16, 0.8, 0.045, -0.035, 0.55, 1.50, 0.14)
+CRAWL = Gait(0.60, 0.62, 0.03, 0.0, 0.0, 0.005, 0.0, 0.0, 1.45)  # on hands and knees
 
 
 @dataclass(slots=True)
 class Posture:
     """What an action prescribes at n instants."""
 
+    body: BodyModel
+    """Whose posture it is."""
     pelvis: Floats
     """(n, 3) position of the PELVIS in the world, m."""
     heading: Floats
@@ -73,6 +82,8 @@ class Posture:
     """(n, 2) direction of each foot, rad."""
     foot_pitch: Floats
     """(n, 2) plantar flexion from flat on the ground (heel up), rad."""
+    foot_turn: Floats
+    """(n, 2) rotation of each foot, thus pitched, about its shank, rad."""
     angles: dict[str, Floats] = field(default_factory=dict)
     """(n, 3) flexion, adduction, internal rotation of a segment in its parent, rad; absent = 0.
     The pelvis' parent is the upright frame that faces ``heading``."""
@@ -92,7 +103,7 @@ class Person:
     def pose(self, t: Floats) -> tuple[Floats, Floats]:
         """(n, M, 3) markers, m, and (n, S, 3, 3) segment rotations in the world at times ``t``."""
         posture = self.posture(t)
-        rotations = segment_rotations(self.body, posture)
+        rotations = segment_rotations(posture)
         return self.body.markers(posture.pelvis, rotations), rotations
 
 
@@ -122,7 +133,7 @@ def facing(heading: Floats) -> Floats:
     return from_euler("Z", heading[..., None]) @ UPRIGHT
 
 
-def segment_rotations(body: BodyModel, posture: Posture) -> Floats:
+def segment_rotations(posture: Posture) -> Floats:
     """(n, S, 3, 3) rotation of every segment in the world."""
     n = len(posture.heading)
     rotations = np.empty((n, len(SEGMENTS), 3, 3))
@@ -137,26 +148,23 @@ def segment_rotations(body: BodyModel, posture: Posture) -> Floats:
         given = posture.angles.get(segment)
         rotations[:, slot] = base if given is None else base @ rotation_zxy(given)
     for k, side in enumerate(_SIDES):
-        legs = _leg_rotations(body, posture, rotations[:, 0], k)
+        legs = _leg_rotations(posture, rotations[:, 0], k)
         for part, rotation in zip(("thigh", "shank", "foot"), legs, strict=True):
             rotations[:, SEGMENTS.index(f"{part}_{side}")] = rotation
     return rotations
 
 
-def _leg_rotations(
-    body: BodyModel, posture: Posture, pelvis: Floats, side: int
-) -> tuple[Floats, Floats, Floats]:
+def _leg_rotations(posture: Posture, pelvis: Floats, side: int) -> tuple[Floats, Floats, Floats]:
     """Thigh, shank and foot by inverse kinematics: the knee is a hinge that bends backwards."""
-    name = _SIDES[side].upper()
-    flat = angles(-posture.foot_pitch[:, side])
+    body, name = posture.body, _SIDES[side].upper()
+    flat = angles(-posture.foot_pitch[:, side], 0.0, posture.foot_turn[:, side])
     foot = facing(posture.foot_heading[:, side]) @ rotation_zxy(flat)
     hip = posture.pelvis + pelvis @ body.offset(f"HIP_{name}")
     reach = posture.toes[:, side] - foot @ body.offset(f"FOOT_{name}") - hip
     upper, lower = -body.offset(f"KNEE_{name}")[1], -body.offset(f"ANKLE_{name}")[1]
     span = np.linalg.norm(reach, axis=-1, keepdims=True)
     down = reach / span
-    longest = REACH * (upper + lower)
-    span = longest - _SOFTNESS * np.logaddexp(0.0, (longest - span) / _SOFTNESS)
+    span = _reachable(span, upper, lower)
     forward = pelvis[..., 0] + foot[..., 0]
     forward -= down * (forward * down).sum(-1, keepdims=True)
     forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
@@ -166,6 +174,39 @@ def _leg_rotations(
     thigh = _bone_rotation(-knee / upper, right)
     shank = _bone_rotation((knee - span * down) / lower, right)
     return thigh, shank, foot
+
+
+def reach(posture: Posture, side: str, wrist: Floats) -> tuple[Floats, Floats]:
+    """Give an arm the angles that put its wrist at ``wrist`` (n, 3), m, or as near as it gets.
+
+    Returns the flexion (n,) of the shoulder and of the elbow, rad. The trunk's angles stand by now.
+    """
+    body, name = posture.body, side.upper()
+    joint, rotation = posture.pelvis, facing(posture.heading)
+    for segment, links in _TO_SHOULDER:
+        rotation = rotation @ rotation_zxy(posture.angles.get(segment, _STRAIGHT))
+        for link in links:
+            joint = joint + rotation @ body.offset(link.replace("SIDE", name))
+    aim = np.einsum("nji,nj->ni", rotation, wrist - joint)
+    span = np.linalg.norm(aim, axis=-1)
+    upper, lower = -body.offset(f"ELBOW_{name}")[1], -body.offset(f"WRIST_{name}")[1]
+    within = _reachable(span, upper, lower)
+    aim *= (within / span)[:, None]
+    elbow = np.arccos((within**2 - upper**2 - lower**2) / (2 * upper * lower))
+    along = upper + lower * np.cos(elbow)
+    adduction = np.arcsin(-aim[:, 2] / along)
+    ahead, down = lower * np.sin(elbow), along * np.cos(adduction)
+    flexion = np.arctan2(aim[:, 0], -aim[:, 1]) - np.arctan2(ahead, down)
+    posture.angles[f"upper_arm_{side}"] = angles(flexion, adduction)
+    posture.angles[f"forearm_{side}"] = angles(elbow)
+    return flexion, elbow
+
+
+def _reachable(span: Floats, upper: float, lower: float) -> Floats:
+    """Distance between the ends of a limb of two bones, m, that comes closest to ``span``."""
+    longest = REACH * (upper + lower)
+    within: Floats = longest - _SOFTNESS * np.logaddexp(0.0, (longest - span) / _SOFTNESS)
+    return within
 
 
 def _bone_rotation(up: Floats, right: Floats) -> Floats:
@@ -183,11 +224,13 @@ def standing(body: BodyModel, path: Path, t: Floats) -> Posture:
         beside(ground, heading, ahead, -body.offset(f"HIP_{side.upper()}")[2]) for side in _SIDES
     ]
     return Posture(
+        body=body,
         pelvis=pelvis,
         heading=heading,
         toes=np.stack(toes, axis=1),
         foot_heading=np.repeat(heading[:, None], 2, axis=1),
         foot_pitch=np.zeros((len(t), 2)),
+        foot_turn=np.zeros((len(t), 2)),
     )
 
 
@@ -238,7 +281,7 @@ class Walker:
         ground = np.full((*stance.shape, 1), self.body.toe_height)
         track = np.concatenate([self.path.position(stance), ground], axis=-1)
         lateral = 0.6 * self.body.offset("HIP_LEFT" if side == 0 else "HIP_RIGHT")[2]
-        return beside(track, heading, _TOE_AHEAD, -lateral), heading
+        return beside(track, heading, TOE_AHEAD, -lateral), heading
 
 
 def beside(points: Floats, heading: Floats, ahead: float, left: Floats | float) -> Floats:

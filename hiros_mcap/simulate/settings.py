@@ -50,6 +50,11 @@ ActionName = Literal[
     "lunge",
     "hands_up_down",
     "walk_in_place",
+    "crawl",
+    "get_up",
+    "roll",
+    "kick",
+    "spin",
 ]
 
 
@@ -178,7 +183,8 @@ class SimulateParams(Params):
     cameras: Annotated[int, Field(ge=1, le=32)] = Field(5, description="Number of cameras.")
     action: ActionName = Field(
         "walk",
-        description="What everybody does: Table 5 of Hi-ROS 2023, and gestures of Lee et al. 2022.",
+        description="What everybody does: Table 5 of Hi-ROS 2023, gestures of Lee et al. 2022, "
+        "bodies that are not upright (crawl, get_up, roll) or fast (kick, spin).",
     )
     facing: Annotated[float, Field(ge=-360, le=360)] | None = advanced(
         None,

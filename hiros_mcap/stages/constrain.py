@@ -18,6 +18,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from pydantic import Field
 
+from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
@@ -70,9 +71,10 @@ def constrain(
     model: SkeletonModel,
     params: ConstrainParams | None = None,
     events: Events | None = None,
+    limbs: LimbTable | None = None,
 ) -> Iterator[Frame]:
     """Do what :func:`constrain_blocks` does, frame by frame."""
-    return frames_of(constrain_blocks(map(Block.of, frames), model, params, events))
+    return frames_of(constrain_blocks(map(Block.of, frames), model, params, events, limbs))
 
 
 def constrain_blocks(
@@ -80,6 +82,7 @@ def constrain_blocks(
     model: SkeletonModel,
     params: ConstrainParams | None = None,
     events: Events | None = None,
+    limbs: LimbTable | None = None,
 ) -> Iterator[Block]:
     """Give everybody constant lengths and less noise.
 
@@ -88,14 +91,21 @@ def constrain_blocks(
     blocks : fused frames; the uncertainty of their markers is used if it is known.
     model, params : the skeleton; see :class:`ConstrainParams`.
     events : notes when somebody's limbs are measured.
+    limbs : lengths known from before, which these people keep. Those of the others are filled in.
 
     Yields
     ------
     The same frames with other positions, m, and orientations, logged when the lengths of everybody
     in their window were known.
+
+    Raises
+    ------
+    ConfigError
+        If ``limbs`` names a link that the model lacks.
     """
     params = params or ConstrainParams()
-    bodies = _Bodies(model, params, Events() if events is None else events)
+    events = Events() if events is None else events
+    bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
     waiting: deque[Block] = deque()
     held: list[Part] = []
     for block in blocks:
@@ -131,7 +141,9 @@ class _Body:
 class _Bodies:
     """What is known of everybody's body."""
 
-    def __init__(self, model: SkeletonModel, params: ConstrainParams, events: Events) -> None:
+    def __init__(
+        self, model: SkeletonModel, params: ConstrainParams, events: Events, limbs: LimbTable
+    ) -> None:
         from hiros_mcap.body.rigid_groups import constant_pairs
         from hiros_mcap.kernels import link_lengths
 
@@ -139,6 +151,7 @@ class _Bodies:
         self._lateral = symmetry_of(model).lateral
         self._links = model.links
         self._pairs = constant_pairs(model, rigid=params.rigid)
+        self._limbs = PairLimbs(model, self._pairs, limbs)
         self._people: dict[int, _Body] = {}
 
     def measured(self, held: list[Part]) -> Block:
@@ -179,7 +192,8 @@ class _Bodies:
         body.known = body.last - body.first >= self._params.enough * 1e9
         poses, own = np.concatenate(body.poses), np.concatenate(body.variances)
         found = measured_lengths(poses, own, self._pairs)
-        body.lengths = np.where(np.isnan(found), body.lengths, found)
+        body.lengths = self._limbs.given_or(person, np.where(np.isnan(found), body.lengths, found))
+        self._limbs.keep(person, body.lengths, *_deviations(poses, self._pairs))
         if body.known:
             body.poses, body.variances = [], []
             self._events.note(body.last, "limbs calibrated", person=person)
@@ -196,6 +210,55 @@ class _Bodies:
             own = markers[rows][:, :, POSITION]
             markers[rows, :, POSITION] = shrink_noise(own, variances[rows], self._lateral)
             project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+
+
+class PairLimbs:
+    """The lengths of links in the limb table of a run, as distances of pairs of markers.
+
+    Parameters
+    ----------
+    model : the skeleton. pairs : (K, 2) slots with a constant distance. limbs : known from before.
+    """
+
+    def __init__(self, model: SkeletonModel, pairs: Ints, limbs: LimbTable) -> None:
+        self._limbs, self._keys = limbs, link_keys(model)
+        places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
+        ends = np.sort(model.links, axis=1).tolist()
+        self._places = {
+            key: places.get((a, b)) for key, (a, b) in zip(self._keys, ends, strict=True)
+        }
+        self._given = {person: limbs.lengths(person, model) for person in limbs.people}
+
+    def given_or(self, person: int, lengths: Floats) -> Floats:
+        """Return (K,) lengths, m, with those that the person had before."""
+        if person not in self._given:
+            return lengths
+        out = lengths.copy()
+        for key, length in zip(self._keys, self._given[person].tolist(), strict=True):
+            place = self._places[key]
+            if place is not None and not np.isnan(length):
+                out[place] = length
+        return out
+
+    def keep(self, person: int, lengths: Floats, deviations: Floats, frames: Ints) -> None:
+        """Put lengths, m, that were measured in ``frames`` poses each into the table, all (K,)."""
+        if person in self._given:
+            return
+        self._limbs.people[person] = {
+            key: Limb(float(lengths[k]), float(deviations[k]), int(frames[k]))
+            for key, k in self._places.items()
+            if k is not None and lengths[k] > 0
+        }
+
+
+def _deviations(poses: Floats, pairs: Ints) -> tuple[Floats, Ints]:
+    """(K,) Standard deviations of the distances of pairs, m, and the number of poses with each."""
+    distances = np.linalg.norm(poses[:, pairs[:, 0]] - poses[:, pairs[:, 1]], axis=2)
+    known = ~np.isnan(distances)
+    n = np.maximum(known.sum(axis=0), 1)
+    means = np.where(known, distances, 0.0).sum(axis=0) / n
+    squares = np.where(known, (distances - means) ** 2, 0.0).sum(axis=0) / n
+    return np.sqrt(squares), known.sum(axis=0).astype(np.int32)
 
 
 class _Remembered(Protocol):

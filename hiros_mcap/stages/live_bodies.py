@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.rigid_groups import constant_pairs
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
@@ -26,6 +27,7 @@ from hiros_mcap.stages.constrain import (
     OUTLIER,
     SURE,
     ConstrainParams,
+    PairLimbs,
     own_variances,
     remembered,
     surer,
@@ -45,20 +47,30 @@ def constrain_live(
     model: SkeletonModel,
     params: ConstrainParams | None = None,
     events: Events | None = None,
+    limbs: LimbTable | None = None,
 ) -> Iterator[Block]:
     """Do what :func:`hiros_mcap.stages.constrain.constrain_blocks` does, without waiting."""
-    bodies = LiveBodies(model, params or ConstrainParams(), Events() if events is None else events)
+    events = Events() if events is None else events
+    bodies = LiveBodies(model, params or ConstrainParams(), events, limbs)
     yield from map(bodies.constrain, blocks)
+    bodies.keep_lengths()
 
 
 class LiveBodies:
     """What is known of everybody's body so far."""
 
-    def __init__(self, model: SkeletonModel, params: ConstrainParams, events: Events) -> None:
+    def __init__(
+        self,
+        model: SkeletonModel,
+        params: ConstrainParams,
+        events: Events,
+        limbs: LimbTable | None = None,
+    ) -> None:
         self._params, self._events = params, events
         symmetry = symmetry_of(model)
         self._links, self._lateral, self._mirror = model.links, symmetry.lateral, symmetry.mirror
         self._pairs = constant_pairs(model, rigid=params.rigid)
+        self._limbs = PairLimbs(model, self._pairs, LimbTable() if limbs is None else limbs)
         self._people: dict[int, _LiveBody] = {}
 
     def constrain(self, block: Block) -> Block:
@@ -78,7 +90,7 @@ class LiveBodies:
         body = self._people.get(person)
         if body is None:
             lengths = RunningLengths(self._pairs, self._mirror)
-            body = self._people[person] = _LiveBody(lengths, RecentMotion(), stamp, stamp)
+            body = self._people[person] = _LiveBody(person, lengths, RecentMotion(), stamp, stamp)
         elif stamp - body.last > _LEFT * 1e9:
             body.recent = RecentMotion()
         before = (body.last - body.first) * 1e-9
@@ -87,6 +99,12 @@ class LiveBodies:
         if before < enough <= (body.last - body.first) * 1e-9:
             self._events.note(stamp, "limbs calibrated", person=person)
         return body
+
+    def keep_lengths(self) -> None:
+        """Put everybody's lengths into the run's table."""
+        for person, body in self._people.items():
+            measured = body.lengths
+            self._limbs.keep(person, measured.lengths, measured.deviations, measured.counts)
 
     def _correct(self, bodies: Sequence[_LiveBody], markers: Floats, variances: Floats) -> None:
         """Project onto the lengths; move towards what the person does; project again."""
@@ -105,7 +123,8 @@ class LiveBodies:
     def _project(self, bodies: Sequence[_LiveBody], markers: Floats, variances: Floats) -> None:
         """Give the links of each body (P, M, 19) its lengths."""
         for row, body in enumerate(bodies):
-            lengths = np.column_stack([body.lengths.lengths, np.ones(len(self._pairs))])
+            constant = self._limbs.given_or(body.person, body.lengths.lengths)
+            lengths = np.column_stack([constant, np.ones(len(self._pairs))])
             project(markers[row], self._pairs, lengths, variances[row], self._params.sweeps, 1e-3)
 
 
@@ -126,7 +145,8 @@ class RunningLengths:
         self._other = np.array([places.get((a, b), k) for k, (a, b) in enumerate(others)], np.int64)
         """(K,) the same pair on the other side, which has the same length."""
         k = len(pairs)
-        self._count = np.zeros(k, np.int64)
+        self.counts = np.zeros(k, np.int32)
+        """(K,) poses with both ends."""
         self._weight = np.zeros(k)
         self._means = np.zeros((4, k))
         """Of the square of the distance, its square, the distance, and the noise."""
@@ -142,18 +162,24 @@ class RunningLengths:
         mean, mean_square = self._means[:2]
         spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
         clipped = np.clip(squares, mean - OUTLIER * spread, mean + OUTLIER * spread)
-        squares = np.where(self._count >= FEWEST, clipped, squares)
+        squares = np.where(self.counts >= FEWEST, clipped, squares)
         new = known / (noise + 2 * SURE**2)
         self._weight += new
         gain = new / np.maximum(self._weight, 1e-12)
         values = np.stack([squares, squares**2, np.sqrt(squares), noise])
         self._means += gain * (values - self._means)
-        self._count += known
+        self.counts += known
         square, _, distance, stated = self._means
         added = 3 * np.minimum(stated, np.maximum(square - distance**2, 0.0))
         found, weight, other = np.maximum(square - added, 0.0), self._weight, self._other
         both = np.maximum(weight + weight[other], 1e-12)
         self.lengths = np.sqrt((weight * found + weight[other] * found[other]) / both)
+
+    @property
+    def deviations(self) -> Floats:
+        """(K,) Standard deviations of the distances as they were seen, m."""
+        square, _, distance, _ = self._means
+        return np.sqrt(np.maximum(square - distance**2, 0.0))
 
 
 class RecentMotion:
@@ -209,6 +235,7 @@ class RecentMotion:
 class _LiveBody:
     """What is known of one person."""
 
+    person: int
     lengths: RunningLengths
     recent: RecentMotion
     first: int

@@ -31,9 +31,9 @@ from pydantic import Field
 
 from hiros_mcap.body.forward_cues import ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.body.vertical import Vertical
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
+from hiros_mcap.kernels import exchanging
 from hiros_mcap.kernels import facing as kernels
 from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, SkeletonModel, Stamps
@@ -131,10 +131,10 @@ class _Sides:
     def __init__(self, model: SkeletonModel, params: SidesParams, events: Events) -> None:
         symmetry, cues = symmetry_of(model), ForwardCues.of(model)
         self._markers = kernels.FacingMarkers(
-            symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet
+            symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
         )
         self._ahead = round(params.lookahead * 1e9 / kernels.CELL)
-        self._events, self._vertical = events, Vertical(cues.trunk)
+        self._events = events
         self._bank = Bank(kernels.FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
         self._tables = kernels.FacingTables.make()
         self._cameras: dict[str, int] = {}
@@ -144,9 +144,9 @@ class _Sides:
 
     def take(self, block: Block) -> Iterator[Block]:
         """Take frames; yield those that are decided."""
-        piece = self._look(block)
+        piece = self._piece(block)
         if not self._ahead:
-            yield self._mirrored(piece, self._follow(piece.looks))
+            yield self._mirrored(piece, self._follow(piece))
             return
         while len(piece.block):
             cells = piece.block.stamps // kernels.CELL
@@ -165,8 +165,8 @@ class _Sides:
         if self._held:
             yield from self._decide(np.iinfo(np.int64).max)
 
-    def _look(self, block: Block) -> _Piece:
-        """Measure what the views of a block show."""
+    def _piece(self, block: Block) -> _Piece:
+        """Find the views of a block, and whose they are."""
         rows = block.rows
         counts = rows[:, 1] - rows[:, 0]
         owners = np.repeat(np.arange(len(block)), counts)
@@ -180,8 +180,6 @@ class _Sides:
         cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
         looks.cameras[:] = np.array(cameras, np.int64)[owners]
         looks.rows[:] = self._rows_of(block.people.ids[views], looks.stamps)
-        axes = self._vertical.axes(block.people, views)
-        kernels.measure(block.people, views, axes, self._markers, looks)
         return _Piece(block, views, owners, looks, np.empty((0, kernels.BINS)))
 
     def _rows_of(self, ids: Ints, stamps: Stamps) -> Stamps:
@@ -196,11 +194,13 @@ class _Sides:
 
     # Decisions
 
-    def _follow(self, looks: kernels.Looks) -> kernels.Facings:
+    def _follow(self, piece: _Piece) -> kernels.Facings:
         """Decide by the past alone."""
-        out = kernels.Facings.allocate(len(looks.cells))
-        work = np.empty(2 * kernels.BINS)
-        kernels.follow(looks, self._bank.past, self._tables, work, out)
+        out = kernels.Facings.allocate(len(piece.views))
+        people, past, work = piece.block.people, self._bank.past, np.empty(2 * kernels.BINS)
+        kernels.follow(
+            people, piece.views, self._markers, piece.looks, past, self._tables, work, out
+        )
         return out
 
     def _decide(self, until: int) -> Iterator[Block]:
@@ -229,11 +229,14 @@ class _Sides:
             yield self._mirrored(piece.logged_from(now), facings)
 
     def _weigh(self) -> None:
-        """Learn from the views that are new, and weigh them."""
+        """Measure the views that are new, learn from all of them, then weigh them."""
         new = [k for k, piece in enumerate(self._held) if len(piece.evidence) < len(piece.views)]
         if not new:
             return
         parts = [self._held[k] for k in new]
+        for part in parts:
+            people, past = part.block.people, self._bank.past
+            kernels.measure(people, part.views, self._markers, part.looks, past, self._tables)
         looks = kernels.Looks.joined([part.looks for part in parts])
         evidence = np.empty((len(looks.cells), kernels.BINS))
         kernels.weigh(looks, self._bank.past, self._tables, evidence)
@@ -254,10 +257,12 @@ class _Sides:
         views = piece.views + (block.rows - piece.block.rows)[piece.owners, 0]
         facing = facings.facing[swapped]
         facing[facings.toes[swapped] >= _SLAVED] = np.nan
-        axes = self._vertical.last
-        kernels.exchange_sides(block.people, views[swapped], facing, axes, self._markers)
+        axes = piece.looks.axes
+        exchanging.exchange_sides(
+            block.people, views[swapped], facing, axes[swapped], self._markers
+        )
         angles = facings.turns[turned]
-        kernels.turn_trunks(block.people, views[turned], angles, axes, self._markers)
+        exchanging.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
         by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
         for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
             self._events.count("flip", source, n)

@@ -12,6 +12,8 @@ Beyond the paper:
 - A detection with left and right swapped is compared, and corrects its track, swapped back.
 - A detection that leaps away from its track is left out: a detector distorts people who are about
   to be hidden. The gate of an unseen track grows.
+- A camera that shows people elsewhere than the others do brings nobody new
+  (:mod:`~hiros_mcap.stages.displaced`).
 - Two tracks of one person are merged. Who comes back gets the old id if it is probable
   (:mod:`~hiros_mcap.stages.reidentify`).
 - Where every detection is of a confirmed track, one compiled call takes many messages.
@@ -49,6 +51,7 @@ from hiros_mcap.skeletons import (
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
 from hiros_mcap.stages.delay import Delay
+from hiros_mcap.stages.displaced import DISPLACED, DisplacedCameras, Others, Sight
 from hiros_mcap.stages.reidentify import PersonCues, Verdict, reidentify
 from hiros_mcap.stages.time_order import TimeOrder
 
@@ -164,7 +167,8 @@ class TrackParams(Params):
         True,
         description="Two tracks that no camera ever showed together, near each other, are one "
         "person of whom cameras disagree for a moment: the second is not confirmed for 0.8 s, or "
-        "merged into the first.",
+        "merged into the first. A track of one camera that moves as a person does elsewhere is "
+        "left out: the camera is displaced, or looks into a mirror.",
     )
     min_skeleton_confidence: float = advanced(
         0.0, ge=0, le=1, description="Detections with lower confidence are not tracked."
@@ -310,6 +314,8 @@ class _Track:
     """Numbers of the persons whom a message showed beside it, before it was certain."""
     leaps: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Camera to the times, ns, of the first and last of its latest leaps."""
+    is_copy: bool = False
+    """Whether it was left out as a displaced camera's view of somebody else."""
 
     @property
     def confirmed(self) -> bool:
@@ -320,6 +326,10 @@ class _Track:
     def certain(self) -> bool:
         """Whether nothing can contradict it any more: two cameras have reported the person."""
         return self.confirmed and len(self.support.reports) > 1
+
+    def is_lone(self, source: str) -> bool:
+        """Whether no camera but one reports it."""
+        return self.support.reports.keys() <= {source}
 
 
 @dataclass(slots=True, eq=False)
@@ -468,6 +478,7 @@ class _Tracker:
         self.patience = round(_PATIENCE * params.lookahead * 1e9)
         self.most = 0
         """Largest number of people who were there at once."""
+        self.displaced = DisplacedCameras(symmetry.mirror, events)
         self.settings = kernels.TrackSettings._make(
             getattr(params, name) for name in kernels.TrackSettings._fields
         )._replace(flip_aware=params.flip_aware and symmetry.known)
@@ -481,9 +492,11 @@ class _Tracker:
         self.heard[group.source] = group.stamp
         self._delete_unseen(group.stamp)  # after t_m
         self._screen(group)  # by confidence
+        self._leave_out_copies(group)  # of a displaced camera
         self._match(self._confirmed(), group)  # persons come first
         self._match(self._tentative(), group)
         self._start(group)  # tentative tracks
+        self._withdraw_copies(group)
         self._confirm(group)  # or withdraw the id
         self.delay.push(group.stamp, group)
         return self.delay.release(group.stamp, lambda held: held.decided)
@@ -525,7 +538,8 @@ class _Tracker:
             person = UNTRACKED if track is None else track.id
             group.people.ids[j] = person
             if person == UNTRACKED:
-                self.events.count(group.reasons[j] or "not confirmed", group.source)
+                reason = DISPLACED if track is not None and track.is_copy else "not confirmed"
+                self.events.count(group.reasons[j] or reason, group.source)
         return group.block, group.place, max(log_time, int(group.block.log_times[group.place]))
 
     # The steps of update
@@ -656,7 +670,7 @@ class _Tracker:
             support.reports[source] = support.reports.get(source, 0) + 1
             moved = float(np.linalg.norm(self._centre(track) - support.origin))
             support.travelled = max(support.travelled, moved)
-            support.lone = support.misses == 0 and self._hears_others(group)
+            support.lone = support.misses == 0 and bool(self._heard_besides(group))
             if group.stamp - support.first < _YOUNG:
                 track.beside |= scene.numbers
         elif source not in support.reports and self._ought_to_see(source, track, scene):
@@ -714,13 +728,13 @@ class _Tracker:
         near = np.flatnonzero(distances < _DOUBTFUL * self.params.max_distance)
         return any(self._hides(scene.persons[i], track, stamp) for i in near.tolist())
 
-    def _hears_others(self, group: _DetectionGroup) -> bool:
-        """Whether other cameras send messages at this time."""
-        return any(
-            group.stamp - stamp < _INSISTENCE
+    def _heard_besides(self, group: _DetectionGroup) -> list[str]:
+        """Return the other cameras that send messages at this time."""
+        return [
+            source
             for source, stamp in self.heard.items()
-            if source != group.source
-        )
+            if source != group.source and group.stamp - stamp < _INSISTENCE
+        ]
 
     def _hides(self, person: _Track, track: _Track, stamp: int) -> bool:
         """Whether a person is there whom no camera has shown beside a track."""
@@ -839,13 +853,78 @@ class _Tracker:
         if n_tracks > size[0] or n_people > size[1]:
             self.work = self._work(2 * n_tracks, 2 * n_people)
 
+    # Displaced cameras
+
+    def _leave_out_copies(self, group: _DetectionGroup) -> None:
+        """Leave out what a displaced camera shows of people whom other cameras see elsewhere."""
+        if group.source not in self.displaced or not group.unmatched:
+            return
+        others = self._others(group)
+        poses = group.people.markers[..., POSITION]
+        copies = self.displaced.copies(
+            group.source, group.stamp, poses, self._places(others, group)
+        )
+        for j in group.unmatched:
+            if copies[j]:
+                group.reasons[j] = DISPLACED
+
+    def _withdraw_copies(self, group: _DetectionGroup) -> None:
+        """Delete this camera's own tracks that are of people whom others see elsewhere."""
+        heard = self._heard_besides(group)
+        lone = [
+            (j, track)
+            for j, track in enumerate(group.tracks)
+            if track is not None and track.is_lone(group.source)
+        ]
+        if not (self.params.merge_tracks and lone and heard):
+            return
+        rows, tracks = zip(*lone, strict=True)
+        persons = self._others(group)
+        others = Others(
+            [person.number for person in persons],
+            self._places(persons, group),
+            np.array([0 if p.certain else p.support.first for p in persons], np.int64),
+            np.array([person in group.tracks for person in persons], np.bool_),
+        )
+        poses = group.people.markers[list(rows), :, POSITION]
+        numbers = [track.number for track in tracks]
+        sight = Sight(group.source, group.stamp, numbers, poses, others, heard)
+        for number in self.displaced.compare(sight):
+            for track in [each for each in self.tracks if each.number == number]:
+                if track.is_lone(group.source):
+                    self._withdraw(track, group)
+
+    def _withdraw(self, track: _Track, group: _DetectionGroup) -> None:
+        """Delete a copy, also in messages that are held."""
+        if track.confirmed:
+            self.events.note(group.stamp, "track withdrawn", person=track.id)
+        self.tracks.remove(track)
+        self.bank.forget(track.number)
+        track.id, track.is_copy = UNTRACKED, True
+        for j in [j for j, each in enumerate(group.tracks) if each is track]:
+            group.tracks[j], group.reasons[j] = None, DISPLACED
+
+    def _others(self, group: _DetectionGroup) -> list[_Track]:
+        """Return the people who are there, and whom not only this camera reports."""
+        return [
+            person
+            for person in self._confirmed()
+            if self._is_there(person, group.stamp) and not person.is_lone(group.source)
+        ]
+
+    def _places(self, tracks: list[_Track], group: _DetectionGroup) -> Floats:
+        """(N, M, 3) where tracks are at the time of a message, m."""
+        if tracks:
+            self._predict(tracks, group)
+        return self.work.predicted.positions[: len(tracks)].copy()
+
     # Many messages at once
 
     def _follow(self, block: Block, place: int) -> int:
         """Track messages in which everybody is certain, as update would; return how many."""
         if len(self.delay) or not all(track.certain for track in self.tracks):
             return 0
-        stamps = block.stamps[place : self._next_deletion(block, place)]
+        stamps = block.stamps[place : self._next_stop(block, place)]
         tracks = self.tracks
         confirmed = kernels.ConfirmedTracks(
             np.array([track.row for track in tracks], np.int64),
@@ -869,12 +948,14 @@ class _Tracker:
                     self.coverage.learn(source, followed.centres[row], stamp)
         return done
 
-    def _next_deletion(self, block: Block, place: int) -> int:
-        """Place of the first message at whose time a track might be deleted."""
+    def _next_stop(self, block: Block, place: int) -> int:
+        """Place of the first message of a displaced camera, or that may delete a track."""
         seen = min((track.seen for track in self.tracks), default=None)
         if seen is None:
             return len(block)
         late = block.stamps[place:] - seen >= int(self.params.max_gap * 1e9)
+        if self.displaced:
+            late |= [source in self.displaced for source in block.sources[place:]]
         return place + int(late.argmax()) if late.any() else len(block)
 
 

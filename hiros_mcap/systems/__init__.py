@@ -17,9 +17,11 @@ LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 
 # Merging and filtering need the tracker's ids (Fig. 2).
 _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
+_FUSE = ("T", "TM", "TMO", "TMF", "TMOF")
 _LEE = ("T", "TM", "TMF")
 
 _HIROS_SECTIONS = ("track", "sides", "merge", "optimize", "filter")
+_FUSE_SECTIONS = ("track", "sides", "merge", "fuse", "constrain", "filter")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(
@@ -37,14 +39,14 @@ SYSTEMS: dict[str, System] = {
     "fuse": System(
         "ours: a Kalman smoother per joint over all cameras, limb lengths",
         fuse,
-        ("T", "TM", "TMF"),
-        ("track", "sides", "merge", "fuse", "constrain", "filter"),
+        _FUSE,
+        _FUSE_SECTIONS,
     ),
     "fuse-realtime": System(
         "fuse without future frames; learns lengths and motion on the way",
         fuse,
-        ("T", "TM", "TMF"),
-        ("track", "sides", "merge", "fuse", "constrain", "filter"),
+        _FUSE,
+        _FUSE_SECTIONS,
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",

@@ -22,12 +22,15 @@ def fuse(run: Run) -> Stages:
         cameras=run.cameras, noise=noise_of(run.model, config.fuse, run.noise, run.to_given),
     )  # fmt: skip
     waits = config.constrain.window > 0
-    bodies = run.stage(constrain_blocks if waits else constrain_live, config.constrain)
+    constrain = constrain_blocks if waits else constrain_live
+    bodies = run.stage(constrain, config.constrain, limbs=run.limbs)
     derivatives = run.stage(filter_blocks, config.filter)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
-        # smoothed positions, before limb lengths and prior
+        # smoothed positions
         "merged": lambda blocks: fusion(sides(blocks)),
-        # lengths and prior; links along the bones; velocities
-        "filtered": lambda blocks: derivatives(align_blocks(bodies(blocks), run.model)),
+        # lengths and prior; links along the bones
+        "optimized": lambda blocks: align_blocks(bodies(blocks), run.model),
+        # velocities and accelerations
+        "filtered": derivatives,
     }

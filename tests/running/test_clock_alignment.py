@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 from odd_logs import changed, later
 
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.calibrate.verdict import Verdict
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.events import events_from_json
-from hiros_mcap.io.channels import EVENTS_ATTACHMENT
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_static_poses
+from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import look
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.summary import Summary
+from hiros_mcap.summary import PoseSummary, Summary
 
 S = 10**9
 HALF = 180  # messages of a camera before the middle
@@ -159,6 +163,113 @@ def test_a_fault_is_an_event_and_in_info(walk: Path, tmp_path: Path) -> None:
     (text,) = look(tmp_path / "wrong.mcap").clocks
     assert summary.warnings[0].startswith(f"{text}; ")
     assert look(walk).clocks == ()
+
+
+def shifted_whole(walk: Path, target: Path, seconds: Mapping[str, float]) -> Path:
+    """Copy the log; stamps and log times of some cameras are later, so that no lag shows it."""
+    with open_log(walk) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        decoder, encoder = Decoder(log.model, exact=True), Encoder(log.model)
+        rows = []
+        for m in log.reader.messages():
+            camera = log.reader.channels[m.channel_id].topic.split("/")[1]
+            shift, data = round(seconds.get(camera, 0.0) * S), bytes(m.data)
+            if shift:
+                (frame,) = decoder.decode_message(data, m.log_time)
+                data = encoder.encode(later(frame, shift))
+            rows.append((m.log_time + shift, m.channel_id, data))
+        for time, channel, data in sorted(rows):
+            writer.write(channel, time, data)
+        writer.commit()
+    return target
+
+
+@pytest.mark.parametrize("seconds", [-0.09, 0.03])
+def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
+    seconds: float, walk: Path, tmp_path: Path
+) -> None:
+    source, out = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": seconds}), tmp_path / "out"
+    summary = process(source, out)
+    (fault,) = summary.cameras[1].clock
+    assert (fault.kind, fault.corrected) == ("clock offset", True)
+    assert fault.seconds == pytest.approx(seconds, abs=0.008)
+    assert summary.cameras[0].clock == summary.cameras[2].clock == ()
+    told = summary.warnings if abs(seconds) > 0.05 else summary.notes
+    assert any(line.startswith("the clock of camera_1 is ") for line in told)
+    process(walk, tmp_path / "healthy")
+    assert error(out, walk) == pytest.approx(error(tmp_path / "healthy", walk), rel=0.02)
+
+
+def test_a_clock_that_the_user_gave_is_right_and_the_others_are_compared_with_it(
+    walk: Path, tmp_path: Path
+) -> None:
+    source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
+    given = load_config(overrides=["clock.camera_1=0.0"])
+    summary = process(source, tmp_path / "out.mcap", config=given)
+    assert summary.cameras[1].clock == ()
+    for k in (0, 2):
+        (fault,) = summary.cameras[k].clock
+        assert fault.seconds == pytest.approx(-0.09, abs=0.01)
+
+
+def test_stamps_that_are_taken_as_they_are_stay_whatever_the_people_show(
+    walk: Path, tmp_path: Path
+) -> None:
+    source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
+    config = load_config(overrides=["input.clocks=off"])
+    assert process(source, config=config).cameras[1].clock == ()
+
+
+def test_a_healthy_log_keeps_all_stamps(walk: Path, tmp_path: Path) -> None:
+    summary = process(walk, tmp_path / "out.mcap")
+    assert all(0.0 < abs(pose.clock_ms) < 10.0 for pose in summary.poses if pose.clock_ms)
+    assert [camera.clock for camera in summary.cameras] == [()] * 3
+
+
+@pytest.mark.parametrize(
+    ("ms", "error_ms", "verdict", "corrected"),
+    [(40, 1, "good", True), (9, 1, "good", False), (40, 14, "good", False), (40, 1, "doubtful", 0)],
+)
+def test_only_a_significant_offset_of_a_camera_that_fits_is_corrected(
+    ms: float, error_ms: float, verdict: Verdict, corrected: bool
+) -> None:
+    cameras = [
+        PoseSummary("right", "good", clock_ms=0.0, error_ms=1.0),
+        PoseSummary("wrong", verdict, clock_ms=ms, error_ms=error_ms),
+    ]
+    found = PoseAlignment(cameras).clock_offsets(())
+    assert found == ({"wrong": -ms / 1000} if corrected else {})
+
+
+def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks() -> None:
+    cameras = [
+        PoseSummary("moved", "good", clock_ms=40.0, error_ms=1.0),
+        PoseSummary("moved", "good", clock_ms=60.0, error_ms=9.0),
+    ]
+    assert PoseAlignment(cameras).clock_offsets(()) == {"moved": -0.04}
+
+
+@pytest.mark.parametrize("poses", ["absent", "wrong"])
+def test_a_clock_that_is_found_with_poses_from_nothing_is_used(
+    poses: str, walk: Path, tmp_path: Path
+) -> None:
+    source = shifted_whole(walk, tmp_path / "w.mcap", {"camera_1": 0.09})
+    with open_log(source) as log, McapWriter(tmp_path / "poses.mcap") as writer:
+        kept = {i: c for i, c in log.reader.channels.items() if c.topic != "/tf_static"}
+        writer.copy_definitions(log.reader, kept)
+        if poses == "wrong":
+            frames = dict.fromkeys(("camera_0", "camera_1", "camera_2"), Rigid.identity())
+            add_static_poses(writer, frames, "world", log.span[0])
+        for m in log.reader.messages(kept):
+            writer.write(m.channel_id, m.log_time, bytes(m.data))
+        writer.commit()
+    process(tmp_path / "poses.mcap", tmp_path / "out.mcap")
+    stamps = {source: [] for source in ("/camera_1/skeletons", "/hiros/tracked")}
+    for topic in stamps:
+        frames, _, _ = read_channel(tmp_path / "out.mcap", topic)
+        stamps[topic] = sorted(f.stamp for f in frames if f.source == "camera_1")
+    given, used = (np.array(times, float) for times in stamps.values())
+    assert np.median(given[:300] - used[:300]) == pytest.approx(0.09 * S, abs=0.008 * S)
 
 
 def late_delivery(walk: Path, target: Path) -> Path:

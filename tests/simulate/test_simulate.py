@@ -97,6 +97,79 @@ def test_who_walks_in_place_lifts_both_feet_and_stays() -> None:
     assert np.ptp(poses[:, SLOT["PELVIS"], :2], axis=0).max() < 0.1
 
 
+def unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def upright(poses: Floats) -> Floats:
+    """(T,) Vertical part of the direction from pelvis to neck: 1 upright, 0 level."""
+    return unit(poses[:, SLOT["NECK"]] - poses[:, SLOT["PELVIS"]])[:, 2]
+
+
+@pytest.mark.parametrize("action", ["crawl", "get_up", "roll", "kick", "spin"])
+@pytest.mark.parametrize("height", [1.2, 1.9])
+def test_bodies_of_any_size_stay_above_the_floor(action: str, height: float) -> None:
+    poses = poses_of(action, heights=(height, height), seconds=12.0)
+    assert poses[..., 2].min() > -0.03
+
+
+def test_who_crawls_moves_on_hands_and_knees() -> None:
+    poses = poses_of("crawl")
+    assert np.abs(upright(poses)).max() < 0.25
+    way = np.linalg.norm(np.diff(poses[:, SLOT["PELVIS"], :2], axis=0), axis=-1).sum()
+    assert way / 8 == pytest.approx(0.35, abs=0.05)
+    for part, most in (("KNEE", 0.12), ("WRIST", 0.14)):
+        heights = poses[:, [SLOT[f"{part}_LEFT"], SLOT[f"{part}_RIGHT"]], 2]
+        assert heights.max() < most
+    hands = poses[:, [SLOT["WRIST_LEFT"], SLOT["WRIST_RIGHT"]]]
+    planted = hands[..., 2] < hands[..., 2].min() + 0.02
+    speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1)[planted[1:] & planted[:-1]] * 30
+    assert np.median(speed) < 0.1
+    assert 0.5 < planted.mean() < 0.8
+
+
+def test_who_gets_up_lies_on_the_back_stands_and_lies_again() -> None:
+    poses = poses_of("get_up", seconds=13.0)
+    up = upright(poses)
+    lying, standing = np.abs(up) < 0.2, poses[:, SLOT["PELVIS"], 2] > 0.8
+    assert lying.sum() > 45
+    assert standing.sum() > 30
+    nose = unit(poses[:, SLOT["NOSE"]] - poses[:, SLOT["HEAD"]])[:, 2]
+    assert nose[lying].min() > 0.8
+    assert up[standing].max() > 0.99
+    assert poses[lying, :, 2].max() < 0.55
+
+
+def test_who_rolls_shows_every_side_to_the_ceiling_and_stays_level() -> None:
+    poses = poses_of("roll")
+    assert np.abs(upright(poses)).max() < 0.2
+    across = unit(poses[:, SLOT["SHOULDER_LEFT"]] - poses[:, SLOT["SHOULDER_RIGHT"]])[:, 2]
+    nose = unit(poses[:, SLOT["NOSE"]] - poses[:, SLOT["HEAD"]])[:, 2]
+    assert across.max() > 0.95 > -0.95 > across.min()
+    assert nose.max() > 0.95 > -0.95 > nose.min()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_kick_accelerates_hip_knee_and_ankle_to_40_to_80(seed: int) -> None:
+    scene = {"action": "kick", "seconds": 7.0, "truth_rate": 200.0, "seed": seed}
+    truth = list(perfect(**scene).truth)
+    accelerations = np.stack([frame.markers[0, :, ACCELERATION] for frame in truth], axis=1)
+    peaks = np.linalg.norm(accelerations, axis=-1).max(axis=1)
+    for part in ("HIP", "KNEE", "ANKLE"):
+        for side in ("LEFT", "RIGHT"):
+            assert 38 < peaks[SLOT[f"{part}_{side}"]] < 82, (part, side)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_dancer_now_and_then_spins_at_550_to_670_degrees_a_second(seed: int) -> None:
+    scene = {"action": "spin", "seconds": 12.0, "seed": seed}
+    truth = list(perfect(**scene).truth)
+    rates = np.degrees([frame.links[0, 0, ANGULAR_VELOCITY][2] for frame in truth])
+    assert 540 < rates.max() < 680
+    assert -680 < rates.min() < -540
+    assert np.mean(np.abs(rates) < 100) > 0.6
+
+
 @pytest.mark.parametrize("facing", [0.0, 90.0, 180.0, 270.0])
 @pytest.mark.parametrize("action", ["squat", "walk_in_place"])
 def test_everybody_on_a_spot_faces_where_he_is_told_to(action: str, facing: float) -> None:

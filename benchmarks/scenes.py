@@ -1,0 +1,116 @@
+"""Logs for benchmarks: simulated scenes, and what may be wrong with a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
+from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.simulate import SimulateParams, simulate
+from hiros_mcap.simulate.write_log import TRUTH_TOPIC
+from hiros_mcap.skeletons import Frame, SkeletonModel
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What cameras see, and where they stand, by the cameras' names."""
+
+    model: SkeletonModel
+    frames: list[Frame]
+    poses: Mapping[str, Rigid]
+    clocks: Mapping[str, float]
+    """s that the stamps of each camera are too late."""
+    truth: Sequence[Frame] = ()
+
+    def write(self, path: Path, *, transforms: bool = False) -> None:
+        """Write a log, by default without transforms."""
+        encoder = Encoder(self.model)
+        named = [(f"/{frame.source}/people", frame) for frame in self.frames]
+        named += [(TRUTH_TOPIC, frame) for frame in self.truth]
+        with McapWriter(path) as writer:
+            if transforms:
+                start = min(frame.log_time for frame in self.frames)
+                add_static_poses(writer, self.poses, "world", start)
+            channels: dict[str, int] = {}
+            for topic, frame in sorted(named, key=lambda pair: pair[1].log_time):
+                if topic not in channels:
+                    channels[topic] = add_skeleton_channel(writer, topic)
+                writer.write(channels[topic], frame.log_time, encoder.encode(frame))
+            writer.commit()
+
+
+def simulated(seed: int, *, shift: float = 2.0, **params: object) -> Scene:
+    """Simulate a scene whose cameras' clocks are wrong by up to ``shift`` s; log times as well.
+
+    The poses are the true ones.
+    """
+    simulation = simulate(SimulateParams.model_validate({"seed": seed, **params}))
+    rng = np.random.default_rng(seed)
+    clocks = {camera.name: rng.uniform(-shift, shift) for camera in simulation.cameras}
+    frames = [late(frame, clocks[frame.source]) for frame in simulation.detections]
+    poses = {camera.name: camera.pose for camera in simulation.cameras}
+    return Scene(simulation.model, frames, poses, clocks)
+
+
+def published(seed: int, **params: object) -> Scene:
+    """Simulate a scene with right clocks, the poses that its log states, and its truth."""
+    simulation = simulate(SimulateParams.model_validate({"seed": seed, **params}))
+    clocks = dict.fromkeys(simulation.transforms, 0.0)
+    frames, truth = list(simulation.detections), list(simulation.truth)
+    return Scene(simulation.model, frames, simulation.transforms, clocks, truth)
+
+
+def late(frame: Frame, seconds: float) -> Frame:
+    """Return a message whose clock and log time are late."""
+    ns = round(1e9 * seconds)
+    return frame.replace(
+        stamp=frame.stamp + ns, log_time=frame.log_time + ns, stamps=frame.stamps + ns
+    )
+
+
+def wrong_stamps(scene: Scene, seed: int, most: float = 0.1) -> Scene:
+    """Return a scene whose cameras stamp wrongly by up to ``most`` s; log times stay."""
+    rng = np.random.default_rng(seed)
+    clocks = {name: float(rng.uniform(-most, most)) for name in scene.poses}
+    frames = [
+        late(frame, clocks[frame.source]).replace(log_time=frame.log_time) for frame in scene.frames
+    ]
+    return replace(scene, frames=frames, clocks=clocks)
+
+
+def knocked(scene: Scene, degrees: float, metres: float, share: float = 0.5) -> Scene:
+    """Return a scene whose second camera, after a ``share`` of the log, stands elsewhere.
+
+    It is rotated by ``degrees`` and moved by ``metres``; the log still states where it stood.
+    """
+    name = sorted(scene.poses)[1]
+    stood = scene.poses[name]
+    back = (stood @ _push(degrees, metres)).inverse() @ stood
+    times = [frame.log_time for frame in scene.frames]
+    from_then = min(times) + share * (max(times) - min(times))
+    after = [f for f in scene.frames if f.source == name and f.log_time >= from_then]
+    rest = [f for f in scene.frames if f.source != name or f.log_time < from_then]
+    tree = TransformTree()
+    tree.add(Transform(0, "moved", name, tuple(back.translation), tuple(back.xyzw)), static=True)
+    moved = [f.replace(frame_id=name) for f in transform_to_fixed(after, tree, "moved")]
+    return replace(scene, frames=[*rest, *moved])
+
+
+def misplaced(scene: Scene, degrees: float, metres: float = 0.0) -> Scene:
+    """Return a scene whose second camera is said to stand where it does not."""
+    name = sorted(scene.poses)[1]
+    return replace(scene, poses={**scene.poses, name: scene.poses[name] @ _push(degrees, metres)})
+
+
+def _push(degrees: float, metres: float) -> Rigid:
+    """Rotation about a slanting axis and shift along another one, in the camera's coordinates."""
+    half, axis = np.radians(degrees) / 2, np.array([1.0, 2.0, 2.0]) / 3
+    shift = metres * np.array([2.0, 1.0, -2.0]) / 3
+    return Rigid(np.array([*(np.sin(half) * axis), np.cos(half)]), shift)

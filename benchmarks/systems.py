@@ -1,0 +1,157 @@
+"""Systems x logs: what each system makes of good, bad and unusual logs, against the truth.
+
+    python benchmarks/systems.py                              the simulated logs of 15 s
+    python benchmarks/systems.py LOG TRUTH [LOG TRUTH ...]    these logs after them
+    python benchmarks/systems.py --scenes 'floor*' --system fuse
+    python benchmarks/systems.py --json before.json           ... change the code ...
+    python benchmarks/systems.py --before before.json         "before > now" in each cell
+
+Prints Markdown rows of the last stage: mean, SD and 99th percentile of the joint error, mm; the
+mean at the best common shift of the stamps, mm (where the clocks are off, no stamp tells the common
+time base); jitter, mm; coefficient of variation of the limbs' lengths, %; share of the true joints
+within the 68 and 95 % ellipsoids; ids by true people; false and missing people and changes of id;
+CPU time of `hiros process`, s. Same seeds, same logs.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+
+from scenes import Scene, knocked, misplaced, published, wrong_stamps
+
+from hiros_mcap.config import load_config
+from hiros_mcap.evaluate.logs import evaluate_log
+from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.evaluate.truth_files import load_truth
+from hiros_mcap.running.pipeline import process
+from hiros_mcap.running.process_options import Calibration, ProcessOptions
+
+SYSTEMS = ("hiros", "fuse", "hiros-realtime", "fuse-realtime")
+DECIMALS = {
+    "mean": 1, "SD": 1, "99 %": 1, "at lag": 1, "jitter": 1, "limb CV %": 2, "in 68 %": 2,
+    "in 95 %": 2, "ids": 0, "people": 0, "false": 0, "missing": 0, "switches": 0, "CPU s": 2,
+}  # fmt: skip
+"""Column -> decimals."""
+Row = Mapping[str, float | None]
+
+two = partial(published, people=2, cameras=4, seconds=15.0)
+SCENES: Mapping[str, Callable[[], Scene]] = {
+    "upright, walk": partial(two, 101, action="walk"),
+    "upright, cross": partial(two, 102, action="cross"),
+    "floor, crawl": partial(two, 103, action="crawl"),
+    "floor, get up": partial(two, 104, action="get_up"),
+    "floor, roll": partial(two, 105, action="roll"),
+    "fast, kick": partial(two, 106, action="kick"),
+    "fast, spin": partial(two, 107, action="spin"),
+    "many, 6 people": partial(two, 108, action="free_dynamic", people=6, cameras=5),
+    "few, 2 cameras": partial(two, 109, action="cross", cameras=2),
+    "15 Hz": partial(two, 110, action="cross", rig={"rate": 15.0}),
+    "60 Hz": partial(two, 111, action="cross", rig={"rate": 60.0}),
+    "noise x 2": partial(two, 112, action="cross", noise=2.0),
+    "flips x 6": partial(two, 113, action="cross", flips=6.0),
+    "clocks off by up to 100 ms": lambda: wrong_stamps(two(114, action="cross"), 114),
+    "camera moved 5 deg 20 cm": lambda: knocked(two(115, action="cross"), 5.0, 0.2),
+    "camera moved 1.5 deg 5 cm": lambda: knocked(two(116, action="cross"), 1.5, 0.05),
+    "pose off by 4 deg": lambda: misplaced(two(117, action="cross"), 4.0),
+    "poses off by 1 deg, left so": partial(
+        two, 118, action="cross", rig={"orientation_error": 1.0 / 3**0.5}
+    ),
+}
+"""By "kind, what": seeds are arbitrary and fixed."""
+LEFT_SO = "left so"
+"""Ends the name of a scene whose poses are not mended."""
+
+
+def main() -> None:
+    given = arguments()
+    systems = given.system or list(SYSTEMS)
+    before = json.loads(given.before.read_text()) if given.before else {}
+    rows: dict[str, Row] = {}
+    header = ["log", "system", *DECIMALS]
+    print(f"| {' | '.join(header)} |\n|{'---|' * len(header)}")
+    with tempfile.TemporaryDirectory() as folder:
+        warm_up(systems, Path(folder))
+        for name, log, truth, mode in logs(given, Path(folder)):
+            for system in systems:
+                key = f"{name} | {system}"
+                rows[key] = row = scored(log, truth, system, mode)
+                print(f"| {key} | {' | '.join(cells(row, before.get(key)))} |", flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG TRUTH")
+    parser.add_argument("--scenes", default="*", metavar="GLOB", help="simulated logs; '' = none")
+    parser.add_argument("--system", action="append", metavar="NAME")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers")
+    parser.add_argument("--before", type=Path, metavar="FILE", help="numbers of a former run")
+    given = parser.parse_args()
+    if len(given.logs) % 2:
+        parser.error("every LOG needs a TRUTH (LOG itself if it holds one)")
+    return given
+
+
+def logs(given: argparse.Namespace, folder: Path) -> Iterator[tuple[str, Path, Truth, Calibration]]:
+    """Yield the name of each log, its path, its truth, and whether its poses are mended."""
+    for name, make in SCENES.items():
+        if fnmatchcase(name, given.scenes):
+            path = folder / "scene.mcap"
+            make().write(path, transforms=True)
+            yield name, path, load_truth(path), "off" if name.endswith(LEFT_SO) else "auto"
+    for log, truth in zip(given.logs[::2], given.logs[1::2], strict=True):
+        yield log.stem, log, load_truth(truth), "auto"
+
+
+def warm_up(systems: list[str], folder: Path) -> None:
+    """Run each system once: compiling and loading kernels is not timed."""
+    path = folder / "warm.mcap"
+    published(1, people=2, cameras=3, seconds=4.0).write(path, transforms=True)
+    for system in systems:
+        scored(path, load_truth(path), system, "auto")
+
+
+def scored(log: Path, truth: Truth, system: str, mode: Calibration) -> Row:
+    """Process a log and score the last stage."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.mcap"
+        config = load_config(None, (), system=system)
+        options = ProcessOptions(system=system, keep=(), calibrate=mode)
+        start = time.process_time()
+        process(log, out, config=config, options=options)
+        seconds = time.process_time() - start
+        (result,) = evaluate_log(out, truth, ["/hiros/filtered"]).values()
+    s, held = result.scores, result.coverage
+    values = (
+        *(s.mean, s.deviation, s.percentile_99, s.mean_at_lag, s.jitter, 100 * s.limb_variation),
+        *((held.within_68, held.within_95) if held else (None, None)),
+        *(len(result.matches.tracks), len(truth.people), s.false, s.missing, s.switches, seconds),
+    )
+    return dict(zip(DECIMALS, values, strict=True))
+
+
+def cells(row: Row, before: Row | None) -> Iterator[str]:
+    for column, decimals in DECIMALS.items():
+        now = number(row[column], decimals)
+        was = number(before[column], decimals) if before and column in before else now
+        yield now if was == now else f"{was} > {now}"
+
+
+def number(value: float | None, decimals: int) -> str:
+    return "" if value is None else f"{value:.{decimals}f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""Kernels that carry axes along with a person's body, whatever its posture.
+
+Two axes lie across the trunk, the third along it, from the hips to the shoulders. They turn with
+the trunk the shortest way: whoever lies down, rolls or gets up keeps front and back in them. They
+also turn with the line through shoulders and hips, modulo half a turn, so that whoever spins keeps
+front and back, too. Neither needs to know which way is up, nor which side is left.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hiros_mcap.kernels.compile import inlined, kernel
+from hiros_mcap.skeletons import Floats, Ints
+
+PATIENCE = 1.0
+"""s without sight of the trunk after which its direction is not known any more."""
+_MEMORY = 0.05  # s: a trunk turns by 20 degrees in it when somebody falls or rolls
+_LEAST_SHARE = 0.3  # of each view in the mean: about six views err by less than one
+_AGREEING = 0.5  # length of the mean of unit vectors below which they contradict each other
+_LINE_SHARE = 0.5  # of each view's line: 600 degrees/s stay within 90 degrees, at 15 Hz too
+_SHORTEST = 0.05  # m, of a trunk
+_WALK_SPEED, _ALONG = 0.4, 0.5  # m/s across the trunk; share of it along the trunk
+_FEWEST, _CONCENTRATED = 30.0, 0.8  # trunks that show up, and the length of their mean
+_UPRIGHT, _TILTED = 0.85, 0.6  # cosine of a tilt of 32 degrees and of 53 degrees
+
+
+@inlined
+def ramp(x: float, low: float, high: float) -> float:
+    """0 up to ``low``, 1 from ``high`` on, a line between."""
+    share: float = min(max((x - low) / (high - low), 0.0), 1.0)
+    return share
+
+
+@inlined
+def component(x: float, y: float, z: float, axes: Floats, k: int) -> float:
+    """Component of a vector along one of the axes."""
+    result: float = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
+    return result
+
+
+@kernel
+def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, float]:
+    """Sum of the vectors from left to right shoulders and hips across the trunk, m."""
+    x = y = 0.0
+    for i in range(len(pairs)):
+        a, b = pairs[i, 0], pairs[i, 1]
+        dx = positions[b, 0] - positions[a, 0]
+        dy = positions[b, 1] - positions[a, 1]
+        dz = positions[b, 2] - positions[a, 2]
+        if not math.isnan(dx + dy + dz):
+            x, y = x + component(dx, dy, dz, axes, 0), y + component(dx, dy, dz, axes, 1)
+    return x, y
+
+
+# The trunk.
+
+
+@kernel
+def _trunk(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
+    """Return the unit vector from the hips to the shoulders above them; NaN if not known."""
+    x = y = z = 0.0
+    for i in range(len(pairs)):
+        a, b = pairs[i, 0], pairs[i, 1]
+        dx = positions[b, 0] - positions[a, 0]
+        dy = positions[b, 1] - positions[a, 1]
+        dz = positions[b, 2] - positions[a, 2]
+        if not math.isnan(dx + dy + dz):
+            x, y, z = x + dx, y + dy, z + dz
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > _SHORTEST:
+        return np.nan, np.nan, np.nan
+    return x / length, y / length, z / length
+
+
+@kernel
+def follow_trunk(
+    positions: Floats, pairs: Ints, seconds: float, mean: Floats, axes: Floats
+) -> tuple[bool, bool]:
+    """Turn a person's axes to where the trunk points now.
+
+    Parameters
+    ----------
+    positions : (M, 3 or more) of the markers, m.
+    pairs : (T, 2) a hip and the shoulder above it.
+    seconds : since the last sight of the trunk.
+    mean : (3,) of the last unit vectors along the trunk; changed.
+    axes : (3, 3) changed; NaN while nothing is known of the trunk, or views contradict each other.
+
+    Returns
+    -------
+    Whether the view shows the trunk, and whether the axes across it were chosen anew: front and
+    back of before mean nothing in them.
+    """
+    if seconds > PATIENCE:
+        mean[:], axes[:] = 0.0, np.nan
+    x, y, z = _trunk(positions, pairs)
+    if math.isnan(x):
+        return False, False
+    share = max(_LEAST_SHARE, 1.0 - _MEMORY / (seconds + _MEMORY))  # 1 where nothing is known
+    mean[0] += share * (x - mean[0])
+    mean[1] += share * (y - mean[1])
+    mean[2] += share * (z - mean[2])
+    length = math.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
+    if length < _AGREEING:
+        axes[:] = np.nan
+        return True, False
+    x, y, z = mean[0] / length, mean[1] / length, mean[2] / length
+    cosine = component(x, y, z, axes, 2)
+    if cosine > 0.0:  # False for NaN
+        _carry(x, y, z, cosine, axes)
+        return True, False
+    _choose(x, y, z, axes)
+    return True, True
+
+
+@kernel
+def _choose(x: float, y: float, z: float, axes: Floats) -> None:
+    """Take any axes across the unit vector (x, y, z)."""
+    axes[0, 0], axes[0, 1], axes[0, 2] = (1.0, 0.0, 0.0) if abs(x) < 0.8 else (0.0, 1.0, 0.0)
+    _complete(x, y, z, axes)
+
+
+@kernel
+def _carry(x: float, y: float, z: float, cosine: float, axes: Floats) -> None:
+    """Turn the axes the shortest way until the third is the unit vector (x, y, z)."""
+    share = component(x, y, z, axes, 0) / (1.0 + cosine)
+    axes[0, 0] -= share * (axes[2, 0] + x)
+    axes[0, 1] -= share * (axes[2, 1] + y)
+    axes[0, 2] -= share * (axes[2, 2] + z)
+    _complete(x, y, z, axes)
+
+
+@kernel
+def _complete(x: float, y: float, z: float, axes: Floats) -> None:
+    """Make the first axis normal to (x, y, z), the third, and the second normal to both."""
+    axes[2, 0], axes[2, 1], axes[2, 2] = x, y, z
+    along = component(x, y, z, axes, 0)
+    for c in range(3):
+        axes[0, c] -= along * axes[2, c]
+    length = math.sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
+    for c in range(3):
+        axes[0, c] /= length
+    for c in range(3):
+        a, b = (c + 1) % 3, (c + 2) % 3
+        axes[1, c] = axes[2, a] * axes[0, b] - axes[2, b] * axes[0, a]
+
+
+# The line through shoulders and hips.
+
+
+@kernel
+def follow_line(
+    line: float, angle: float, reliable: float, trust: float, axes: Floats
+) -> tuple[float, float]:
+    """Turn a person's axes about the trunk with the line through shoulders and hips.
+
+    Parameters
+    ----------
+    line : angle of the line in the axes so far, rad; NaN = not known.
+    angle : of this view's line, rad, modulo half a turn.
+    reliable : from 0 to 1, how well this view shows the line.
+    trust : from 0 to 1, the share of the line's turn that the axes follow.
+    axes : (3, 3) changed.
+
+    Returns
+    -------
+    The new angle of the line in the axes, rad, and the angle by which these were turned.
+    """
+    if math.isnan(line) or math.isnan(axes[0, 0]):
+        return angle, 0.0
+    change = angle - line
+    change = _LINE_SHARE * reliable * (change - math.pi * math.floor(change / math.pi + 0.5))
+    turn = trust * change
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for c in range(3):
+        a, b = axes[0, c], axes[1, c]
+        axes[0, c], axes[1, c] = cosine * a + sine * b, cosine * b - sine * a
+    return line + change - turn, turn
+
+
+# Up, for walking alone.
+
+
+@kernel
+def learn_up(velocity: tuple[float, float, float], axes: Floats, up: Floats) -> None:
+    """Count a trunk among those that show up, if its owner moves about at a right angle to it.
+
+    That is how people walk. Who crawls moves along the trunk; who lies does not move.
+
+    Parameters
+    ----------
+    velocity : m/s.
+    axes : (3, 3) the person's.
+    up : (4,) sum of these trunks, and their number.
+    """
+    vx, vy, vz = velocity
+    across = math.hypot(component(vx, vy, vz, axes, 0), component(vx, vy, vz, axes, 1))
+    if across > _WALK_SPEED and abs(component(vx, vy, vz, axes, 2)) < _ALONG * across:
+        for c in range(3):
+            up[c] += axes[2, c]
+        up[3] += 1.0
+
+
+@kernel
+def upright(axes: Floats, up: Floats) -> float:
+    """1 = the trunk is upright, 0 = it is not, or nobody has shown yet which way is up."""
+    length = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
+    if up[3] < _FEWEST or length < _CONCENTRATED * up[3] or math.isnan(axes[2, 0]):
+        return 0.0
+    cosine = component(up[0], up[1], up[2], axes, 2) / length
+    share: float = ramp(cosine, _TILTED, _UPRIGHT)
+    return share

@@ -1,0 +1,472 @@
+"""Cameras that show people elsewhere than the others do: a second view of a person is nobody new.
+
+A camera that was moved, stands on its head, has another camera's pose or looks into a mirror shows
+copies of people. Nobody but a copy moves as the person does. The model, with its numbers below:
+
+- Only a track that one camera alone reports may be a copy, and only of a person whom another camera
+  knows. Both are compared at the same instants, over a second and a half.
+- A copy: one rotation and one shift, or one reflection, takes the track onto the person, with
+  sides as they are or swapped. What distance is left is far less than the person moved. So nobody
+  who stands still is evidence.
+- A displaced camera does not show the person in place as well. A mirror does, but it only
+  reflects: the person who walks half a step behind is turned or shifted besides.
+- What displaces one person displaces all whom the camera shows. So the displacement is remembered,
+  and made more precise: it finds copies at once, also of people who stand still, and those that
+  lie near enough to the person to be taken for the person. It is forgotten once the camera shows
+  people in place, or no copy for a while.
+
+Of two cameras without a third, nobody can know which is displaced. Each then shows copies of the
+people whom the other one knows: whoever came first stays.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.calibrate.registration import kabsch
+from hiros_mcap.events import Events
+from hiros_mcap.skeletons import Flags, Floats, Ints
+
+DISPLACED = "displaced"
+"""Counts detections, by camera, that were left out as copies."""
+CAMERA_DISPLACED = "camera displaced"
+"""Event: a camera's first copy."""
+
+_INTERVAL = 45_000_000  # ns between two samples of a track
+_PATIENCE = 90_000_000  # ns between two comparisons of a track
+_SHORTEST, _LONGEST = 350_000_000, 1_500_000_000  # ns that are compared
+_FEWEST = 6  # samples
+_FEWEST_MARKERS = 6  # that a sample has in common with the person
+_CROWD = 100  # pairs of a track and a person; of more, too slow to compare, none is
+_ALIKE, _ALIKE_IF_DISPLACED = 0.085, 0.12  # m: mean marker distance of a copy after the fit. Copies
+# have 0.02 to 0.08, other people over 0.13, or 0.10 after a reflection
+_MOTION = 0.07  # m: SD of the person's markers over time; less is no evidence
+_CLEARLY = 1.7  # motion over distance after the fit
+_UNSEEN = 0.7  # share of the samples in which the camera does not show the person in place
+_PURE_ANGLE, _PURE_SHIFT = np.radians(15.0), 0.3  # rad and m besides a mirror's reflection
+_NEAR = 0.3  # m from the person, once the displacement is undone
+_BACK = 500_000_000  # ns for which a camera that shows people in place is believed to be back
+_FORGET = 60_000_000_000  # ns since the last copy
+_ROUNDS, _OUTLYING = 3, 1.7  # fits; samples this many medians off are left out of the next one
+_SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new ones for a new fit
+
+
+class Displacement(NamedTuple):
+    """What takes the people whom a camera shows to where other cameras see them."""
+
+    rotation: Floats
+    """(3, 3); improper if it mirrors."""
+    shift: Floats
+    """(3,) m."""
+    mirrors: bool
+    swaps: bool
+    """Whether left and right are swapped as well."""
+
+    def inverse(self) -> Displacement:
+        """Return what takes people from where the other cameras see them to where this one does."""
+        back = self.rotation.T
+        return self._replace(rotation=back, shift=-back @ self.shift)
+
+    def undo(self, poses: Floats, mirror: Ints) -> Floats:
+        """Return where the people of (..., M, 3) markers are, m."""
+        poses = poses[..., mirror, :] if self.swaps else poses
+        return np.asarray(poses @ self.rotation.T + self.shift)
+
+
+class Likeness(NamedTuple):
+    """How much a track looks like a displaced view of a person."""
+
+    distance: float
+    """Median over time of the mean marker distance after the fit, m."""
+    motion: float
+    """SD of the person's markers over time, m."""
+    apart: float
+    """Median distance of the two before the fit, m."""
+    by: Displacement
+    pure: bool
+    """Whether it is a reflection, and that explains how far apart the two are."""
+
+    def is_copy(self, limit: float, unseen: float) -> bool:
+        """Whether it is a copy, with a limit of the distance, m.
+
+        ``unseen`` is the share of time in which the camera does not show the person in place.
+        """
+        alike = self.distance < min(limit, self.motion / _CLEARLY) and self.motion > _MOTION
+        return alike and (self.pure if self.by.mirrors else unseen >= _UNSEEN)
+
+
+class Others(NamedTuple):
+    """The P people whom other cameras know, at the time of a message."""
+
+    numbers: Sequence[int]
+    """Of their tracks."""
+    places: Floats
+    """(P, M, 3) their markers, m."""
+    since: Ints
+    """(P,) time of the first detection, ns; 0 if two cameras agree on the person."""
+    shown: Flags
+    """(P,) whether the message shows the person in place."""
+
+
+class Sight(NamedTuple):
+    """One message of a camera: what it alone shows, beside whom."""
+
+    source: str
+    stamp: int
+    """ns."""
+    tracks: Sequence[int]
+    """Numbers of tracks that no other camera reports."""
+    poses: Floats
+    """(N, M, 3) their detections, m."""
+    others: Others
+    heard: Collection[str]
+    """The other cameras that send messages at this time."""
+
+
+class _Pairs(NamedTuple):
+    """A track beside a person at K instants."""
+
+    own: Floats
+    """(K, M, 3) m."""
+    other: Floats
+    """(K, M, 3) m."""
+    unseen: float
+    """Share of the instants at which the camera did not show the person in place."""
+    agreed: bool
+    """Whether two cameras agree on the person."""
+
+
+@dataclass(slots=True)
+class _History:
+    """The latest samples of a track that one camera reports, and of the people known elsewhere."""
+
+    first: int
+    """Time of the first sample, ns."""
+    due: int
+    """Time of the next comparison, ns."""
+    samples: deque[tuple[int, Floats, Others]] = field(default_factory=deque)
+    """Time, ns; (M, 3) markers, m; the others."""
+
+    def add(self, stamp: int, pose: Floats, others: Others) -> None:
+        """Add a sample, if the last one is old enough; forget old ones."""
+        if self.samples and stamp - self.samples[-1][0] < _INTERVAL:
+            return
+        self.samples.append((stamp, pose, others))
+        while stamp - self.samples[0][0] > _LONGEST:
+            self.samples.popleft()
+
+    def pairs(self) -> Iterator[_Pairs]:
+        """Yield the track beside each person who was known before it, or is beyond question."""
+        last = self.samples[-1][2]
+        for number, since in zip(last.numbers, last.since.tolist(), strict=True):
+            rows = [
+                (stamp, pose, others, others.numbers.index(number))
+                for stamp, pose, others in self.samples
+                if number in others.numbers
+            ]
+            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= _FEWEST
+            if long_enough and since <= self.first:
+                yield _Pairs(
+                    np.stack([pose for _, pose, _, _ in rows]),
+                    np.stack([others.places[i] for _, _, others, i in rows]),
+                    1.0 - float(np.mean([others.shown[i] for _, _, others, i in rows])),
+                    since == 0,
+                )
+
+
+@dataclass(slots=True)
+class _State:
+    """A camera that is displaced."""
+
+    by: Displacement
+    last: int
+    """Time of its last copy, ns."""
+    pairs: deque[tuple[Floats, Floats]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
+    """(M, 3) markers of a copy and of its person, m."""
+    new: int = 0
+    """Pairs since the last fit."""
+    sampled: int = 0
+    """Time of the latest pair, ns."""
+    in_place: int = 0
+    """Time since which it has shown people in place, ns; 0 = it does not."""
+
+    def learn(self, own: Floats, other: Floats, stamp: int, mirror: Ints) -> None:
+        """Make the displacement more precise by one more copy."""
+        if stamp - self.sampled < _INTERVAL:
+            return
+        self.sampled = stamp
+        self.pairs.append((own, other))
+        self.new += 1
+        if self.new >= _REFIT:
+            self.new = 0
+            source, target = (np.stack(some) for some in zip(*self.pairs, strict=True))
+            by, distance = fit(source, target, mirror, self.by.mirrors, self.by.swaps)
+            self.by = by if distance < _ALIKE else self.by
+
+    def explains(self, pairs: _Pairs, mirror: Ints) -> bool:
+        """Whether a track is where the displacement puts the person, whom it does not show.
+
+        A displacement that is known from one place is not precise elsewhere. So it is enough that
+        some displacement fits this track and the copies so far; that one is remembered.
+        """
+        if not self.by.mirrors and pairs.unseen < _UNSEEN:
+            return False
+        if _median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
+            return True
+        own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
+        together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
+        by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
+        parts = (own, other), (pairs.own, pairs.other)
+        if max(_median_distance(by, *part, mirror) for part in parts) > _ALIKE_IF_DISPLACED:
+            return False
+        self.by = by
+        self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        return True
+
+
+class DisplacedCameras:
+    """Finds the copies of people, and remembers what displaces the cameras that show them.
+
+    Parameters
+    ----------
+    mirror : (M,) slot of the marker on the other side.
+    events : where a camera's first copy is noted.
+    """
+
+    def __init__(self, mirror: Ints, events: Events) -> None:
+        self._mirror = mirror
+        self._events = events
+        self._cameras: dict[str, _State] = {}
+        self._histories: dict[str, dict[int, _History]] = {}
+        self._named: set[str] = set()
+
+    def __contains__(self, source: str) -> bool:
+        return source in self._cameras
+
+    def __bool__(self) -> bool:
+        return bool(self._cameras)
+
+    def copies(self, source: str, stamp: int, poses: Floats, places: Floats) -> Flags:
+        """Return which detections of a displaced camera are copies of people known elsewhere.
+
+        A detection is a copy if it lies on a person once the displacement is undone, and nearer
+        than it does as it is; nobody has a copy who is shown in place, but for a mirror's.
+
+        Parameters
+        ----------
+        stamp : ns. poses : (N, M, 3) detections, m. places : (P, M, 3) the people, m.
+        """
+        state = self._cameras[source]
+        if stamp - state.last > _FORGET:
+            del self._cameras[source]
+        if source not in self._cameras or not len(poses) or not len(places):
+            return np.zeros(len(poses), np.bool_)
+        back = state.by.undo(poses, self._mirror)
+        given, undone = (_mean_distances(some[:, None], places[None]) for some in (poses, back))
+        in_place = (given < _NEAR) & (given < undone)
+        free = state.by.mirrors | ~in_place.any(axis=0)
+        undone = np.where(free, undone, np.inf)
+        is_copy = np.asarray(undone.min(axis=1) < np.minimum(given.min(axis=1), _NEAR))
+        for j in np.flatnonzero(is_copy).tolist():
+            i = int(undone[j].argmin())
+            state.last = stamp
+            state.learn(poses[j].copy(), places[i].copy(), stamp, self._mirror)
+        self._notice_return(source, stamp, bool(in_place.any()) and not is_copy.any())
+        return is_copy
+
+    def _notice_return(self, source: str, stamp: int, in_place: bool) -> None:
+        """Forget a displacement if the camera has shown people in place for a while."""
+        state = self._cameras[source]
+        if not in_place or state.by.mirrors:
+            state.in_place = 0
+        elif not state.in_place:
+            state.in_place = stamp
+        elif stamp - state.in_place > _BACK:
+            del self._cameras[source]
+
+    def compare(self, sight: Sight) -> list[int]:
+        """Compare what a camera alone shows with the people known elsewhere.
+
+        Returns
+        -------
+        Numbers of the tracks that are copies, of this camera, also of some not in the message.
+        """
+        histories = self._remembered(sight)
+        if not len(sight.others.numbers):
+            return []
+        copies = []
+        for number, history in histories.items():
+            if sight.stamp < history.due or history.samples[-1][0] != sight.stamp:
+                continue
+            history.due = sight.stamp + _PATIENCE
+            if self._is_copy(history, sight):
+                copies.append(number)
+        if copies:
+            state = self._cameras[sight.source]
+            copies += [
+                number
+                for number, history in histories.items()
+                if number not in copies
+                and any(state.explains(pairs, self._mirror) for pairs in history.pairs())
+            ]
+        for number in copies:
+            del histories[number]
+        return copies
+
+    def _remembered(self, sight: Sight) -> dict[int, _History]:
+        """Add a message to the histories of the camera's tracks; return them."""
+        old = self._histories.get(sight.source, {})
+        recent = {
+            number: history
+            for number, history in old.items()
+            if sight.stamp - history.samples[-1][0] < _SHORTEST
+        }
+        histories = self._histories[sight.source] = recent
+        if len(sight.tracks) * len(sight.others.numbers) > _CROWD:
+            return histories
+        for number, pose in zip(sight.tracks, sight.poses, strict=True):
+            new = _History(sight.stamp, sight.stamp + _SHORTEST)
+            histories.setdefault(number, new).add(sight.stamp, pose, sight.others)
+        return histories
+
+    def _is_copy(self, history: _History, sight: Sight) -> bool:
+        """Whether a track is a copy; the camera is then displaced."""
+        state = self._cameras.get(sight.source)
+        best: tuple[Likeness, _Pairs] | None = None
+        for pairs in history.pairs():
+            if state and state.explains(pairs, self._mirror):
+                state.last = sight.stamp
+                return True
+            like = likeness(pairs.own, pairs.other, self._mirror)
+            if like and (best is None or like.distance < best[0].distance):
+                best = like, pairs
+        if best is None:
+            return False
+        like, pairs = best
+        limit = _ALIKE
+        if state and state.by.mirrors == like.by.mirrors:
+            limit = _ALIKE_IF_DISPLACED
+        if not like.is_copy(limit, pairs.unseen) or not (state or self._right_ones(sight)):
+            return False
+        if like.distance < _ALIKE:
+            self._declare(like, pairs, history.first, sight)
+        return True
+
+    def _right_ones(self, sight: Sight) -> list[str]:
+        """Return the other cameras that show people where they are."""
+        return [
+            each
+            for each in sight.heard
+            if each not in self._cameras or self._cameras[each].by.mirrors
+        ]
+
+    def _declare(self, like: Likeness, pairs: _Pairs, since: int, sight: Sight) -> None:
+        """Note that a camera is displaced, or displaced anew."""
+        right = sorted(self._right_ones(sight))
+        state = self._cameras[sight.source] = _State(like.by, sight.stamp)
+        state.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        if not like.by.mirrors and [*sight.heard] == right and len(right) == 1:
+            other = self._cameras[right[0]] = _State(like.by.inverse(), sight.stamp)
+            other.pairs.extend(zip(pairs.other, pairs.own, strict=True))
+        if sight.source in self._named:
+            return
+        self._named |= {sight.source} if right[1:] else {sight.source, *right}
+        if like.by.mirrors:
+            detail = f"shows mirror images of people, {like.apart:.2f} m from them"
+        elif pairs.agreed and len(right) > 1:
+            detail = f"shows people {like.apart:.2f} m from where other cameras see them"
+        else:
+            them = "sees" if len(right) == 1 else "see"
+            detail = (
+                f"shows people {like.apart:.2f} m from where {' and '.join(right)} {them} them, "
+                "and which of them is wrong cannot be known"
+            )
+        self._events.note(since, CAMERA_DISPLACED, source=sight.source, detail=detail)
+
+
+def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
+    """Compare a track with a person; None if there is no evidence.
+
+    Parameters
+    ----------
+    own, other : (K, M, 3) markers of both at K instants, m. mirror : (M,) see
+        :class:`DisplacedCameras`.
+    """
+    both = np.isfinite(own[..., 0] + other[..., 0])
+    enough = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
+    if np.count_nonzero(enough) < _FEWEST:
+        return None
+    own, other, both = own[enough], other[enough], both[enough]
+    often = np.count_nonzero(both, axis=0) >= _FEWEST
+    if not often.any():
+        return None
+    motion = float(np.sqrt(np.mean(np.nanvar(other[:, often], axis=0).sum(axis=-1))))
+    if motion <= _MOTION:
+        return None
+    by, distance = _best_fit(own, other, mirror, mirrors=False)
+    if distance > _ALIKE:  # a body that is almost flat looks like its mirror image, too
+        by, distance = min(
+            (by, distance), _best_fit(own, other, mirror, mirrors=True), key=lambda each: each[1]
+        )
+    away = np.nanmean(own - other, axis=1)
+    apart = float(np.median(np.linalg.norm(away, axis=-1)))
+    pure = by.mirrors and _only_reflects(by.rotation, away.mean(axis=0))
+    return Likeness(distance, motion, apart, by, pure)
+
+
+def _best_fit(
+    own: Floats, other: Floats, mirror: Ints, *, mirrors: bool
+) -> tuple[Displacement, float]:
+    """Return the better of the fits with sides as they are and with sides swapped."""
+    sides = (False, True) if (mirror != np.arange(len(mirror))).any() else (False,)
+    fits = [fit(own, other, mirror, mirrors, swaps) for swaps in sides]
+    return min(fits, key=lambda each: each[1])
+
+
+def fit(
+    own: Floats, other: Floats, mirror: Ints, mirrors: bool, swaps: bool
+) -> tuple[Displacement, float]:
+    """Return the displacement that fits best, and the median over time of the distance left, m.
+
+    Instants that fit much worse than most are left out; inf if too few are left. Parameters: see :func:`likeness`.
+    """
+    source = own[:, mirror] if swaps else own
+    both = np.isfinite(source[..., 0] + other[..., 0])
+    used = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
+    if np.count_nonzero(used) < _FEWEST:
+        return Displacement(np.eye(3), np.zeros(3), mirrors, swaps), np.inf
+    for _ in range(_ROUNDS):
+        rows = both & used[:, None]
+        rotation, shift = kabsch(source[rows], other[rows], mirrors=mirrors)
+        by = Displacement(rotation, shift, mirrors, swaps)
+        distances = _mean_distances(by.undo(own, mirror), other)
+        distance = float(np.median(distances))
+        if distance > 2.0 * _ALIKE_IF_DISPLACED:  # nothing that is left out would mend it
+            break
+        used = distances <= _OUTLYING * distance
+    return by, distance
+
+
+def _median_distance(by: Displacement, own: Floats, other: Floats, mirror: Ints) -> float:
+    """Median over time of the distance, m, of a track from a person, the displacement undone."""
+    return float(np.median(_mean_distances(by.undo(own, mirror), other)))
+
+
+def _mean_distances(one: Floats, other: Floats) -> Floats:
+    """Mean distance, m, of the markers (..., M, 3) that both have; inf if there is none."""
+    apart = np.sqrt(np.sum((one - other) ** 2, axis=-1))
+    n = np.count_nonzero(np.isfinite(apart), axis=-1)
+    return np.where(n > 0, np.nansum(apart, axis=-1) / np.maximum(n, 1), np.inf)
+
+
+def _only_reflects(rotation: Floats, away: Floats) -> bool:
+    """Whether an improper rotation is a reflection that explains how far apart two people are."""
+    normal = np.linalg.eigh(rotation + rotation.T)[1][:, 0]
+    beside = away - (away @ normal) * normal
+    angle = np.arccos(np.clip((np.trace(rotation) + 1.0) / 2.0, -1.0, 1.0))
+    return bool(angle < _PURE_ANGLE and np.linalg.norm(beside) < _PURE_SHIFT)
