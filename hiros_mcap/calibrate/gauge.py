@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, from_matrix, from_vector, to_matrix, to_vector
+from hiros_mcap.body.rotations import (
+    Rigid,
+    from_matrix,
+    from_vector,
+    rotate,
+    to_matrix,
+    to_vector,
+)
 from hiros_mcap.calibrate.floor import Floor
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.skeletons import Floats
@@ -15,12 +24,94 @@ PRIOR_DEG = 0.3
 """SD of an orientation that the log states, per axis."""
 PRIOR_M = 0.006
 """SD of a position that the log states, per axis."""
+CHI2_3_MEDIAN = 2.36597
+"""Median of a chi-square distribution with three degrees of freedom."""
+_ASSUMED = 12
+"""Coordinates that the assumption counts as. Fewer state too little: cameras that deviate alike do
+not deviate from the rig."""
 ROUNDS = 20
 STILL = 1e-5
 """A step that changes less, m or radians, is the last."""
 
 Placement = tuple[Floats, Floats]
 """Rotation (3, 3) and shift (3,) of the common frame in the fixed frame."""
+
+
+class PlacementError(NamedTuple):
+    """How uncertain it is where the rig as a whole stands."""
+
+    middle: Floats
+    """(3,) of the cameras, m."""
+    turn: Floats
+    """(3, 3) covariance of a small rotation about the middle, rad2."""
+    shift: float
+    """Variance of the middle along each axis, m2."""
+
+    def variances(self, positions: Floats) -> Floats:
+        """(...) Mean variance along each axis, m2, of positions (..., 3), m."""
+        away = positions - self.middle
+        # trace([x] S [x]'), with the matrix [x] of the cross product
+        across = (away**2).sum(axis=-1) * np.trace(self.turn)
+        across -= np.einsum("...i,ij,...j->...", away, self.turn, away)
+        return np.asarray(self.shift + across / 3.0)
+
+    @property
+    def degrees(self) -> float:
+        """Standard deviation of the orientation about an axis."""
+        return float(np.degrees(np.sqrt(np.trace(self.turn) / 3.0)))
+
+    @property
+    def metres(self) -> float:
+        """Standard deviation of the middle along an axis."""
+        return float(np.sqrt(self.shift))
+
+
+def placement_error(
+    places: Mapping[str, Floats],
+    to_given: Mapping[str, Rigid],
+    angle: float = math.radians(PRIOR_DEG),
+    shift: float = PRIOR_M,
+) -> PlacementError | None:
+    """Return how wrong the placement of a rig is that was fitted to the given poses.
+
+    The given poses deviate from the refined rig, which shows how wrong they are: in orientation and
+    in position apart, by the median over the cameras, with the assumption as some more coordinates
+    (scaled inverse chi square, Gelman et al. 2013, section 2.6).
+
+    Parameters
+    ----------
+    places : camera -> position, m. to_given : camera -> what takes its people back to the pose that
+        was given, where it was refined. angle, shift : assumed standard deviations of the given
+        poses, rad and m.
+
+    Returns None if no camera's position is known.
+    """
+    known = [name for name, place in places.items() if not np.isnan(place).any()]
+    if not known:
+        return None
+    refined = [name for name in known if name in to_given]
+    if refined:
+        turns = np.stack([to_vector(to_given[name].xyzw) for name in refined])
+        back = [
+            rotate(to_given[name].xyzw, places[name]) + to_given[name].translation - places[name]
+            for name in refined
+        ]
+        angle *= math.sqrt(_observed(turns / angle))
+        shift *= math.sqrt(_observed(np.stack(back) / shift))
+    at = np.stack([places[name] for name in known])
+    middle = at.mean(axis=0)
+    arms = at - middle
+    # Hessian of the deviations in units of the prior; about the middle it has no mixed part.
+    level = (arms**2).sum() * np.eye(3) - arms.T @ arms
+    hessian = len(at) * np.eye(3) / angle**2 + level / shift**2
+    return PlacementError(middle, np.linalg.inv(hessian), shift**2 / len(at))
+
+
+def _observed(scaled: Floats) -> float:
+    """Return observed over assumed variance of vectors (C, 3) in assumed standard deviations."""
+    free = 3 * (len(scaled) - 1)
+    middle = float(np.median((scaled**2).sum(axis=1))) / CHI2_3_MEDIAN
+    return (_ASSUMED + free * middle) / (_ASSUMED + free)
 
 
 def on_transforms(rig: Rig, given: Mapping[int, Rigid]) -> Placement:

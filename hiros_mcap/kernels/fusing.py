@@ -18,7 +18,19 @@ import numpy as np
 from numba import types
 
 from hiros_mcap.kernels.averaging import BEGIN, BUFFERS, CAMERA, END, TIME, Buffers
-from hiros_mcap.kernels.compile import B1, F1, F2, F3, F4, I1, J1, PEOPLE, inlined, kernel, named_tuple
+from hiros_mcap.kernels.compile import (
+    B1,
+    F1,
+    F2,
+    F3,
+    F4,
+    I1,
+    J1,
+    PEOPLE,
+    inlined,
+    kernel,
+    named_tuple,
+)
 from hiros_mcap.kernels.merging import EXCHANGED, LEFT_OUT
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 

@@ -12,12 +12,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hiros_mcap.events import COMMON, RESIDUAL, Events
-from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages.log_histograms import medians
+from hiros_mcap.stages.residuals import FEWEST, ratios
 from hiros_mcap.summary import ScatterSummary
 
-_MEDIAN = 2.36597  # of a chi-square distribution with three degrees of freedom
-_FEWEST = 50  # residuals that give a median
 _LARGE = 1.4  # times as far as expected
 _WORSE = 1.2  # a joint is named if it is so many times worse than its camera
 _TOGETHER = 0.6  # share in common from which the camera as a whole is off
@@ -26,7 +25,7 @@ _TOGETHER = 0.6  # share in common from which the camera as a whole is off
 def scatter_of(events: Events) -> float:
     """Return how many times as large as expected all residuals are; NaN if there are none."""
     some = [counts for (kind, _), counts in events.histograms.items() if kind == RESIDUAL]
-    return float(_ratios(sum(each.sum(axis=0) for each in some)[None])[0]) if some else math.nan
+    return float(ratios(sum(each.sum(axis=0) for each in some)[None])[0]) if some else math.nan
 
 
 def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterSummary]:
@@ -34,9 +33,9 @@ def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterS
     for (kind, name), counts in sorted(events.histograms.items()):
         if kind != RESIDUAL:
             continue
-        (ratio,) = _ratios(counts.sum(axis=0, keepdims=True)).tolist()
-        (common,) = medians(events.histograms[COMMON, name], _FEWEST).tolist()
-        joints = np.nan_to_num(_ratios(counts))
+        (ratio,) = ratios(counts.sum(axis=0, keepdims=True)).tolist()
+        (common,) = medians(events.histograms[COMMON, name], FEWEST).tolist()
+        joints = np.nan_to_num(ratios(counts))
         worst = int(joints.argmax())
         known = joints[worst] > 0
         yield ScatterSummary(
@@ -46,11 +45,6 @@ def scatter_by_camera(events: Events, model: SkeletonModel) -> Iterator[ScatterS
             worst_ratio=float(joints[worst]) if known else math.nan,
             common=common,
         )
-
-
-def _ratios(counts: Stamps) -> Floats:
-    """(K,) Size of residuals as a multiple of the expected one, from histograms (K, B)."""
-    return np.sqrt(medians(counts, _FEWEST) / _MEDIAN)
 
 
 def scatter_notes(cameras: Sequence[ScatterSummary]) -> Iterator[str]:

@@ -31,8 +31,8 @@ from hiros_mcap.skeletons import (
     Ints,
     SkeletonModel,
     Stamps,
-    Uncertainty,
 )
+from hiros_mcap.stages.residuals import restated
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 SURE = 0.005  # m; added to the deviations that weight a length
@@ -176,8 +176,7 @@ class _Bodies:
             self._correct(person, out, rows, variances)  # 2 and 3
         self._people = remembered(self._people, int(out.stamps[-1]))
         log_times = np.full(len(out), log_time)
-        known = surer(out, variances, self._links)
-        return replace(out, log_times=log_times, uncertainty=known)
+        return replace(surer(out, variances, self._links), log_times=log_times)
 
     def _measure(
         self, person: int, out: Block, rows: Stamps, variances: Floats, stamps: Stamps
@@ -290,21 +289,12 @@ def own_variances(block: Block) -> Floats:
     return np.where(np.isnan(variances), UNKNOWN_DEVIATION**2, np.maximum(variances, 1e-8))
 
 
-def surer(out: Block, variances: Floats, links: Ints) -> Uncertainty | None:
-    """Return the uncertainty after the projection onto ``links``; confidences follow it."""
-    known, people = out.uncertainty, out.people
-    if known is None:
-        return None
-    left = variances * left_by_lengths(variances, links) + known.shared**2
-    # 1 / c - 1 is proportional to the variance.
-    ratio = left / known.deviations**2
-    people.marker_confidences[:] = 1 / (1 + (1 / people.marker_confidences - 1) * ratio)
-    seen = ~np.isnan(people.marker_confidences)
-    total = np.where(seen, people.marker_confidences, 0.0).sum(axis=1)
-    count = seen.sum(axis=1)
-    people.confidences[:] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    deviations = np.where(np.isnan(known.deviations), np.nan, np.sqrt(left))
-    return known._replace(deviations=deviations)
+def surer(out: Block, variances: Floats, links: Ints) -> Block:
+    """Return a block with the uncertainty after the projection onto ``links``."""
+    if out.uncertainty is None:
+        return out
+    left = variances * left_by_lengths(variances, links)
+    return restated(out, np.where(np.isnan(out.uncertainty.deviations), np.nan, left))
 
 
 def left_by_lengths(variances: Floats, links: Ints) -> Floats:

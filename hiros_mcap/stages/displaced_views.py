@@ -11,7 +11,6 @@ square of the offset.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ it has twice the offset of the others; with more cameras the ratio is larger."""
 SHARE = 10.0
 MAJORITY = 3
 """Fewer cameras do not tell which one of them is wrong."""
-_SECOND = 1_000_000_000  # ns
+SECOND = 1_000_000_000  # ns
 _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_A_WARNING = 2.0  # s of people in front of a displaced camera
 
@@ -70,8 +69,8 @@ class _Offsets(NamedTuple):
 class DisplacedViews:
     """Which cameras show people elsewhere than the others, person by person.
 
-    A smoother asks for the ``excess`` of views whose offsets it has measured, and smooths again.
-    A filter asks for the excess that is ``expected`` by the views before.
+    A smoother asks for the excess (:func:`excess_of`) of views whose offsets it has measured, and
+    smooths again. A filter asks for the excess that is ``expected`` by the views before.
     """
 
     def __init__(self) -> None:
@@ -88,17 +87,6 @@ class DisplacedViews:
             np.pad(self._bank.past.sums, ((0, 0), (0, new), (0, 0))),
             np.pad(self._bank.past.weights, ((0, 0), (0, new))),
         )
-
-    def excess(self, views: Sightings, offsets: Floats) -> Floats:
-        """(N,) Variance, m2, to be added to views, second by second."""
-        keys = np.stack([views.people, views.stamps // _SECOND])
-        _, groups = np.unique(keys, axis=1, return_inverse=True)
-        groups, n = groups.ravel(), int(groups.max(initial=-1)) + 1
-        there = ~np.isnan(offsets[:, 0])
-        sums, counts = np.zeros((n, len(self._names), 3)), np.zeros((n, len(self._names)))
-        np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
-        np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
-        return displaced(sums, counts)[groups, views.cameras]
 
     def expected(self, views: Sightings) -> Floats:
         """(N,) The same of views that come now, by the views before them."""
@@ -150,7 +138,7 @@ class _Span:
         lost = excess > 0
         if lost.any():
             self.first = self.first or int(stamps[lost].min())
-            self._seconds.update(np.unique(stamps[lost] // _SECOND).tolist())
+            self._seconds.update(np.unique(stamps[lost] // SECOND).tolist())
             self._squares += float(excess[lost].sum()) / SHARE
             self._views += int(lost.sum())
 
@@ -161,6 +149,18 @@ class _Span:
     @property
     def metres(self) -> float:
         return float(np.sqrt(self._squares / max(self._views, 1)))
+
+
+def excess_of(views: Sightings, offsets: Floats, n_cameras: int) -> Floats:
+    """(N,) Variance, m2, to be added to views with ``offsets`` (N, 3), m, second by second."""
+    keys = np.stack([views.people, views.stamps // SECOND])
+    _, groups = np.unique(keys, axis=1, return_inverse=True)
+    groups, n = groups.ravel(), int(groups.max(initial=-1)) + 1
+    there = ~np.isnan(offsets[:, 0])
+    sums, counts = np.zeros((n, n_cameras, 3)), np.zeros((n, n_cameras))
+    np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
+    np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
+    return np.asarray(displaced(sums, counts)[groups, views.cameras])
 
 
 def displaced(sums: Floats, weights: Floats) -> Floats:

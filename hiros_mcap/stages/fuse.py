@@ -164,10 +164,10 @@ def fuse_blocks(
         residuals.expect(len(block), sightings, names)
         for fused in smoother.update(block, sightings, names):
             residuals.compare(fused)
-            yield fused
+            yield residuals.scaled(fused)
     for fused in smoother.rest():
         residuals.compare(fused)
-        yield fused
+        yield residuals.scaled(fused)
     residuals.finish()
     smoother.displaced.tell(events)
 

@@ -11,7 +11,7 @@ What :mod:`hiros_mcap.stages.constrain` learns from a window, this learns on the
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class LiveBodies:
             bodies = [self._body(i, stamp) for i in out.people.ids[begin:end].tolist()]
             self._correct(bodies, out.people.markers[begin:end], variances[begin:end])
             self._people = remembered(self._people, stamp)
-        return replace(out, uncertainty=surer(out, variances, self._links))
+        return surer(out, variances, self._links)
 
     def _body(self, person: int, stamp: int) -> _LiveBody:
         """Return what is known of who is seen at ``stamp``, ns."""

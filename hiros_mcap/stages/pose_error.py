@@ -7,7 +7,11 @@ of wrong poses, they see a person at different places. The variance that is assu
 
 is the estimate, where a is the variance that is observed over that assumed. So the assumption
 counts as much as the three coordinates of one more camera (scaled inverse chi square, Gelman et al.
-2013, section 2.6). Nobody sees an error that all cameras share; it is the mean of theirs.
+2013, section 2.6). Views of displaced cameras (:mod:`hiros_mcap.stages.displaced_views`) have no
+weight in the result, so they are not compared.
+
+Cameras whose poses were refined agree. They share the placement of the rig
+(:func:`hiros_mcap.calibrate.gauge.placement_error`), which nobody sees.
 """
 
 from __future__ import annotations
@@ -16,7 +20,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, rotate
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats, Stamps
 
@@ -44,38 +49,32 @@ class PoseError:
         angle, shift : standard deviation of orientations, rad, and of positions along each axis, m.
         places : camera -> position, m, as far as known.
         to_given : camera -> what takes its people back to the pose that was given, for cameras
-            whose poses were refined. These agree; they still share the mean of the errors given.
+            whose poses were refined.
         """
-        self._angle, self._shift, self._places, self._to_given = angle, shift, places, to_given
+        self._angle, self._shift, self._places, self._refined = angle, shift, places, to_given
+        self._right = angle <= 0 and shift <= 0
+        usable = angle > 0 and shift > 0 and to_given
+        self._placement = placement_error(places, to_given, angle, shift) if usable else None
         self._observed, self._compared, self._most = 0.0, 0, 0
         self._learned: int | None = None
 
-    def learn(
-        self, views: Sightings, variances: Floats, fused: Floats, names: Sequence[str]
-    ) -> None:
+    def learn(self, views: Sightings, offsets: Floats, names: Sequence[str]) -> None:
         """Compare the places at which cameras see a person.
 
         Parameters
         ----------
-        variances : (N, M) of the measurements, m2. fused : (N, M, 3) results at the views' times,
-            m; NaN = none.
+        offsets : (N, 3) of the views against the results, m; NaN = none.
         """
-        right = self._angle <= 0 and self._shift <= 0
-        if right or not len(views.stamps) or not self._is_due(int(views.stamps.max())):
+        if self._right or not len(views.stamps) or not self._is_due(int(views.stamps.max())):
             return
-        offsets = self._as_given(views, names) - fused
-        known = ~np.isnan(offsets[:, :, 0])
-        weights = np.where(known, 1 / variances, 0.0)
-        seen = known.any(axis=1)
+        seen = ~np.isnan(offsets[:, 0])
         for person in np.unique(views.people[seen]):
             scaled = []
             for camera in np.unique(views.cameras[seen & (views.people == person)]):
-                own = (views.people == person) & (views.cameras == camera)
-                mean = np.average(
-                    offsets[own][known[own]], axis=0, weights=weights[own][known[own]]
-                )
-                centre = views.positions[own][known[own]].mean(axis=0)
-                scaled.append(mean / np.sqrt(self._assumed(centre, names[camera])))
+                own = seen & (views.people == person) & (views.cameras == camera)
+                centre = np.nanmean(views.positions[own], axis=(0, 1))
+                assumed = self._assumed(centre, names[camera])
+                scaled.append(offsets[own].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
     def _is_due(self, now: int) -> bool:
@@ -86,20 +85,11 @@ class PoseError:
     def _count(self, scaled: Floats) -> None:
         """Add how far the cameras' places (C, 3), in standard deviations, are from each other."""
         free = _AXES * (len(scaled) - 1)
-        if free:
+        if free > 0:
             square = float(((scaled - scaled.mean(axis=0)) ** 2).sum())
             self._observed += min(square, _MOST * free)
             self._compared += free
             self._most = max(self._most, free)
-
-    def _as_given(self, views: Sightings, names: Sequence[str]) -> Floats:
-        """(N, M, 3) What the cameras saw, by the poses that were given."""
-        given = views.positions.copy()
-        for k, name in enumerate(names):
-            if name in self._to_given:
-                own, back = views.cameras == k, self._to_given[name]
-                given[own] = rotate(back.xyzw, given[own]) + back.translation
-        return given
 
     def _assumed(self, positions: Floats, name: str) -> Floats:
         """(...) Assumed variance along each axis of positions (..., 3), m2."""
@@ -120,13 +110,15 @@ class PoseError:
 
         ``seen`` (K, M) has a bit for each camera.
         """
-        alone, shared, count = np.zeros(seen.shape), np.zeros(seen.shape), np.zeros(seen.shape)
+        alone, refined, count = np.zeros(seen.shape), np.zeros(seen.shape), np.zeros(seen.shape)
         for k, name in enumerate(names):
             sees = (seen >> k) & 1
-            own = sees * self._assumed(positions, name)
             count += sees
-            if name in self._to_given:
-                shared += np.sqrt(own / len(self._to_given))
+            if self._placement is not None and name in self._refined:
+                refined += sees
             else:
-                alone += own
-        return np.asarray(self.ratio * (alone + shared**2) / np.maximum(count, 1) ** 2)
+                alone += sees * self._assumed(positions, name)
+        shared = np.zeros(seen.shape)
+        if self._placement is not None:
+            shared = self._placement.variances(positions)
+        return np.asarray((self.ratio * alone + refined**2 * shared) / np.maximum(count, 1) ** 2)

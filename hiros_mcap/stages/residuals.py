@@ -13,19 +13,28 @@ chi-square distribution with three degrees of freedom if the model is right.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import POSITION, UNTRACKED, VELOCITY, Floats, SkeletonModel, Stamps
+from hiros_mcap.stages.displaced_views import SECOND, excess_of
 from hiros_mcap.stages.fusion_noise import FusionNoise
-from hiros_mcap.stages.log_histograms import histograms
+from hiros_mcap.stages.log_histograms import histograms, medians
 from hiros_mcap.stages.sightings import chosen, joined
 
+FEWEST = 50
+"""Residuals that give a median."""
 _EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
+_MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
+_FEWEST_VIEWS = 5
+_AS_EXPECTED = 1.1
+"""Healthy cameras scatter up to so many times as far as expected."""
 
 
 class ResidualMeter:
@@ -50,6 +59,9 @@ class ResidualMeter:
         self._views: list[Sightings] = []
         """Not yet compared; instants are numbered through the log."""
         self._fused: list[Block] = []
+        self._recent: dict[str, Floats] = {}
+        """Camera -> histogram of its residuals, of which the old ones count less."""
+        self._last: int | None = None
         self._seen = self._first = self._waiting = 0
         """Instants so far, those that were compared, and frames in ``_fused``."""
 
@@ -78,6 +90,25 @@ class ResidualMeter:
         self._views, self._fused = [chosen(views, ~done)], []
         self._first, self._waiting = self._first + len(fused), 0
 
+    def scaled(self, fused: Block) -> Block:
+        """Return a block whose uncertainty allows for cameras that scatter more than expected.
+
+        The variance of a marker grows by the mean of the squared ratios of the cameras that saw
+        it, beyond what healthy cameras show.
+        """
+        known = fused.uncertainty
+        if known is None:
+            return fused
+        ratio_of = {name: float(ratios(one[None])[0]) for name, one in self._recent.items()}
+        ratio = np.array([ratio_of.get(name, np.nan) for name in known.names])
+        factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / _AS_EXPECTED, 1.0) ** 2
+        if (factors == 1.0).all():
+            return fused
+        sees = (known.cameras[:, :, None] >> np.arange(len(factors))) & 1
+        count = sees.sum(axis=2)
+        factor = np.where(count > 0, sees @ factors / np.maximum(count, 1), factors.mean())
+        return restated(fused, factor * (known.deviations**2 - known.shared**2))
+
     def _count(self, fused: Block, views: Sightings) -> None:
         """Add the residuals of views to the histograms of their cameras."""
         rows = _rows_of(fused, self._first, views)
@@ -101,6 +132,64 @@ class ResidualMeter:
             counts = histograms((squares[own] / variances[own]).T)
             self._events.tally(RESIDUAL, name, counts)
             self._events.tally(COMMON, name, histograms(common[None, own]))
+        with np.errstate(invalid="ignore"):
+            whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
+            whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
+        # The result does not rest on displaced cameras.
+        rests = excess_of(views, whole, len(self._names)) == 0
+        slow = (variances - white)[rests]
+        self._remember(
+            chosen(views, rests), residuals[rests], white[rests], slow, int(fused.stamps[-1])
+        )
+
+    def _remember(
+        self, views: Sightings, residuals: Floats, white: Floats, slow: Floats, stamp: int
+    ) -> None:
+        """Add the means of residuals (N, M, 3) over a second to the cameras' histograms.
+
+        The mean of n has the variance R / n + B - P; ``white`` is R, ``slow`` B - P, (N, M) m2.
+        """
+        keys = np.stack([views.cameras, views.people, views.stamps // SECOND])
+        keys, groups = np.unique(keys, axis=1, return_inverse=True)
+        groups = groups.ravel()
+        there = ~np.isnan(residuals[:, :, 0] + slow)
+        shape = (keys.shape[1], there.shape[1])
+        count, variance, mean = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 3))
+        np.add.at(count, groups, there)
+        np.add.at(mean, groups, np.where(there[:, :, None], residuals, 0.0))
+        expected = white / np.maximum(count, 1)[groups] + slow
+        np.add.at(variance, groups, np.where(there, expected, 0.0))
+        n = np.where(count >= _FEWEST_VIEWS, count, np.nan)
+        squares = ((mean / n[:, :, None]) ** 2).sum(axis=2) / (variance / n)
+        passed = stamp - (stamp if self._last is None else self._last)
+        keep = float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
+        self._last = stamp
+        for k, name in enumerate(self._names):
+            counts = histograms(squares[keys[0] == k].reshape(1, -1))[0]
+            self._recent[name] = keep * self._recent.get(name, 0.0) + counts
+
+
+def ratios(counts: Floats | Stamps) -> Floats:
+    """(K,) Size of residuals as a multiple of the expected one, from histograms (K, B)."""
+    return np.sqrt(medians(counts, FEWEST) / CHI2_3_MEDIAN)
+
+
+def restated(fused: Block, variances: Floats) -> Block:
+    """Return a block whose markers have other ``variances`` (P, M), m2, and confidences."""
+    known, people = fused.uncertainty, fused.people
+    if known is None:
+        return fused
+    total = variances + known.shared**2
+    confidences = people.marker_confidences
+    # 1 / c - 1 is proportional to the variance.
+    confidences = 1 / (1 + (1 / confidences - 1) * total / known.deviations**2)
+    there = ~np.isnan(confidences)
+    count = there.sum(axis=1)
+    whole = np.where(there, confidences, 0.0).sum(axis=1) / np.maximum(count, 1)
+    people = people._replace(
+        marker_confidences=confidences, confidences=np.where(count > 0, whole, np.nan)
+    )
+    return replace(fused, people=people, uncertainty=known._replace(deviations=np.sqrt(total)))
 
 
 def _rows_of(fused: Block, first: int, views: Sightings) -> Stamps:

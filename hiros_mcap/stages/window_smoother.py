@@ -22,7 +22,7 @@ from hiros_mcap.skeletons import (
     Uncertainty,
 )
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.displaced_views import DisplacedViews, view_offsets
+from hiros_mcap.stages.displaced_views import DisplacedViews, excess_of, view_offsets
 from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.pose_error import PoseError
 from hiros_mcap.stages.sightings import chosen, joined
@@ -141,19 +141,13 @@ class WindowSmoother:
         window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
         of_views = rows_of(views, self._first + owners, out.people.ids)
         self._bank.expire(self._stamp(0))
-        poses, variances = self._without_displaced(window, of_views, boundary)
+        poses = self._without_displaced(window, of_views, boundary)
         seen = cameras_by_row(views, of_views, poses.variances.shape)
-        self._compare(views, variances, poses, out.stamps[owners], of_views)
         self._drop(n, boundary, views)
         return self._finished(out, log_time, poses, seen)
 
-    def _without_displaced(
-        self, window: _Window, of_views: Stamps, boundary: int
-    ) -> tuple[FusedPoses, Floats]:
-        """Smooth a window; return the variances of the views, (N, M) m2, that it was done with.
-
-        Cameras that prove to be displaced have lost their weight.
-        """
+    def _without_displaced(self, window: _Window, of_views: Stamps, boundary: int) -> FusedPoses:
+        """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, new = window.views, window.new
         white = self._noise.variances(views, self._names, self._places)
         ahead = self._params.window > 0
@@ -161,22 +155,22 @@ class WindowSmoother:
         for person in np.unique(window.people).tolist():
             self._bank.row(person, boundary)
         for again in range(1 + _ROUNDS):
-            variances = white + excess[:, None]
             before = self._bank.past
             if ahead:
                 self._bank.past = before._make(array.copy() for array in before)
-            poses = self._smooth_people(window, variances, boundary)
+            poses = self._smooth_people(window, white + excess[:, None], boundary)
             offsets = view_offsets(views, white, poses, window.stamps, of_views)
             if not ahead:
                 self.displaced.remember(views, offsets, new & (of_views >= 0))
                 break
-            last, excess = excess, self.displaced.excess(views, offsets)
+            last, excess = excess, excess_of(views, offsets, len(self._names))
             if again == _ROUNDS or not ((excess > 0) != (last > 0)).any():
                 excess = last
                 break
             self._bank.past = before
         self.displaced.count(views, excess, new & (of_views >= 0))
-        return poses, variances
+        self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T, self._names)
+        return poses
 
     def _smooth_people(self, window: _Window, variances: Floats, boundary: int) -> FusedPoses:
         """Smooth everybody; the filters stand at ``boundary``, ns, afterwards."""
@@ -218,16 +212,6 @@ class WindowSmoother:
         fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, own, work)
         for whole, part in zip(poses, own, strict=True):
             whole[rows] = part
-
-    def _compare(
-        self, views: Sightings, variances: Floats, poses: FusedPoses, stamps: Stamps, rows: Stamps
-    ) -> None:
-        """Let the cameras show how wrong their poses are; ``rows`` are the views' results."""
-        own = np.flatnonzero(rows >= 0)
-        rows = rows[own]
-        later = (views.stamps[own] - stamps[rows])[:, None, None] * 1e-9
-        fused = poses.positions[rows] + later * poses.velocities[rows]
-        self._pose_error.learn(chosen(views, own), variances[own], fused, self._names)
 
     def _drop(self, n: int, boundary: int, views: Sightings) -> None:
         """Forget what the filters have taken over."""
