@@ -61,8 +61,8 @@ class SidesParams(Params):
 
 
 def knows_sides(model: SkeletonModel) -> bool:
-    """Whether the names of the markers tell left from right shoulders or hips."""
-    return bool(len(symmetry_of(model).lateral))
+    """Whether the names of the markers tell left from right, and where shoulders and hips are."""
+    return bool(len(symmetry_of(model).lateral) and len(ForwardCues.of(model).trunk))
 
 
 def decide_sides(
