@@ -167,9 +167,19 @@ def turned(frame: Frame, degrees: float) -> Frame:
     return replace(out, source=frame.source)
 
 
-def swinging(frame: Frame, _: int, t: float) -> Frame:
-    """Let the line through shoulders and hips swing round to the other labelling, from 2 s on."""
-    angle = min(max((t - 2) * 600, 0.0), 180.0)
+SLAVED = 2.5
+"""s in which a detector shows that its toes follow its labels: camera 0 is wrong all the time."""
+
+
+def slaved(frame: Frame, camera: int, t: float) -> Frame:
+    """Return what such a detector reports: its lines tell nothing of turns either."""
+    return turned_toes(frame) if camera == 0 and t < SLAVED else frame
+
+
+def swinging(frame: Frame, camera: int, t: float) -> Frame:
+    """Let the line through shoulders and hips swing round to the other labelling, after that."""
+    angle = min(max((t - SLAVED - 0.5) * 600, 0.0), 180.0)
+    frame = slaved(frame, camera, t)
     return turned(frame, angle) if angle < 90 else mirror(turned(frame, angle - 180))
 
 
@@ -185,16 +195,17 @@ def largest_turn(frames: Iterable[Frame]) -> float:
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
 def test_the_facing_does_not_jump_while_the_line_swings_round(params: SidesParams) -> None:
-    frames = views(3.5, swinging)
-    results = decided(frames, params)
-    assert right(results[-30:], 3.5) == 1
+    frames = views(4.5, swinging)
+    results = [f for f in decided(frames, params) if f.stamp > frames[0].stamp + SLAVED * 1e9]
+    assert right(results[-30:], 4.5) == 1
     assert largest_turn(results) < 60
 
 
 def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing() -> None:
-    frames = views(
-        4, lambda frame, camera, t: turned(frame, 80) if camera == 0 and t > 3.8 else frame
-    )
+    def askew(frame: Frame, camera: int, t: float) -> Frame:
+        return turned(frame, 80) if camera == 0 and t > 3.8 else slaved(frame, camera, t)
+
+    frames = views(4, askew)
     result, honest = decided(frames)[-2:]
     hips = [SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]]
     a, b = (np.diff(f.positions[0, hips, :2], axis=0)[0] for f in (result, honest))
