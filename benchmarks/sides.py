@@ -57,14 +57,14 @@ def result_of(
 
 
 def clear_directions(log: Path) -> tuple[np.ndarray, Floats]:
-    """Times, ns, and ways (N, 2) in which somebody walks where exactly one of two cameras that
+    """Times, ns, and ways (N, 3) in which somebody walks where exactly one of two cameras that
     contradict each other fits."""
     frames, model = result_of(log, "over time", "/hiros/tracked")
     cameras: dict[str, list[Frame]] = {}
     for frame in frames:
         cameras.setdefault(frame.source, []).append(frame)
     tracks = [track for own in cameras.values() for track in facing_tracks(own, model)]
-    stamps, ways = [np.zeros(0, np.int64)], [np.zeros((0, 2))]
+    stamps, ways = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
     for k, a in enumerate(tracks):
         for b in tracks[k + 1 :]:
             near = nearest_stamps(b.stamps, a.stamps)

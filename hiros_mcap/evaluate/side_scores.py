@@ -9,10 +9,11 @@ import numpy as np
 
 from hiros_mcap.body.forward_cues import CUES, ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.body.vertical import Vertical
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import facing as kernels
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.kernels.body_axes import find_upright
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
 
 WALKING = 0.5
 """m/s: somebody who is faster walks."""
@@ -33,11 +34,11 @@ class FacingTrack:
     stamps: Stamps
     """(T,) ns, increasing."""
     facing: Floats
-    """(T, 2) unit vectors in the horizontal plane; NaN = not known."""
+    """(T, 3) unit vectors at a right angle to the trunk; NaN = not known."""
     velocity: Floats
-    """(T, 2) m/s; NaN = not known."""
+    """(T, 3) at a right angle to the trunk, m/s; NaN = not known, or the trunk is not upright."""
     cues: Floats
-    """(T, CUES, 2) m, in the order of body.forward_cues.CUES; 0 = not known."""
+    """(T, CUES, 3) m, in the order of body.forward_cues.CUES; 0 or NaN = not known."""
 
     def along(self) -> tuple[Floats, Floats]:
         """(T,) Speed, m/s, and cosine between facing and walking direction."""
@@ -68,22 +69,43 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
     if not blocks:
         return []
     block = join([(one, 0) for one in blocks])
-    people, stamps = block.people, np.repeat(block.stamps, np.diff(block.rows, axis=1)[:, 0])
-    looks = kernels.Looks.allocate(len(people.ids))
-    symmetry, cues = symmetry_of(model), ForwardCues.of(model)
-    rows = np.arange(len(people.ids))
-    axes = Vertical(cues.trunk).axes(people, rows)
-    markers = kernels.FacingMarkers(symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet)
-    kernels.measure(people, rows, axes, markers, looks)
-    tracks = []
-    for person in np.unique(people.ids[people.ids != UNTRACKED]).tolist():
-        own = np.flatnonzero(people.ids == person)
+    stamps = np.repeat(block.stamps, np.diff(block.rows, axis=1)[:, 0])
+    looks = _looks(block.people, stamps, model)
+    across = looks.axes[:, :2]
+    facing = np.einsum("nk,nkc->nc", looks.facing, across)
+    cues = np.einsum("nqk,nkc->nqc", looks.cues.reshape(-1, len(CUES), 2), across)
+    ids, velocity, rows = block.people.ids, np.full((len(stamps), 3), np.nan), []
+    for person in np.unique(ids[ids != UNTRACKED]).tolist():
+        own = np.flatnonzero(ids == person)
         own = own[np.argsort(stamps[own], kind="stable")]
         own = own[np.diff(stamps[own], prepend=stamps[own[0]] - 1) > 0]
-        velocity = _velocities(stamps[own], looks.centres[own])
-        vectors = looks.cues[own].reshape(-1, len(CUES), 2)
-        tracks.append(FacingTrack(stamps[own], looks.facing[own], velocity, vectors))
-    return tracks
+        velocity[own] = _velocities(stamps[own], looks.centres[own])
+        rows.append(own)
+    walking = _walking(velocity, looks.axes)
+    return [FacingTrack(stamps[own], facing[own], walking[own], cues[own]) for own in rows]
+
+
+def _looks(people: People, stamps: Stamps, model: SkeletonModel) -> kernels.Looks:
+    """Measure everybody in axes of his own."""
+    symmetry, cues = symmetry_of(model), ForwardCues.of(model)
+    markers = kernels.FacingMarkers(
+        symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
+    )
+    looks, bank = kernels.Looks.allocate(len(stamps)), Bank(kernels.FacingPast.empty())
+    looks.stamps[:] = stamps
+    looks.rows[:] = [bank.row(person, 0) for person in people.ids.tolist()]
+    tables = kernels.FacingTables.make()
+    kernels.measure(people, np.arange(len(stamps)), markers, looks, bank.past, tables)
+    return looks
+
+
+def _walking(velocity: Floats, axes: Floats) -> Floats:
+    """(N, 3) What of the velocity is at a right angle to an upright trunk, m/s; NaN for others."""
+    upright = np.empty(len(axes))
+    find_upright(velocity, axes, np.zeros(4), upright)
+    trunk = axes[:, 2]
+    across = velocity - (velocity * trunk).sum(axis=1, keepdims=True) * trunk
+    return np.where(upright[:, None] > 0.5, across, np.nan)
 
 
 def side_scores(
@@ -110,8 +132,8 @@ def side_scores(
 
 
 def _velocities(stamps: Stamps, centres: Floats) -> Floats:
-    """(T, 2) Slope of a line through the centres of half a second round each instant, m/s."""
-    out = np.full((len(stamps), 2), np.nan)
+    """(T, 3) Slope of a line through the centres of half a second round each instant, m/s."""
+    out = np.full((len(stamps), 3), np.nan)
     firsts = np.searchsorted(stamps, stamps - _SPAN)
     ends = np.searchsorted(stamps, stamps + _SPAN, side="right")
     for k, (first, end) in enumerate(zip(firsts.tolist(), ends.tolist(), strict=True)):

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
 
-from hiros_mcap.kernels.compile import inlined, kernel
+from hiros_mcap.kernels.compile import F1, F2, F3, inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 PATIENCE = 1.0
@@ -20,7 +21,7 @@ PATIENCE = 1.0
 _MEMORY = 0.05  # s: a trunk turns by 20 degrees in it when somebody falls or rolls
 _LEAST_SHARE = 0.3  # of each view in the mean: about six views err by less than one
 _AGREEING = 0.5  # length of the mean of unit vectors below which they contradict each other
-_LINE_SHARE = 0.5  # of each view's line: 600 degrees/s stay within 90 degrees, at 15 Hz too
+_LINE_SHARE = 0.5  # of each view's line: 600 degrees/s stay within 45 degrees at 30 views/s
 _SHORTEST = 0.05  # m, of a trunk
 _WALK_SPEED, _ALONG = 0.4, 0.5  # m/s across the trunk; share of it along the trunk
 _FEWEST, _CONCENTRATED = 30.0, 0.8  # trunks that show up, and the length of their mean
@@ -172,7 +173,10 @@ def follow_line(
     if math.isnan(line) or math.isnan(axes[0, 0]):
         return angle, 0.0
     change = angle - line
-    change = _LINE_SHARE * reliable * (change - math.pi * math.floor(change / math.pi + 0.5))
+    change -= math.pi * math.floor(change / math.pi + 0.5)
+    # A line at a right angle to where it was does not tell which way it turned.
+    share = _LINE_SHARE * reliable * ramp(abs(change), 0.5 * math.pi, 0.25 * math.pi)
+    change *= share
     turn = trust * change
     cosine, sine = math.cos(turn), math.sin(turn)
     for c in range(3):
@@ -206,10 +210,26 @@ def learn_up(velocity: tuple[float, float, float], axes: Floats, up: Floats) -> 
 
 @kernel
 def upright(axes: Floats, up: Floats) -> float:
-    """1 = the trunk is upright, 0 = it is not, or nobody has shown yet which way is up."""
+    """Tell how upright a trunk is: 1, or 0 if it lies, or nobody has shown yet which way is up."""
     length = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
     if up[3] < _FEWEST or length < _CONCENTRATED * up[3] or math.isnan(axes[2, 0]):
         return 0.0
     cosine = component(up[0], up[1], up[2], axes, 2) / length
     share: float = ramp(cosine, _TILTED, _UPRIGHT)
     return share
+
+
+@kernel(types.void(F2, F3, F1, F1))
+def find_upright(velocities: Floats, axes: Floats, up: Floats, out: Floats) -> None:
+    """Write how upright (N,) the trunks of a whole log are.
+
+    Parameters
+    ----------
+    velocities : (N, 3) m/s; NaN = not known.
+    axes : (N, 3, 3) of the people.
+    up : (4,) zeros; brought to what all of them show.
+    """
+    for i in range(len(out)):
+        learn_up((velocities[i, 0], velocities[i, 1], velocities[i, 2]), axes[i], up)
+    for i in range(len(out)):
+        out[i] = upright(axes[i], up)

@@ -2,12 +2,13 @@
 
 Detectors mirror people, some whenever these turn their backs. A vote of the cameras cannot mend
 that where most of them are wrong. So the facing of each person is the state of a hidden Markov
-model (kernels.facing), and every view tells of it:
+model (kernels.facing). It is measured across the trunk, in axes that are carried along with the
+body (kernels.body_axes), so people may lie, crawl, roll and spin. Every view tells of it:
 
 - the line through shoulders and hips: the facing is at a right angle to it;
 - the labels left and right: which of the two sides of the line is in front;
 - physical cues, whatever the labels are: head, elbows, knees, toes (body.forward_cues);
-- the walking direction.
+- the walking direction of people who are upright.
 
 The log itself says how far each of them is trusted. Where two cameras contradict each other in
 left and right, a physical cue still points the same way in both views; one that follows the label
@@ -18,7 +19,8 @@ With ``lookahead``, the facing at each moment follows from what comes before and
 forward-backward algorithm, in windows that overlap. Without, it follows from the past alone. A view
 that contradicts the facing is mirrored: its left and right are exchanged. If the line of a view is
 far from the facing, whatever the labels, shoulders and hips are turned towards it, unless the
-detector is known to be honest.
+detector is known to be honest. Where nothing is known of a person's trunk, labels stay, and the
+model starts anew when the trunk is seen again.
 """
 
 from __future__ import annotations
@@ -61,8 +63,8 @@ class SidesParams(Params):
 
 
 def knows_sides(model: SkeletonModel) -> bool:
-    """Whether the names of the markers tell left from right shoulders or hips."""
-    return bool(len(symmetry_of(model).lateral))
+    """Whether the names of the markers tell left from right, and where shoulders and hips are."""
+    return bool(len(symmetry_of(model).lateral) and len(ForwardCues.of(model).trunk))
 
 
 def decide_sides(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from builders import FAULTLESS
+from builders import FAULTLESS, moved
+from scipy.spatial.transform import Rotation
 
 from hiros_mcap.evaluate.score_tables import side_table
 from hiros_mcap.evaluate.side_scores import side_scores
@@ -31,6 +32,13 @@ def test_right_sides_show_no_sign() -> None:
     scores = side_scores(walk(), MODEL)
     assert scores.walking > 60 and scores.backwards == scores.jumps == 0
     assert scores.contradicting["toe"] == 0 and max(scores.contradicting.values()) < 0.2
+
+
+def test_z_need_not_point_up() -> None:
+    turn = Rotation.from_euler("xy", [-70, 20], degrees=True)
+    tilted = side_scores(moved(walk(), turn, np.ones(3)), MODEL)
+    scores = side_scores(walk(), MODEL)
+    assert (tilted.walking, tilted.backwards, tilted.jumps) == (scores.walking, 0, 0)
 
 
 def test_straight_knees_point_nowhere() -> None:
