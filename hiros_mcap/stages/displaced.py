@@ -34,8 +34,8 @@ from hiros_mcap.skeletons import Flags, Floats, Ints
 
 DISPLACED = "displaced"
 """Counts detections, by camera, that were left out as copies."""
-CAMERA_DISPLACED = "camera displaced"
-"""Event: a camera's first copy."""
+CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"
+"""Events: a camera's first copy."""
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE = 90_000_000  # ns between two comparisons of a track
@@ -376,17 +376,14 @@ class DisplacedCameras:
         if sight.source in self._named:
             return
         self._named |= {sight.source} if right[1:] else {sight.source, *right}
+        kind, detail = CAMERA_DISPLACED, f"shows people {like.apart:.2f} m from where "
         if like.by.mirrors:
-            detail = f"shows mirror images of people, {like.apart:.2f} m from them"
+            kind, detail = MIRROR_SEEN, f"shows mirror images of people, {like.apart:.2f} m away"
         elif pairs.agreed and len(right) > 1:
-            detail = f"shows people {like.apart:.2f} m from where other cameras see them"
+            detail += "other cameras see them"
         else:
-            them = "sees" if len(right) == 1 else "see"
-            detail = (
-                f"shows people {like.apart:.2f} m from where {' and '.join(right)} {them} them, "
-                "and which of them is wrong cannot be known"
-            )
-        self._events.note(since, CAMERA_DISPLACED, source=sight.source, detail=detail)
+            detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
+        self._events.note(since, kind, source=sight.source, detail=detail)
 
 
 def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
@@ -433,7 +430,8 @@ def fit(
 ) -> tuple[Displacement, float]:
     """Return the displacement that fits best, and the median over time of the distance left, m.
 
-    Instants that fit much worse than most are left out; inf if too few are left. Parameters: see :func:`likeness`.
+    Instants that fit much worse than most are left out; inf if too few are left. Parameters: see
+    :func:`likeness`.
     """
     source = own[:, mirror] if swaps else own
     both = np.isfinite(source[..., 0] + other[..., 0])
