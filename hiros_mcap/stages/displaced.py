@@ -22,7 +22,7 @@ people whom the other one knows: whoever came first stays.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -113,7 +113,7 @@ class Others(NamedTuple):
     """(P,) whether the message shows the person in place."""
 
 
-class Sight(NamedTuple):
+class LoneTracks(NamedTuple):
     """One message of a camera: what it alone shows, beside whom."""
 
     source: str
@@ -124,7 +124,7 @@ class Sight(NamedTuple):
     poses: Floats
     """(N, M, 3) their detections, m."""
     others: Others
-    heard: Collection[str]
+    heard: Sequence[str]
     """The other cameras that send messages at this time."""
 
 
@@ -243,7 +243,7 @@ class DisplacedCameras:
         self._events = events
         self._cameras: dict[str, _State] = {}
         self._histories: dict[str, dict[int, _History]] = {}
-        self._named: set[str] = set()
+        self._named: set[tuple[str, bool]] = set()
 
     def __contains__(self, source: str) -> bool:
         return source in self._cameras
@@ -289,25 +289,25 @@ class DisplacedCameras:
         elif stamp - state.in_place > _BACK:
             del self._cameras[source]
 
-    def compare(self, sight: Sight) -> list[int]:
+    def compare(self, lone: LoneTracks) -> list[int]:
         """Compare what a camera alone shows with the people known elsewhere.
 
         Returns
         -------
         Numbers of the tracks that are copies, of this camera, also of some not in the message.
         """
-        histories = self._remembered(sight)
-        if not len(sight.others.numbers):
+        histories = self._remembered(lone)
+        if not len(lone.others.numbers):
             return []
         copies = []
         for number, history in histories.items():
-            if sight.stamp < history.due or history.samples[-1][0] != sight.stamp:
+            if lone.stamp < history.due or history.samples[-1][0] != lone.stamp:
                 continue
-            history.due = sight.stamp + _PATIENCE
-            if self._is_copy(history, sight):
+            history.due = lone.stamp + _PATIENCE
+            if self._is_copy(history, lone):
                 copies.append(number)
         if copies:
-            state = self._cameras[sight.source]
+            state = self._cameras[lone.source]
             copies += [
                 number
                 for number, history in histories.items()
@@ -318,64 +318,64 @@ class DisplacedCameras:
             del histories[number]
         return copies
 
-    def _remembered(self, sight: Sight) -> dict[int, _History]:
+    def _remembered(self, lone: LoneTracks) -> dict[int, _History]:
         """Add a message to the histories of the camera's tracks; return them."""
-        old = self._histories.get(sight.source, {})
+        old = self._histories.get(lone.source, {})
         recent = {
             number: history
             for number, history in old.items()
-            if sight.stamp - history.samples[-1][0] < _SHORTEST
+            if lone.stamp - history.samples[-1][0] < _SHORTEST
         }
-        histories = self._histories[sight.source] = recent
-        if len(sight.tracks) * len(sight.others.numbers) > _CROWD:
+        histories = self._histories[lone.source] = recent
+        if len(lone.tracks) * len(lone.others.numbers) > _CROWD:
             return histories
-        for number, pose in zip(sight.tracks, sight.poses, strict=True):
-            new = _History(sight.stamp, sight.stamp + _SHORTEST)
-            histories.setdefault(number, new).add(sight.stamp, pose, sight.others)
+        for number, pose in zip(lone.tracks, lone.poses, strict=True):
+            new = _History(lone.stamp, lone.stamp + _SHORTEST)
+            histories.setdefault(number, new).add(lone.stamp, pose, lone.others)
         return histories
 
-    def _is_copy(self, history: _History, sight: Sight) -> bool:
+    def _is_copy(self, history: _History, lone: LoneTracks) -> bool:
         """Whether a track is a copy; the camera is then displaced."""
-        state = self._cameras.get(sight.source)
-        best: tuple[Likeness, _Pairs] | None = None
+        state = self._cameras.get(lone.source)
+        if not (state or self._right_ones(lone)):
+            return False
+        copies = []
         for pairs in history.pairs():
             if state and state.explains(pairs, self._mirror):
-                state.last = sight.stamp
+                state.last = lone.stamp
                 return True
             like = likeness(pairs.own, pairs.other, self._mirror)
-            if like and (best is None or like.distance < best[0].distance):
-                best = like, pairs
-        if best is None:
-            return False
-        like, pairs = best
-        limit = _ALIKE
-        if state and state.by.mirrors == like.by.mirrors:
-            limit = _ALIKE_IF_DISPLACED
-        if not like.is_copy(limit, pairs.unseen) or not (state or self._right_ones(sight)):
-            return False
-        if like.distance < _ALIKE:
-            self._declare(like, pairs, history.first, sight)
-        return True
+            same_kind = state and like and state.by.mirrors == like.by.mirrors
+            limit = _ALIKE_IF_DISPLACED if same_kind else _ALIKE
+            if like and like.is_copy(limit, pairs.unseen):
+                copies.append((like, pairs))
+        if copies:
+            like, pairs = min(copies, key=lambda each: each[0].distance)
+            if like.distance < _ALIKE:
+                self._declare(like, pairs, history.first, lone)
+        return bool(copies)
 
-    def _right_ones(self, sight: Sight) -> list[str]:
+    def _right_ones(self, lone: LoneTracks) -> list[str]:
         """Return the other cameras that show people where they are."""
         return [
             each
-            for each in sight.heard
+            for each in lone.heard
             if each not in self._cameras or self._cameras[each].by.mirrors
         ]
 
-    def _declare(self, like: Likeness, pairs: _Pairs, since: int, sight: Sight) -> None:
+    def _declare(self, like: Likeness, pairs: _Pairs, since: int, lone: LoneTracks) -> None:
         """Note that a camera is displaced, or displaced anew."""
-        right = sorted(self._right_ones(sight))
-        state = self._cameras[sight.source] = _State(like.by, sight.stamp)
+        right = sorted(self._right_ones(lone))
+        state = self._cameras[lone.source] = _State(like.by, lone.stamp)
         state.pairs.extend(zip(pairs.own, pairs.other, strict=True))
-        if not like.by.mirrors and [*sight.heard] == right and len(right) == 1:
-            other = self._cameras[right[0]] = _State(like.by.inverse(), sight.stamp)
-            other.pairs.extend(zip(pairs.other, pairs.own, strict=True))
-        if sight.source in self._named:
+        if not like.by.mirrors and len(lone.heard) == 1:
+            (other,) = lone.heard
+            state = self._cameras[other] = _State(like.by.inverse(), lone.stamp)
+            state.pairs.extend(zip(pairs.other, pairs.own, strict=True))
+        if (lone.source, like.by.mirrors) in self._named:
             return
-        self._named |= {sight.source} if right[1:] else {sight.source, *right}
+        both = len(lone.heard) == 1
+        self._named |= {(each, like.by.mirrors) for each in (lone.source, *lone.heard[:both])}
         kind, detail = CAMERA_DISPLACED, f"shows people {like.apart:.2f} m from where "
         if like.by.mirrors:
             kind, detail = MIRROR_SEEN, f"shows mirror images of people, {like.apart:.2f} m away"
@@ -383,7 +383,7 @@ class DisplacedCameras:
             detail += "other cameras see them"
         else:
             detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
-        self._events.note(since, kind, source=sight.source, detail=detail)
+        self._events.note(since, kind, source=lone.source, detail=detail)
 
 
 def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
