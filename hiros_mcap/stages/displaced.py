@@ -28,9 +28,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.stages.likeness import (
+    ALIKE,
+    ALIKE_IF_DISPLACED,
+    FEWEST,
+    UNSEEN,
+    Displacement,
+    Likeness,
+    fit,
+    likeness,
+    mean_marker_distances,
+    median_distance,
+)
 
 DISPLACED = "displaced"
 """Counts detections, by camera, that were left out as copies."""
@@ -40,64 +51,11 @@ CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE = 90_000_000  # ns between two comparisons of a track
 _SHORTEST, _LONGEST = 350_000_000, 1_500_000_000  # ns that are compared
-_FEWEST = 6  # samples
-_FEWEST_MARKERS = 6  # that a sample has in common with the person
 _CROWD = 100  # pairs of a track and a person; of more, too slow to compare, none is
-_ALIKE, _ALIKE_IF_DISPLACED = 0.085, 0.12  # m: mean marker distance of a copy after the fit. Copies
-# have 0.02 to 0.08, other people over 0.13, or 0.10 after a reflection
-_MOTION = 0.07  # m: SD of the person's markers over time; less is no evidence
-_CLEARLY = 1.7  # motion over distance after the fit
-_UNSEEN = 0.7  # share of the samples in which the camera does not show the person in place
-_PURE_ANGLE, _PURE_SHIFT = np.radians(15.0), 0.3  # rad and m besides a mirror's reflection
 _NEAR = 0.3  # m from the person, once the displacement is undone
 _BACK = 500_000_000  # ns for which a camera that shows people in place is believed to be back
 _FORGET = 60_000_000_000  # ns since the last copy
-_ROUNDS, _OUTLYING = 3, 1.7  # fits; samples this many medians off are left out of the next one
 _SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new ones for a new fit
-
-
-class Displacement(NamedTuple):
-    """What takes the people whom a camera shows to where other cameras see them."""
-
-    rotation: Floats
-    """(3, 3); improper if it mirrors."""
-    shift: Floats
-    """(3,) m."""
-    mirrors: bool
-    swaps: bool
-    """Whether left and right are swapped as well."""
-
-    def inverse(self) -> Displacement:
-        """Return what takes people from where the other cameras see them to where this one does."""
-        back = self.rotation.T
-        return self._replace(rotation=back, shift=-back @ self.shift)
-
-    def undo(self, poses: Floats, mirror: Ints) -> Floats:
-        """Return where the people of (..., M, 3) markers are, m."""
-        poses = poses[..., mirror, :] if self.swaps else poses
-        return np.asarray(poses @ self.rotation.T + self.shift)
-
-
-class Likeness(NamedTuple):
-    """How much a track looks like a displaced view of a person."""
-
-    distance: float
-    """Median over time of the mean marker distance after the fit, m."""
-    motion: float
-    """SD of the person's markers over time, m."""
-    apart: float
-    """Median distance of the two before the fit, m."""
-    by: Displacement
-    pure: bool
-    """Whether it is a reflection, and that explains how far apart the two are."""
-
-    def is_copy(self, limit: float, unseen: float) -> bool:
-        """Whether it is a copy, with a limit of the distance, m.
-
-        ``unseen`` is the share of time in which the camera does not show the person in place.
-        """
-        alike = self.distance < min(limit, self.motion / _CLEARLY) and self.motion > _MOTION
-        return alike and (self.pure if self.by.mirrors else unseen >= _UNSEEN)
 
 
 class Others(NamedTuple):
@@ -169,7 +127,7 @@ class _History:
                 for stamp, pose, others in self.samples
                 if number in others.numbers
             ]
-            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= _FEWEST
+            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= FEWEST
             if long_enough and since <= self.first:
                 yield _Pairs(
                     np.stack([pose for _, pose, _, _ in rows]),
@@ -206,7 +164,7 @@ class _State:
             self.new = 0
             source, target = (np.stack(some) for some in zip(*self.pairs, strict=True))
             by, distance = fit(source, target, mirror, self.by.mirrors, self.by.swaps)
-            self.by = by if distance < _ALIKE else self.by
+            self.by = by if distance < ALIKE else self.by
 
     def explains(self, pairs: _Pairs, mirror: Ints) -> bool:
         """Whether a track is where the displacement puts the person, whom it does not show.
@@ -214,15 +172,15 @@ class _State:
         A displacement that is known from one place is not precise elsewhere. So it is enough that
         some displacement fits this track and the copies so far; that one is remembered.
         """
-        if not self.by.mirrors and pairs.unseen < _UNSEEN:
+        if not self.by.mirrors and pairs.unseen < UNSEEN:
             return False
-        if _median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
+        if median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
             return True
         own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
         together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
         by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
         parts = (own, other), (pairs.own, pairs.other)
-        if max(_median_distance(by, *part, mirror) for part in parts) > _ALIKE_IF_DISPLACED:
+        if max(median_distance(by, *part, mirror) for part in parts) > ALIKE_IF_DISPLACED:
             return False
         self.by = by
         self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
@@ -267,7 +225,9 @@ class DisplacedCameras:
         if source not in self._cameras or not len(poses) or not len(places):
             return np.zeros(len(poses), np.bool_)
         back = state.by.undo(poses, self._mirror)
-        given, undone = (_mean_distances(some[:, None], places[None]) for some in (poses, back))
+        given, undone = (
+            mean_marker_distances(some[:, None], places[None]) for some in (poses, back)
+        )
         in_place = (given < _NEAR) & (given < undone)
         free = state.by.mirrors | ~in_place.any(axis=0)
         undone = np.where(free, undone, np.inf)
@@ -346,12 +306,12 @@ class DisplacedCameras:
                 return True
             like = likeness(pairs.own, pairs.other, self._mirror)
             same_kind = state and like and state.by.mirrors == like.by.mirrors
-            limit = _ALIKE_IF_DISPLACED if same_kind else _ALIKE
+            limit = ALIKE_IF_DISPLACED if same_kind else ALIKE
             if like and like.is_copy(limit, pairs.unseen):
                 copies.append((like, pairs))
         if copies:
             like, pairs = min(copies, key=lambda each: each[0].distance)
-            if like.distance < _ALIKE:
+            if like.distance < ALIKE:
                 self._declare(like, pairs, history.first, lone)
         return bool(copies)
 
@@ -384,87 +344,3 @@ class DisplacedCameras:
         else:
             detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
         self._events.note(since, kind, source=lone.source, detail=detail)
-
-
-def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
-    """Compare a track with a person; None if there is no evidence.
-
-    Parameters
-    ----------
-    own, other : (K, M, 3) markers of both at K instants, m. mirror : (M,) see
-        :class:`DisplacedCameras`.
-    """
-    both = np.isfinite(own[..., 0] + other[..., 0])
-    enough = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
-    if np.count_nonzero(enough) < _FEWEST:
-        return None
-    own, other, both = own[enough], other[enough], both[enough]
-    often = np.count_nonzero(both, axis=0) >= _FEWEST
-    if not often.any():
-        return None
-    motion = float(np.sqrt(np.mean(np.nanvar(other[:, often], axis=0).sum(axis=-1))))
-    if motion <= _MOTION:
-        return None
-    by, distance = _best_fit(own, other, mirror, mirrors=False)
-    if distance > _ALIKE:  # a body that is almost flat looks like its mirror image, too
-        by, distance = min(
-            (by, distance), _best_fit(own, other, mirror, mirrors=True), key=lambda each: each[1]
-        )
-    away = np.nanmean(own - other, axis=1)
-    apart = float(np.median(np.linalg.norm(away, axis=-1)))
-    pure = by.mirrors and _only_reflects(by.rotation, away.mean(axis=0))
-    return Likeness(distance, motion, apart, by, pure)
-
-
-def _best_fit(
-    own: Floats, other: Floats, mirror: Ints, *, mirrors: bool
-) -> tuple[Displacement, float]:
-    """Return the better of the fits with sides as they are and with sides swapped."""
-    sides = (False, True) if (mirror != np.arange(len(mirror))).any() else (False,)
-    fits = [fit(own, other, mirror, mirrors, swaps) for swaps in sides]
-    return min(fits, key=lambda each: each[1])
-
-
-def fit(
-    own: Floats, other: Floats, mirror: Ints, mirrors: bool, swaps: bool
-) -> tuple[Displacement, float]:
-    """Return the displacement that fits best, and the median over time of the distance left, m.
-
-    Instants that fit much worse than most are left out; inf if too few are left. Parameters: see
-    :func:`likeness`.
-    """
-    source = own[:, mirror] if swaps else own
-    both = np.isfinite(source[..., 0] + other[..., 0])
-    used = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
-    if np.count_nonzero(used) < _FEWEST:
-        return Displacement(np.eye(3), np.zeros(3), mirrors, swaps), np.inf
-    for _ in range(_ROUNDS):
-        rows = both & used[:, None]
-        rotation, shift = kabsch(source[rows], other[rows], mirrors=mirrors)
-        by = Displacement(rotation, shift, mirrors, swaps)
-        distances = _mean_distances(by.undo(own, mirror), other)
-        distance = float(np.median(distances))
-        if distance > 2.0 * _ALIKE_IF_DISPLACED:  # nothing that is left out would mend it
-            break
-        used = distances <= _OUTLYING * distance
-    return by, distance
-
-
-def _median_distance(by: Displacement, own: Floats, other: Floats, mirror: Ints) -> float:
-    """Median over time of the distance, m, of a track from a person, the displacement undone."""
-    return float(np.median(_mean_distances(by.undo(own, mirror), other)))
-
-
-def _mean_distances(one: Floats, other: Floats) -> Floats:
-    """Mean distance, m, of the markers (..., M, 3) that both have; inf if there is none."""
-    apart = np.sqrt(np.sum((one - other) ** 2, axis=-1))
-    n = np.count_nonzero(np.isfinite(apart), axis=-1)
-    return np.where(n > 0, np.nansum(apart, axis=-1) / np.maximum(n, 1), np.inf)
-
-
-def _only_reflects(rotation: Floats, away: Floats) -> bool:
-    """Whether an improper rotation is a reflection that explains how far apart two people are."""
-    normal = np.linalg.eigh(rotation + rotation.T)[1][:, 0]
-    beside = away - (away @ normal) * normal
-    angle = np.arccos(np.clip((np.trace(rotation) + 1.0) / 2.0, -1.0, 1.0))
-    return bool(angle < _PURE_ANGLE and np.linalg.norm(beside) < _PURE_SHIFT)

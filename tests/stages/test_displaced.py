@@ -12,7 +12,7 @@ from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.displaced import Displacement, likeness
+from hiros_mcap.stages.likeness import Displacement, likeness
 from hiros_mcap.stages.track import TrackParams, track
 
 SIDES = np.array(MIRROR, np.int32)
