@@ -50,7 +50,7 @@ def counted(kind: str, n: int) -> str:
     return f"{quantity(n, noun)} {what}"
 
 
-_WARNING_WORDS = "lost", "doubted", "rejected", "clock", "moved", "displaced"
+_WARNING_WORDS = "lost", "doubted", "rejected", "clock", "moved", "displaced", "mirror"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, sca
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.stopwatch import Stopwatch
-from hiros_mcap.stages.displaced import CAMERA_DISPLACED, DISPLACED
+from hiros_mcap.stages.displaced import CAMERA_DISPLACED, DISPLACED, MIRROR_SEEN
 from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,
@@ -40,6 +40,11 @@ _REMEDIES = {
     FAR_FUTURE: "correct the recorder's clock",
 }
 """Reason why messages were skipped -> what to do."""
+_DISPLACED = {
+    CAMERA_DISPLACED: "calibrate the cameras anew: hiros calibrate people",
+    MIRROR_SEEN: "cover the mirror",
+}
+"""Event of a camera that shows people elsewhere than the others do -> what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,16 +156,17 @@ class Report:
 
     def _displaced(self) -> Iterator[str]:
         """Yield which cameras show people elsewhere than the others do."""
-        for event in self.run.events.log:
-            if event.kind == CAMERA_DISPLACED:
-                n = self.run.events.counts[DISPLACED, event.source]
-                at = max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
-                mirrors = "mirror" in event.detail
-                remedy = "Cover the mirror" if mirrors else "Calibrate the cameras anew"
-                yield (
-                    f"{event.source} {event.detail}, from {at:.1f} s on; hiros left out "
-                    f"{quantity(n, 'such detection')}. {remedy}"
-                )
+        events = self.run.events
+        displaced = [event for event in events.log if event.kind in _DISPLACED]
+        for event in displaced:
+            n = events.counts[DISPLACED, event.source]
+            if len(displaced) == 1:  # of two cameras that disagree, copies of both are left out
+                n = events.total(DISPLACED)
+            seconds = max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
+            yield (
+                f"{event.source} {event.detail}. From {seconds:.1f} s on hiros left out "
+                f"{quantity(n, 'such detection')}; {_DISPLACED[event.kind]}"
+            )
 
     def _nobody(self) -> Iterator[str]:
         """Yield why nobody was found in detections of somebody."""

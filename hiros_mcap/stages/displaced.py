@@ -22,82 +22,40 @@ people whom the other one knows: whoever came first stays.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.stages.likeness import (
+    ALIKE,
+    ALIKE_IF_DISPLACED,
+    FEWEST,
+    UNSEEN,
+    Displacement,
+    Likeness,
+    fit,
+    likeness,
+    mean_marker_distances,
+    median_distance,
+)
 
 DISPLACED = "displaced"
 """Counts detections, by camera, that were left out as copies."""
-CAMERA_DISPLACED = "camera displaced"
-"""Event: a camera's first copy."""
+CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"
+"""Events: a camera's first copy."""
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
 _PATIENCE = 90_000_000  # ns between two comparisons of a track
 _SHORTEST, _LONGEST = 350_000_000, 1_500_000_000  # ns that are compared
-_FEWEST = 6  # samples
-_FEWEST_MARKERS = 6  # that a sample has in common with the person
 _CROWD = 100  # pairs of a track and a person; of more, too slow to compare, none is
-_ALIKE, _ALIKE_IF_DISPLACED = 0.085, 0.12  # m: mean marker distance of a copy after the fit. Copies
-# have 0.02 to 0.08, other people over 0.13, or 0.10 after a reflection
-_MOTION = 0.07  # m: SD of the person's markers over time; less is no evidence
-_CLEARLY = 1.7  # motion over distance after the fit
-_UNSEEN = 0.7  # share of the samples in which the camera does not show the person in place
-_PURE_ANGLE, _PURE_SHIFT = np.radians(15.0), 0.3  # rad and m besides a mirror's reflection
 _NEAR = 0.3  # m from the person, once the displacement is undone
 _BACK = 500_000_000  # ns for which a camera that shows people in place is believed to be back
 _FORGET = 60_000_000_000  # ns since the last copy
-_ROUNDS, _OUTLYING = 3, 1.7  # fits; samples this many medians off are left out of the next one
 _SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new ones for a new fit
-
-
-class Displacement(NamedTuple):
-    """What takes the people whom a camera shows to where other cameras see them."""
-
-    rotation: Floats
-    """(3, 3); improper if it mirrors."""
-    shift: Floats
-    """(3,) m."""
-    mirrors: bool
-    swaps: bool
-    """Whether left and right are swapped as well."""
-
-    def inverse(self) -> Displacement:
-        """Return what takes people from where the other cameras see them to where this one does."""
-        back = self.rotation.T
-        return self._replace(rotation=back, shift=-back @ self.shift)
-
-    def undo(self, poses: Floats, mirror: Ints) -> Floats:
-        """Return where the people of (..., M, 3) markers are, m."""
-        poses = poses[..., mirror, :] if self.swaps else poses
-        return np.asarray(poses @ self.rotation.T + self.shift)
-
-
-class Likeness(NamedTuple):
-    """How much a track looks like a displaced view of a person."""
-
-    distance: float
-    """Median over time of the mean marker distance after the fit, m."""
-    motion: float
-    """SD of the person's markers over time, m."""
-    apart: float
-    """Median distance of the two before the fit, m."""
-    by: Displacement
-    pure: bool
-    """Whether it is a reflection, and that explains how far apart the two are."""
-
-    def is_copy(self, limit: float, unseen: float) -> bool:
-        """Whether it is a copy, with a limit of the distance, m.
-
-        ``unseen`` is the share of time in which the camera does not show the person in place.
-        """
-        alike = self.distance < min(limit, self.motion / _CLEARLY) and self.motion > _MOTION
-        return alike and (self.pure if self.by.mirrors else unseen >= _UNSEEN)
 
 
 class Others(NamedTuple):
@@ -113,7 +71,7 @@ class Others(NamedTuple):
     """(P,) whether the message shows the person in place."""
 
 
-class Sight(NamedTuple):
+class LoneTracks(NamedTuple):
     """One message of a camera: what it alone shows, beside whom."""
 
     source: str
@@ -124,7 +82,7 @@ class Sight(NamedTuple):
     poses: Floats
     """(N, M, 3) their detections, m."""
     others: Others
-    heard: Collection[str]
+    heard: Sequence[str]
     """The other cameras that send messages at this time."""
 
 
@@ -169,7 +127,7 @@ class _History:
                 for stamp, pose, others in self.samples
                 if number in others.numbers
             ]
-            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= _FEWEST
+            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= FEWEST
             if long_enough and since <= self.first:
                 yield _Pairs(
                     np.stack([pose for _, pose, _, _ in rows]),
@@ -206,7 +164,7 @@ class _State:
             self.new = 0
             source, target = (np.stack(some) for some in zip(*self.pairs, strict=True))
             by, distance = fit(source, target, mirror, self.by.mirrors, self.by.swaps)
-            self.by = by if distance < _ALIKE else self.by
+            self.by = by if distance < ALIKE else self.by
 
     def explains(self, pairs: _Pairs, mirror: Ints) -> bool:
         """Whether a track is where the displacement puts the person, whom it does not show.
@@ -214,15 +172,15 @@ class _State:
         A displacement that is known from one place is not precise elsewhere. So it is enough that
         some displacement fits this track and the copies so far; that one is remembered.
         """
-        if not self.by.mirrors and pairs.unseen < _UNSEEN:
+        if not self.by.mirrors and pairs.unseen < UNSEEN:
             return False
-        if _median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
+        if median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
             return True
         own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
         together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
         by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
         parts = (own, other), (pairs.own, pairs.other)
-        if max(_median_distance(by, *part, mirror) for part in parts) > _ALIKE_IF_DISPLACED:
+        if max(median_distance(by, *part, mirror) for part in parts) > ALIKE_IF_DISPLACED:
             return False
         self.by = by
         self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
@@ -243,7 +201,7 @@ class DisplacedCameras:
         self._events = events
         self._cameras: dict[str, _State] = {}
         self._histories: dict[str, dict[int, _History]] = {}
-        self._named: set[str] = set()
+        self._named: set[tuple[str, bool]] = set()
 
     def __contains__(self, source: str) -> bool:
         return source in self._cameras
@@ -267,7 +225,9 @@ class DisplacedCameras:
         if source not in self._cameras or not len(poses) or not len(places):
             return np.zeros(len(poses), np.bool_)
         back = state.by.undo(poses, self._mirror)
-        given, undone = (_mean_distances(some[:, None], places[None]) for some in (poses, back))
+        given, undone = (
+            mean_marker_distances(some[:, None], places[None]) for some in (poses, back)
+        )
         in_place = (given < _NEAR) & (given < undone)
         free = state.by.mirrors | ~in_place.any(axis=0)
         undone = np.where(free, undone, np.inf)
@@ -289,25 +249,25 @@ class DisplacedCameras:
         elif stamp - state.in_place > _BACK:
             del self._cameras[source]
 
-    def compare(self, sight: Sight) -> list[int]:
+    def compare(self, lone: LoneTracks) -> list[int]:
         """Compare what a camera alone shows with the people known elsewhere.
 
         Returns
         -------
         Numbers of the tracks that are copies, of this camera, also of some not in the message.
         """
-        histories = self._remembered(sight)
-        if not len(sight.others.numbers):
+        histories = self._remembered(lone)
+        if not len(lone.others.numbers):
             return []
         copies = []
         for number, history in histories.items():
-            if sight.stamp < history.due or history.samples[-1][0] != sight.stamp:
+            if lone.stamp < history.due or history.samples[-1][0] != lone.stamp:
                 continue
-            history.due = sight.stamp + _PATIENCE
-            if self._is_copy(history, sight):
+            history.due = lone.stamp + _PATIENCE
+            if self._is_copy(history, lone):
                 copies.append(number)
         if copies:
-            state = self._cameras[sight.source]
+            state = self._cameras[lone.source]
             copies += [
                 number
                 for number, history in histories.items()
@@ -318,155 +278,69 @@ class DisplacedCameras:
             del histories[number]
         return copies
 
-    def _remembered(self, sight: Sight) -> dict[int, _History]:
+    def _remembered(self, lone: LoneTracks) -> dict[int, _History]:
         """Add a message to the histories of the camera's tracks; return them."""
-        old = self._histories.get(sight.source, {})
+        old = self._histories.get(lone.source, {})
         recent = {
             number: history
             for number, history in old.items()
-            if sight.stamp - history.samples[-1][0] < _SHORTEST
+            if lone.stamp - history.samples[-1][0] < _SHORTEST
         }
-        histories = self._histories[sight.source] = recent
-        if len(sight.tracks) * len(sight.others.numbers) > _CROWD:
+        histories = self._histories[lone.source] = recent
+        if len(lone.tracks) * len(lone.others.numbers) > _CROWD:
             return histories
-        for number, pose in zip(sight.tracks, sight.poses, strict=True):
-            new = _History(sight.stamp, sight.stamp + _SHORTEST)
-            histories.setdefault(number, new).add(sight.stamp, pose, sight.others)
+        for number, pose in zip(lone.tracks, lone.poses, strict=True):
+            new = _History(lone.stamp, lone.stamp + _SHORTEST)
+            histories.setdefault(number, new).add(lone.stamp, pose, lone.others)
         return histories
 
-    def _is_copy(self, history: _History, sight: Sight) -> bool:
+    def _is_copy(self, history: _History, lone: LoneTracks) -> bool:
         """Whether a track is a copy; the camera is then displaced."""
-        state = self._cameras.get(sight.source)
-        best: tuple[Likeness, _Pairs] | None = None
+        state = self._cameras.get(lone.source)
+        if not (state or self._right_ones(lone)):
+            return False
+        copies = []
         for pairs in history.pairs():
             if state and state.explains(pairs, self._mirror):
-                state.last = sight.stamp
+                state.last = lone.stamp
                 return True
             like = likeness(pairs.own, pairs.other, self._mirror)
-            if like and (best is None or like.distance < best[0].distance):
-                best = like, pairs
-        if best is None:
-            return False
-        like, pairs = best
-        limit = _ALIKE
-        if state and state.by.mirrors == like.by.mirrors:
-            limit = _ALIKE_IF_DISPLACED
-        if not like.is_copy(limit, pairs.unseen) or not (state or self._right_ones(sight)):
-            return False
-        if like.distance < _ALIKE:
-            self._declare(like, pairs, history.first, sight)
-        return True
+            same_kind = state and like and state.by.mirrors == like.by.mirrors
+            limit = ALIKE_IF_DISPLACED if same_kind else ALIKE
+            if like and like.is_copy(limit, pairs.unseen):
+                copies.append((like, pairs))
+        if copies:
+            like, pairs = min(copies, key=lambda each: each[0].distance)
+            if like.distance < ALIKE:
+                self._declare(like, pairs, history.first, lone)
+        return bool(copies)
 
-    def _right_ones(self, sight: Sight) -> list[str]:
+    def _right_ones(self, lone: LoneTracks) -> list[str]:
         """Return the other cameras that show people where they are."""
         return [
             each
-            for each in sight.heard
+            for each in lone.heard
             if each not in self._cameras or self._cameras[each].by.mirrors
         ]
 
-    def _declare(self, like: Likeness, pairs: _Pairs, since: int, sight: Sight) -> None:
+    def _declare(self, like: Likeness, pairs: _Pairs, since: int, lone: LoneTracks) -> None:
         """Note that a camera is displaced, or displaced anew."""
-        right = sorted(self._right_ones(sight))
-        state = self._cameras[sight.source] = _State(like.by, sight.stamp)
+        right = sorted(self._right_ones(lone))
+        state = self._cameras[lone.source] = _State(like.by, lone.stamp)
         state.pairs.extend(zip(pairs.own, pairs.other, strict=True))
-        if not like.by.mirrors and [*sight.heard] == right and len(right) == 1:
-            other = self._cameras[right[0]] = _State(like.by.inverse(), sight.stamp)
-            other.pairs.extend(zip(pairs.other, pairs.own, strict=True))
-        if sight.source in self._named:
+        if not like.by.mirrors and len(lone.heard) == 1:
+            (other,) = lone.heard
+            state = self._cameras[other] = _State(like.by.inverse(), lone.stamp)
+            state.pairs.extend(zip(pairs.other, pairs.own, strict=True))
+        if (lone.source, like.by.mirrors) in self._named:
             return
-        self._named |= {sight.source} if right[1:] else {sight.source, *right}
+        both = len(lone.heard) == 1
+        self._named |= {(each, like.by.mirrors) for each in (lone.source, *lone.heard[:both])}
+        kind, detail = CAMERA_DISPLACED, f"shows people {like.apart:.2f} m from where "
         if like.by.mirrors:
-            detail = f"shows mirror images of people, {like.apart:.2f} m from them"
+            kind, detail = MIRROR_SEEN, f"shows mirror images of people, {like.apart:.2f} m away"
         elif pairs.agreed and len(right) > 1:
-            detail = f"shows people {like.apart:.2f} m from where other cameras see them"
+            detail += "other cameras see them"
         else:
-            them = "sees" if len(right) == 1 else "see"
-            detail = (
-                f"shows people {like.apart:.2f} m from where {' and '.join(right)} {them} them, "
-                "and which of them is wrong cannot be known"
-            )
-        self._events.note(since, CAMERA_DISPLACED, source=sight.source, detail=detail)
-
-
-def likeness(own: Floats, other: Floats, mirror: Ints) -> Likeness | None:
-    """Compare a track with a person; None if there is no evidence.
-
-    Parameters
-    ----------
-    own, other : (K, M, 3) markers of both at K instants, m. mirror : (M,) see
-        :class:`DisplacedCameras`.
-    """
-    both = np.isfinite(own[..., 0] + other[..., 0])
-    enough = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
-    if np.count_nonzero(enough) < _FEWEST:
-        return None
-    own, other, both = own[enough], other[enough], both[enough]
-    often = np.count_nonzero(both, axis=0) >= _FEWEST
-    if not often.any():
-        return None
-    motion = float(np.sqrt(np.mean(np.nanvar(other[:, often], axis=0).sum(axis=-1))))
-    if motion <= _MOTION:
-        return None
-    by, distance = _best_fit(own, other, mirror, mirrors=False)
-    if distance > _ALIKE:  # a body that is almost flat looks like its mirror image, too
-        by, distance = min(
-            (by, distance), _best_fit(own, other, mirror, mirrors=True), key=lambda each: each[1]
-        )
-    away = np.nanmean(own - other, axis=1)
-    apart = float(np.median(np.linalg.norm(away, axis=-1)))
-    pure = by.mirrors and _only_reflects(by.rotation, away.mean(axis=0))
-    return Likeness(distance, motion, apart, by, pure)
-
-
-def _best_fit(
-    own: Floats, other: Floats, mirror: Ints, *, mirrors: bool
-) -> tuple[Displacement, float]:
-    """Return the better of the fits with sides as they are and with sides swapped."""
-    sides = (False, True) if (mirror != np.arange(len(mirror))).any() else (False,)
-    fits = [fit(own, other, mirror, mirrors, swaps) for swaps in sides]
-    return min(fits, key=lambda each: each[1])
-
-
-def fit(
-    own: Floats, other: Floats, mirror: Ints, mirrors: bool, swaps: bool
-) -> tuple[Displacement, float]:
-    """Return the displacement that fits best, and the median over time of the distance left, m.
-
-    Instants that fit much worse than most are left out; inf if too few are left. Parameters: see :func:`likeness`.
-    """
-    source = own[:, mirror] if swaps else own
-    both = np.isfinite(source[..., 0] + other[..., 0])
-    used = np.count_nonzero(both, axis=1) >= _FEWEST_MARKERS
-    if np.count_nonzero(used) < _FEWEST:
-        return Displacement(np.eye(3), np.zeros(3), mirrors, swaps), np.inf
-    for _ in range(_ROUNDS):
-        rows = both & used[:, None]
-        rotation, shift = kabsch(source[rows], other[rows], mirrors=mirrors)
-        by = Displacement(rotation, shift, mirrors, swaps)
-        distances = _mean_distances(by.undo(own, mirror), other)
-        distance = float(np.median(distances))
-        if distance > 2.0 * _ALIKE_IF_DISPLACED:  # nothing that is left out would mend it
-            break
-        used = distances <= _OUTLYING * distance
-    return by, distance
-
-
-def _median_distance(by: Displacement, own: Floats, other: Floats, mirror: Ints) -> float:
-    """Median over time of the distance, m, of a track from a person, the displacement undone."""
-    return float(np.median(_mean_distances(by.undo(own, mirror), other)))
-
-
-def _mean_distances(one: Floats, other: Floats) -> Floats:
-    """Mean distance, m, of the markers (..., M, 3) that both have; inf if there is none."""
-    apart = np.sqrt(np.sum((one - other) ** 2, axis=-1))
-    n = np.count_nonzero(np.isfinite(apart), axis=-1)
-    return np.where(n > 0, np.nansum(apart, axis=-1) / np.maximum(n, 1), np.inf)
-
-
-def _only_reflects(rotation: Floats, away: Floats) -> bool:
-    """Whether an improper rotation is a reflection that explains how far apart two people are."""
-    normal = np.linalg.eigh(rotation + rotation.T)[1][:, 0]
-    beside = away - (away @ normal) * normal
-    angle = np.arccos(np.clip((np.trace(rotation) + 1.0) / 2.0, -1.0, 1.0))
-    return bool(angle < _PURE_ANGLE and np.linalg.norm(beside) < _PURE_SHIFT)
+            detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
+        self._events.note(since, kind, source=lone.source, detail=detail)

@@ -51,7 +51,7 @@ from hiros_mcap.skeletons import (
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
 from hiros_mcap.stages.delay import Delay
-from hiros_mcap.stages.displaced import DISPLACED, DisplacedCameras, Others, Sight
+from hiros_mcap.stages.displaced import DISPLACED, DisplacedCameras, LoneTracks, Others
 from hiros_mcap.stages.reidentify import PersonCues, Verdict, reidentify
 from hiros_mcap.stages.time_order import TimeOrder
 
@@ -888,8 +888,8 @@ class _Tracker:
         )
         poses = group.people.markers[list(rows), :, POSITION]
         numbers = [track.number for track in tracks]
-        sight = Sight(group.source, group.stamp, numbers, poses, others, heard)
-        for number in self.displaced.compare(sight):
+        shown = LoneTracks(group.source, group.stamp, numbers, poses, others, heard)
+        for number in self.displaced.compare(shown):
             for track in [each for each in self.tracks if each.number == number]:
                 if track.is_lone(group.source):
                     self._withdraw(track, group)

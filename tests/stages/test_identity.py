@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from stick_figures import MODEL, SECOND, START, at, person, seen
+from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Event, Events
@@ -140,12 +140,13 @@ def test_nobody_is_there_twice_while_cameras_disagree() -> None:
 
 
 def test_two_tracks_that_no_camera_showed_together_become_one() -> None:
-    """Camera b sees somebody who walks 0.85 m off for a second. Then it agrees."""
-    frames = [
-        seen([person(0.02 * k, 0.85 if c and 40 <= k < 70 else 0.0)], at(k, c), "ab"[c])
-        for k in range(120)
-        for c in range(2)
-    ]
+    """Camera b sees somebody 0.7 m off, and wider, for a second. Then it agrees."""
+
+    def body(k: int, c: int) -> Floats:
+        strange = c and 40 <= k < 70
+        return POSE * [1.0, 2.0, 1.0] + [0.02 * k, 0.7, 0.0] if strange else person(0.02 * k)
+
+    frames = [seen([body(k, c)], at(k, c), "ab"[c]) for k in range(120) for c in range(2)]
     (merged,) = [event for event in events_of(frames) if event.kind == "tracks merged"]
     assert (merged.person, merged.detail) == (0, "was person 1")
     assert ids(frames)[-1] == [0]

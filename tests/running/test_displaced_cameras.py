@@ -1,0 +1,167 @@
+"""A camera that is wrong as a whole, in a run of hiros process."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid, from_vector, rotate
+from hiros_mcap.body.transforms import pose_arrays
+from hiros_mcap.config import load_config
+from hiros_mcap.events import events_from_json
+from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_skeleton_channel, add_static_poses
+from hiros_mcap.io.codec import Encoder
+from hiros_mcap.io.container import McapWriter
+from hiros_mcap.io.log import open_log
+from hiros_mcap.kernels.transforming import move
+from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import SimulateParams, Simulation, simulate
+from hiros_mcap.skeletons import Frame
+
+STEP = Rigid(from_vector(np.radians([6.0, -8.0, 0.0])), np.array([0.3, 0.0, 0.27]))
+"""10 degrees and 40 cm, in the camera's own frame."""
+SECONDS, AT_S = 8.0, 6.4
+
+Change = Callable[[Frame], Frame]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Simulation:
+    params = {"people": 2, "cameras": 4, "seconds": SECONDS, "seed": 3, "action": "cross"}
+    return simulate(SimulateParams.model_validate(params))
+
+
+def write(
+    path: Path, scene: Simulation, change: Change, poses: Mapping[str, Rigid] | None = None
+) -> Path:
+    """Write a log in which one camera's frames are changed."""
+    poses = {camera.name: camera.pose for camera in scene.cameras} | dict(poses or {})
+    encoder = Encoder(scene.model)
+    frames = sorted(scene.detections, key=lambda frame: frame.log_time)
+    with McapWriter(path) as writer:
+        add_static_poses(writer, poses, "world", frames[0].log_time)
+        channels = {name: add_skeleton_channel(writer, f"/{name}/people") for name in poses}
+        for frame in frames:
+            frame = change(frame) if frame.source == "camera_1" else frame
+            writer.write(channels[frame.source], frame.log_time, encoder.encode(frame))
+        writer.commit()
+    return path
+
+
+def as_it_is(frame: Frame) -> Frame:
+    return frame
+
+
+def moved_late(frame: Frame) -> Frame:
+    """The frame of a camera that somebody moves before the last fifth of the log."""
+    if frame.stamp < SimulateParams().start + AT_S * 1e9:
+        return frame
+    people = frame.people.copy()
+    move(pose_arrays([STEP.inverse()]), 0, people)
+    return frame.replace(people=people)
+
+
+def upside_down(frame: Frame) -> Frame:
+    people = frame.people.copy()
+    move(pose_arrays([Rigid(from_vector(np.array([0.0, 0.0, np.pi])), np.zeros(3))]), 0, people)
+    return frame.replace(people=people)
+
+
+def in_a_mirror(pose: Rigid) -> Change:
+    """A wall of mirrors at x = 3 m: the camera shows everybody a second time."""
+
+    def change(frame: Frame) -> Frame:
+        n = frame.n_people
+        twice = frame.select([*range(n), *range(n)]).people.copy()
+        there = rotate(pose.xyzw, twice.markers[n:, :, :3]) + pose.translation
+        there = there * [-1.0, 1.0, 1.0] + [6.0, 0.0, 0.0]
+        twice.markers[n:, :, :3] = rotate(pose.inverse().xyzw, there - pose.translation)
+        twice.links[n:] = np.nan
+        return frame.replace(people=twice)
+
+    return change
+
+
+def false_people(path: Path, scene: Simulation) -> int:
+    """Count the skeletons farther than 0.5 m from everybody, and those who are there twice."""
+    truth = list(scene.truth)
+    stamps = np.array([frame.stamp for frame in truth])
+    false = 0
+    with open_log(path, topics=["/hiros/filtered"], output_prefix="/none") as result:
+        for frame in result.frames():
+            true = truth[int(np.abs(stamps - frame.stamp).argmin())].positions
+            apart = np.linalg.norm(frame.positions[:, None] - true[None], axis=-1)
+            distances = np.nanmean(apart, axis=-1)
+            near = [int(row.argmin()) for row in distances if row.min() < 0.5]
+            false += frame.n_people - len(set(near))
+    return false
+
+
+def faulty(kind: str, folder: Path, scene: Simulation) -> Path:
+    """Write a log of a kind."""
+    poses = {camera.name: camera.pose for camera in scene.cameras}
+    changes: dict[str, tuple[Change, dict[str, Rigid]]] = {
+        "healthy": (as_it_is, {}),
+        "moved": (moved_late, {}),
+        "upside down": (upside_down, {}),
+        "one pose for two": (as_it_is, {"camera_1": poses["camera_0"]}),
+        "mirror": (in_a_mirror(poses["camera_1"]), {}),
+    }
+    change, wrong = changes[kind]
+    return write(folder / "log.mcap", scene, change, wrong)
+
+
+KINDS = "moved", "upside down", "one pose for two", "mirror"
+
+
+@pytest.mark.parametrize("system", ["hiros", "fuse", "hiros-realtime", "fuse-realtime"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_nobody_is_doubled(kind: str, system: str, scene: Simulation, tmp_path: Path) -> None:
+    log, out = faulty(kind, tmp_path, scene), tmp_path / "out.mcap"
+    options = ProcessOptions(system=system, calibrate="off")
+    summary = process(log, out, config=load_config(system=system), options=options)
+    assert false_people(out, scene) == 0
+    (warning,) = (text for text in summary.to_dict()["warnings"] if text.startswith("camera_1 "))
+    assert ("mirror" in warning) == (kind == "mirror")
+
+
+def test_the_warning_says_when_and_how_far(scene: Simulation, tmp_path: Path) -> None:
+    log, out = faulty("moved", tmp_path, scene), tmp_path / "out.mcap"
+    summary = process(log, out, options=ProcessOptions(calibrate="off"))
+    (warning,) = summary.warnings
+    assert re.match(r"camera_1 shows people 0\.\d\d m from where other cameras see them", warning)
+    when = re.search(r"From (\S+) s on hiros left out (\d+) such detections", warning)
+    assert when is not None
+    assert float(when[1]) == pytest.approx(AT_S, abs=1.0)
+    with open_log(out) as result:
+        events = events_from_json((result.reader.attachment(EVENTS_ATTACHMENT) or b"").decode())
+    (event,) = (event for event in events if event.kind == "camera displaced")
+    assert (event.source, event.is_warning) == ("camera_1", True)
+    assert len(summary.people) == 2
+
+
+def test_the_terminal_shows_the_warning(
+    scene: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = faulty("mirror", tmp_path, scene)
+    assert run(["process", str(log), "-o", str(tmp_path / "out.mcap"), "--calibrate", "off"]) == 0
+    assert "hiros: warning: camera_1 shows mirror images of people" in capsys.readouterr().err
+
+
+def test_a_camera_moved_for_too_short_a_time_for_a_pose_doubles_nobody(
+    scene: Simulation, tmp_path: Path
+) -> None:
+    """As users run it: the poses are refined first, and the last part is too short."""
+    log, out = faulty("moved", tmp_path, scene), tmp_path / "out.mcap"
+    process(log, out)
+    assert false_people(out, scene) == 0
+
+
+def test_healthy_cameras_are_not_displaced(scene: Simulation, tmp_path: Path) -> None:
+    log = faulty("healthy", tmp_path, scene)
+    assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()
