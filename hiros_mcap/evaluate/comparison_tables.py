@@ -24,11 +24,10 @@ SELF_HEADER = (
 )
 WITHOUT_TRUTH = (
     "Not ranked, since there is no truth. Mean, Median, 95 %: distance, mm, of a camera left out "
-    "from the result of the others, on the joints and detections that all systems have, mirrored "
-    "ones included. This is neither the error nor a bound on it: it adds the camera's own noise "
-    "and misses errors that all cameras share. Spread: the mean without what is constant for a "
-    "joint. Misses: detections at which the system has nobody, but another one has. Coverage: "
-    "share of the camera's skeletons near somebody whom the others see."
+    "from the result of the others, where all systems have the joint. This is neither the error "
+    "nor a bound on it: it adds the camera's noise and misses errors that all cameras share. "
+    "Spread: without what is constant for a joint. Misses: detections where only others have "
+    "somebody. Coverage: share of skeletons near somebody whom the others see."
 )
 
 
