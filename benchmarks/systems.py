@@ -87,8 +87,8 @@ def main() -> None:
                 key = f"{name} | {system}"
                 rows[key] = row = scored(log, truth, system, mode)
                 print(f"| {key} | {' | '.join(cells(row, before.get(key)))} |", flush=True)
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n")
+                if given.json:
+                    given.json.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 def arguments() -> argparse.Namespace:

@@ -47,6 +47,8 @@ def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:
     say(out, f"{log}: each camera against the result of the others, without a truth", "bold")
     title = "Distance of each left-out camera, mm"
     show_table(out, title, score_tables.left_out_table(scores.cameras))
+    for text in score_tables.notes_without_truth(scores):
+        note(out, text)
     pairs = [(a, b, number(mm, 1)) for (a, b), mm in scores.disagreement.items()]
     say(out, "Disagreement between cameras at one time, median mm", "bold", "\n")
     out.print(table("Camera", "Camera", ">Median", rows=pairs))

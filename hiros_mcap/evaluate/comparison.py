@@ -16,9 +16,12 @@ import numpy as np
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.leave_one_out import leave_one_out
+from hiros_mcap.evaluate.leave_one_out import leave_each_out
 from hiros_mcap.evaluate.logs import find_truth, fused_topics
-from hiros_mcap.evaluate.scores import Scores, evaluate
+from hiros_mcap.evaluate.match import Matches, match
+from hiros_mcap.evaluate.same_detections import Difference, Distances, on_same_detections
+from hiros_mcap.evaluate.scores import Scores, score_matches
+from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
@@ -29,6 +32,7 @@ from hiros_mcap.systems import Run, chain_of, system
 from hiros_mcap.workers import run_tasks
 
 _BLOCK = 64  # messages
+_SECOND_NS = 1_000_000_000
 _WARM_UP = 150
 """Messages that a system is run on before it is timed: enough to confirm the first tracks."""
 DEFAULT = ("hiros", "hiros-realtime", "malaguti", "lee", "openptrack", "maf", "average", "raw")
@@ -74,11 +78,19 @@ class Outcome:
     """CPU time of the stages per input message, without compiling or loading the kernels."""
     scores: Scores | None = None
     """Against the truth; None without one."""
+    distance: ErrorStats | None = None
+    """Without a truth: distance of a camera left out from the result of the others, mm, on the
+    joints and detections that all compared systems have. Neither the error nor a bound on it."""
     disagreement: float = float("nan")
-    """Without a truth: distance of a camera left out from the result of the others, mm; median
-    over joints, mean over cameras. Neither the error nor a bound on it."""
+    """Its median, mm."""
     spread: float = float("nan")
-    """The same, mean over joints, without the constant displacement of each joint of a person."""
+    """Its mean, without the constant displacement of each joint of a person, mm."""
+    misses: int = 0
+    """Without a truth: detections at which this system has nobody, but another one has."""
+    detections: int = 0
+    """Without a truth: detections at which some system has somebody."""
+    difference: Difference | None = None
+    """From the first system; None for the first itself."""
     coverage: float = float("nan")
     """Without a truth: share of the left-out cameras' skeletons that the others confirm."""
     ids: int = 0
@@ -136,15 +148,54 @@ def comparison(
     Raises HirosError if a log cannot be read, or its truth.
     """
     progress = progress or Silent()
-    done: dict[int, Outcome] = {}
-    for k, outcome in run_tasks(run_task, [(task,) for task in tasks], jobs):
-        done[k] = outcome
+    done: dict[int, tuple[Outcome, list[Distances]]] = {}
+    for k, scored in run_tasks(_run, [(task,) for task in tasks], jobs):
+        done[k] = scored
         progress.update(len(done), len(tasks))
-    return [done[k] for k in range(len(tasks))]
+    outcomes = [done[k][0] for k in range(len(tasks))]
+    groups: dict[tuple[Path, tuple[str, ...]], list[int]] = {}
+    for k, (task, outcome) in enumerate(zip(tasks, outcomes, strict=True)):
+        groups.setdefault((task.log, outcome.cameras), []).append(k)
+    for group in groups.values():
+        same = _on_the_same([done[k] for k in group])
+        for k, each in zip(group, same, strict=True):
+            outcomes[k] = each
+    return outcomes
 
 
 def run_task(task: Task) -> Outcome:
     """Run one system on one log and score what comes out."""
+    return _on_the_same([_run(task)])[0]
+
+
+def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcome]:
+    """Add what several systems do on the same detections of a log.
+
+    Raises ConfigError if their settings make other detections of it.
+    """
+    # A system may take part twice.
+    named = {str(k): distances for k, (_, distances) in enumerate(done)}
+    try:
+        same = on_same_detections(named)
+    except ValueError as error:
+        raise ConfigError(f"{done[0][0].log}: {error}") from None
+    first, outcomes = done[0][0].name, []
+    for (outcome, _), scores in zip(done, same.values(), strict=True):
+        difference = scores.difference and replace(scores.difference, against=first)
+        outcomes.append(replace(outcome, difference=difference))
+        if outcome.scores is None:
+            outcomes[-1] = replace(
+                outcomes[-1],
+                distance=scores.distance,
+                disagreement=scores.median,
+                spread=scores.spread,
+                misses=scores.misses,
+                detections=scores.detections,
+            )
+    return outcomes
+
+
+def _run(task: Task) -> tuple[Outcome, list[Distances]]:
     log, entry = _decoded(task), task.entry
     chosen = task.sources or log.sources
     frames = [frame for frame in log.frames if frame.source in chosen]
@@ -156,8 +207,10 @@ def run_task(task: Task) -> Outcome:
     outcome = Outcome(task.log.name, entry.name, chosen, 1000 * seconds / max(len(frames), 1))
     if log.truth is None:
         return _without_truth(task, outcome)
-    scores = evaluate(found, log.truth, log.model)
-    return replace(
+    truth = log.truth.seen_by(log.model)
+    matches = match(found, truth)
+    scores = score_matches(matches, truth, log.model)
+    scored = replace(
         outcome,
         scores=scores,
         limb_variation=scores.limb_variation,
@@ -165,6 +218,24 @@ def run_task(task: Task) -> Outcome:
         ids=len({ident for frame in found for _, ident in frame.tracked()}),
         people=float(np.mean([frame.n_people for frame in found])) if found else 0.0,
     )
+    return scored, [_by_second(matches, truth)]
+
+
+def _by_second(matches: Matches, truth: Truth) -> Distances:
+    """Mean distance of each true person in each second, mm; NaN where the result lacks him."""
+    seconds = np.arange(truth.stamps[0], truth.stamps[-1] + 1, _SECOND_NS)
+    shape = (len(truth.people), len(seconds))
+    sums, counts = np.zeros(shape), np.zeros(shape)
+    for stamp, person, pose, true in zip(
+        matches.stamps, matches.people, matches.poses, matches.true_poses, strict=True
+    ):
+        distances = 1000 * np.linalg.norm(pose - true, axis=-1)
+        cell = person, int((stamp - truth.stamps[0]) // _SECOND_NS)
+        sums[cell] += np.nansum(distances)
+        counts[cell] += (~np.isnan(distances)).sum()
+    means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
+    joints = means.reshape(-1, 1)
+    return Distances(np.tile(seconds, len(truth.people)), joints, np.full_like(joints, np.nan))
 
 
 def _decoded(task: Task) -> _DecodedLog:
@@ -203,22 +274,21 @@ def _run_stages(entry: Entry, log: _DecodedLog, frames: list[Frame]) -> tuple[li
     return list(frames_of(result)), seconds
 
 
-def _without_truth(task: Task, outcome: Outcome) -> Outcome:
+def _without_truth(task: Task, outcome: Outcome) -> tuple[Outcome, list[Distances]]:
     entry = task.entry
     config = load_config(None, entry.assignments, "default", entry.system)
     options = ProcessOptions(system=entry.system, stages=entry.stages)
-    scores = leave_one_out(task.log, config=config, options=options)
+    scores, distances = leave_each_out(task.log, config=config, options=options)
     detections = sum(camera.detections for camera in scores.cameras)
     unmatched = sum(camera.unmatched for camera in scores.cameras)
-    return replace(
+    scored = replace(
         outcome,
-        disagreement=float(np.mean([camera.median for camera in scores.cameras])),
-        spread=float(np.mean([camera.spread for camera in scores.cameras])),
         coverage=1 - unmatched / detections if detections else float("nan"),
         ids=len(scores.consistency.people),
         limb_variation=scores.consistency.limb_variation,
         jitter=scores.consistency.jitter,
     )
+    return scored, distances
 
 
 def camera_subsets(task: Task) -> list[Task]:

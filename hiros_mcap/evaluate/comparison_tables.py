@@ -8,8 +8,10 @@ import numpy as np
 
 from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.parts import PARTS
-from hiros_mcap.evaluate.score_tables import Table
+from hiros_mcap.evaluate.same_detections import Difference
+from hiros_mcap.evaluate.score_tables import TWO_CAMERAS, Table
 from hiros_mcap.evaluate.scores import Scores
+from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.summary import number
 
 TRUTH_HEADER = (
@@ -17,14 +19,15 @@ TRUTH_HEADER = (
     *("Missing", "False", "Switches", "HOTA", "ms/message"),
 )
 SELF_HEADER = (
-    "System", "Disagreement", "Spread", "Coverage", "Ids", "Limb CV", "Jitter", "ms/message",
-)  # fmt: skip
+    *("System", "Mean", "Median", "95 %", "Spread", "Misses", "Coverage", "Ids", "Limb CV"),
+    *("Jitter", "ms/message"),
+)
 WITHOUT_TRUTH = (
-    "Not ranked, since there is no truth. Disagreement: median distance, mm, of a camera left out "
-    "from the result of the others. This is neither the error nor a bound on it: it adds the "
-    "camera's own noise and misses errors that all cameras share. Spread: the same, mean, without "
-    "what is constant for a joint. Coverage: share of that camera's skeletons near somebody whom "
-    "the others see."
+    "Not ranked, since there is no truth. Mean, Median, 95 %: distance, mm, of a camera left out "
+    "from the result of the others, where all systems have the joint. This is neither the error "
+    "nor a bound on it: it adds the camera's noise and misses errors that all cameras share. "
+    "Spread: without what is constant for a joint. Misses: detections where only others have "
+    "somebody. Coverage: share of skeletons near somebody whom the others see."
 )
 
 
@@ -52,11 +55,34 @@ def best_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
     return sorted(outcomes, key=lambda o: (np.isnan(o.error), o.error, o.name))
 
 
+def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return a line per system of one log: whether it is nearer than the first one."""
+    return [f"{o.name}: {_against(o.difference)}" for o in outcomes if o.difference is not None]
+
+
+def _against(difference: Difference) -> str:
+    if difference.seconds < 2:
+        return f"not compared with {difference.against}: less than two seconds in common"
+    return f"against {difference.against}, mm: {difference} in {difference.seconds} s"
+
+
+def notes_on(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return what a reader of tables without a truth has to know."""
+    if has_truth(outcomes):
+        return []
+    two = any(o.scores is None and len(o.cameras) == 2 for o in outcomes)
+    return [WITHOUT_TRUTH, *([TWO_CAMERAS] if two else [])]
+
+
 def _self_row(o: Outcome) -> tuple[str, ...]:
+    distance = o.distance or ErrorStats.of(np.zeros(0))
     return (
         o.name,
+        number(distance.mean, 1),
         number(o.disagreement, 1),
+        number(distance.percentile_95, 1),
         number(o.spread, 1),
+        f"{o.misses}/{o.detections}",
         number(100 * o.coverage, 1, " %"),
         str(o.ids),
         *_motion(o),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import glob
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -22,6 +22,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency, output_channels, read_channel
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.parts import parts_of
+from hiros_mcap.evaluate.same_detections import Distances
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
@@ -42,7 +43,8 @@ class LeftOut:
     unmatched: int
     """Those that match nobody."""
     mirrored: int
-    """Those that fit better with left and right swapped; they are not in the distances below."""
+    """Those that fit better with left and right swapped. They count as they are: what is struck
+    out where it contradicts a result would flatter the result that is wrong."""
     distance: ErrorStats
     """From the same joint in the result of the others."""
     median: float
@@ -81,6 +83,8 @@ class _Residuals:
     """(R, M, 3) detection minus reference, m."""
     mirrored: Flags
     unmatched: int
+    detections: Stamps
+    """(R,) number of the detection among all of the camera."""
 
 
 def leave_one_out(
@@ -90,6 +94,19 @@ def leave_one_out(
     options: ProcessOptions | None = None,
 ) -> SelfScores:
     """Score a recording against itself: process it once with all cameras, once without each.
+
+    Raises as :func:`leave_each_out` does.
+    """
+    return leave_each_out(source, config=config, options=options)[0]
+
+
+def leave_each_out(
+    source: str | os.PathLike[str],
+    *,
+    config: Config | None = None,
+    options: ProcessOptions | None = None,
+) -> tuple[SelfScores, list[Distances]]:
+    """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
 
     Raises
     ------
@@ -103,14 +120,17 @@ def leave_one_out(
     if len(detections) < 2:
         raise ConfigError(f"{source}: leaving one camera out needs at least two cameras")
     everybody = _fused(source, config, options, list(detections))
-    cameras = []
+    cameras, distances = [], []
     for topic, frames in detections.items():
         others = [other for other in detections if other != topic]
-        cameras.append(_left_out(topic, frames, _fused(source, config, options, others), model))
+        found = _residuals(frames, _fused(source, config, options, others), model)
+        varying = _varying(found.displacement, found.people)
+        cameras.append(_left_out(topic, found, varying, model))
+        distances.append(_distances(frames, found, varying))
     residuals = {
         topic: _residuals(frames, everybody, model) for topic, frames in detections.items()
     }
-    return SelfScores(
+    scores = SelfScores(
         consistency=consistency(everybody, model),
         cameras=tuple(cameras),
         disagreement={
@@ -121,6 +141,7 @@ def leave_one_out(
             everybody, model, {topic: int(r.mirrored.sum()) for topic, r in residuals.items()}
         ),
     )
+    return scores, distances
 
 
 def _detections(
@@ -150,15 +171,10 @@ def _fused(
         return read_channel(out, output_channels(out)[-1])[0]
 
 
-def _left_out(
-    topic: str, frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonModel
-) -> LeftOut:
-    found = _residuals(frames, fused, model)
-    displacement = found.displacement[~found.mirrored]
-    distances = 1000 * np.linalg.norm(displacement, axis=-1)
+def _left_out(topic: str, found: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:
+    distances = 1000 * np.linalg.norm(found.displacement, axis=-1)
     known = distances[~np.isnan(distances)]
-    means = [mean_of(displacement[..., axis]) for axis in range(3)]
-    varying = _varying(displacement, found.people[~found.mirrored])
+    means = [mean_of(found.displacement[..., axis]) for axis in range(3)]
     return LeftOut(
         topic=topic,
         detections=len(found.stamps) + found.unmatched,
@@ -171,6 +187,17 @@ def _left_out(
         parts={part: ErrorStats.of(distances[:, own]) for part, own in parts_of(model).items()},
         joints=ErrorStats.by_name(model.marker_names, distances),
     )
+
+
+def _distances(frames: Sequence[Frame], found: _Residuals, varying: Floats) -> Distances:
+    """Distances at all detections of a camera, matched or not."""
+    counts = [len(frame.ids) for frame in frames]
+    stamps = np.repeat(np.array([frame.stamp for frame in frames], np.int64), counts)
+    joints = np.full((len(stamps), found.displacement.shape[1]), np.nan, np.float32)
+    rest = joints.copy()
+    joints[found.detections] = 1000 * np.linalg.norm(found.displacement, axis=-1)
+    rest[found.detections] = 1000 * np.linalg.norm(varying, axis=-1)
+    return Distances(stamps, joints, rest)
 
 
 def _varying(displacement: Floats, people: Stamps) -> Floats:
@@ -186,11 +213,10 @@ def _varying(displacement: Floats, people: Stamps) -> Floats:
 def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonModel) -> _Residuals:
     """Match a camera's detections to what was fused, and subtract it."""
     empty = np.zeros(0, np.int64)
-    none = _Residuals(empty, empty, np.zeros((0, model.n_markers, 3)), np.zeros(0, bool), 0)
+    none = _Residuals(empty, empty, np.zeros((0, model.n_markers, 3)), np.zeros(0, bool), 0, empty)
     if not any(len(frame.ids) for frame in fused):
         return none
-    named = (f.replace(ids=np.arange(len(f.ids), dtype=np.int32)) for f in frames)
-    matches = match(named, Truth.of(fused, model))
+    matches = match(_numbered(frames), Truth.of(fused, model))
     if not matches.poses:
         none.unmatched = matches.false
         return none
@@ -204,7 +230,17 @@ def _residuals(frames: Sequence[Frame], fused: Sequence[Frame], model: SkeletonM
         displacement,
         size_swapped < size,
         matches.false,
+        np.array(matches.ids, np.int64),
     )
+
+
+def _numbered(frames: Sequence[Frame]) -> Iterator[Frame]:
+    """Yield the frames of a camera with the numbers of its detections as ids."""
+    first = 0
+    for frame in frames:
+        count = len(frame.ids)
+        yield frame.replace(ids=np.arange(first, first + count, dtype=np.int32))
+        first += count
 
 
 def _disagreement(a: _Residuals, b: _Residuals) -> float:

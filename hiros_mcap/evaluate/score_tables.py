@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hiros_mcap.evaluate.leave_one_out import LeftOut
+from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
 from hiros_mcap.evaluate.parts import PARTS
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
@@ -14,6 +14,11 @@ from hiros_mcap.summary import number
 Rows = list[tuple[str, ...]]
 Table = tuple[tuple[str, ...], Rows]
 """Header and rows; the first column is text, the others are numbers."""
+
+TWO_CAMERAS = (
+    "With two cameras, a camera left out is compared with the result of a single one: this tests "
+    "smoothing, not fusion."
+)
 
 
 def error_table(scores: Mapping[str, Scores]) -> Table:
@@ -133,6 +138,11 @@ def left_out_table(cameras: Sequence[LeftOut]) -> Table:
         for c in cameras
     ]
     return (*header, "Offset", "Detections", "Of nobody", "Mirrored"), rows
+
+
+def notes_without_truth(scores: SelfScores) -> list[str]:
+    """Return what a reader of scores without a truth has to know."""
+    return [TWO_CAMERAS] if len(scores.cameras) == 2 else []
 
 
 def side_table(sides: SideScores) -> Table:

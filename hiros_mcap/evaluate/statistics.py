@@ -38,11 +38,13 @@ class ErrorStats:
         known = errors[~np.isnan(errors)]
         if not known.size:
             return cls(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+        high, highest = np.percentile(known, [95, 99])
         return cls(
             float(known.mean()),
             float(known.std()),
             float(np.sqrt((known * known).mean())),
-            *(float(p) for p in np.percentile(known, [95, 99])),
+            float(high),
+            float(highest),
             known.size,
         )
 

@@ -138,7 +138,8 @@ def test_compare(
     monkeypatch.setattr(  # a process of its own takes seconds to start
         comparison, "run_tasks", lambda do, tasks, _: enumerate(do(*task) for task in tasks)
     )
-    command = ["compare", str(walking), "--system", "raw", "--jobs", "1"]
+    systems = ["--system", "raw", "--system", "average"]
+    command = ["compare", str(walking), *systems, "--jobs", "1"]
     assert_as_documented([printed(command, capsys)])
 
 

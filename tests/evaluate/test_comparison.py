@@ -165,6 +165,44 @@ def test_a_result_without_its_recording_cannot_be_compared(
         assert line.count("\n") == 1
 
 
+def test_who_is_better_is_said_with_an_interval(
+    bare: Path, walking: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for log, found in ((bare, "raw: against hiros, mm: "), (walking, "raw: against hiros, mm: ")):
+        arguments = ["--system", "hiros", "--system", "raw", "--jobs", "1"]
+        assert run(["compare", str(log), *arguments]) == 0
+        text = capsys.readouterr().out
+        assert found in text
+        assert "hiros: against" not in text
+    assert "raw: against hiros, mm: worse by" in text
+    assert "smoothing, not fusion" not in text
+
+
+def test_a_system_against_itself_makes_no_difference(
+    bare: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    systems = ["--system", "hiros", "--system", "hiros"]
+    assert run(["compare", str(bare), *systems, "--jobs", "1", "--json"]) == 0
+    one, other = json.loads(capsys.readouterr().out)["outcomes"]
+    assert one["difference"] is None
+    assert other["difference"]["mm"] == other["difference"]["low"] == 0
+    assert {k: one[k] for k in ("distance", "misses", "detections")} == {
+        k: other[k] for k in ("distance", "misses", "detections")
+    }
+    assert one["detections"] > 100
+
+
+def test_two_cameras_test_smoothing(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "two.mcap"
+    keep = ("/camera_0/*", "/camera_1/*", "/tf_static")
+    process(walking, log, options=ProcessOptions(stages="T", topics=keep[:2], keep=keep))
+    for command in (["compare", "--system", "raw", "--jobs", "1"], ["eval", "--leave-one-out"]):
+        assert run([*command, str(log)]) == 0
+        assert "smoothing, not fusion" in " ".join(capsys.readouterr().out.split())
+
+
 def test_what_is_known_without_a_truth(bare: Path, capsys: pytest.CaptureFixture[str]) -> None:
     systems = ["--system", "raw", "--system", "hiros"]
     assert run(["compare", str(bare), *systems, "--jobs", "1", "--json"]) == 0

@@ -54,6 +54,21 @@ def test_the_camera_left_out_is_in_nothing_it_is_compared_with(tmp_path: Path) -
     assert shifted.spread < 10
 
 
+def test_mirrored_detections_count_as_they_are(tmp_path: Path) -> None:
+    """To strike out what contradicts a result would flatter the result that is wrong."""
+    log = tmp_path / "log.mcap"
+    flipping = {"flips_per_minute": 40.0, "flip_seconds": (0.2, 0.6), "reversal_share": 0.0}
+    faultless = {**FAULTLESS, "people": 1, "cameras": 3, "seconds": 4, "action": "walk"}
+    params = {**faultless, "flips": 1.0, "detector": flipping}
+    write_log(log, SimulateParams.model_validate(params))
+    cameras = [c for c in leave_one_out(log).cameras if c.mirrored > 0.06 * c.detections]
+    assert cameras
+    for each in cameras:
+        assert each.distance.percentile_95 > 100
+        assert each.distance.count > 31 * (each.detections - each.unmatched)
+        assert each.median < 15
+
+
 def test_two_cameras_are_needed(walking: Path) -> None:
     with pytest.raises(ConfigError, match="at least two cameras"):
         leave_one_out(walking, options=ProcessOptions(topics=("/camera_0/*",)))

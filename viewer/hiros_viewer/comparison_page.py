@@ -13,10 +13,11 @@ from hiros_mcap._version import __version__
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.comparison import Entry, Outcome, by_number_of_cameras
 from hiros_mcap.evaluate.comparison_tables import (
-    WITHOUT_TRUTH,
     best_first,
     camera_table,
+    differences_of,
     has_truth,
+    notes_on,
     table_of,
 )
 from hiros_mcap.io.log import open_log
@@ -54,9 +55,12 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
             page.table(*table_of(own), "Least error first; mm, degrees, ms")
             page.figure(_error_bars(own), "Mean joint error; the line is its standard deviation")
         else:
-            page.table(*table_of(own), "Disagreement and jitter in mm")
-            page.text(WITHOUT_TRUTH)
+            page.table(*table_of(own), "Distances and jitter in mm")
+            for text in notes_on(own):
+                page.text(text)
             page.figure(_self_bars(own), "Systems in the order in which they were named")
+        for line in differences_of(own):
+            page.text(line)
     return page
 
 

@@ -104,6 +104,8 @@ def self_page(log: Path, scores: SelfScores) -> Page:
     page.heading("Each camera against the result of the others")
     title = "Joint distance, mm, including the camera's own noise"
     page.table(*score_tables.left_out_table(scores.cameras), title)
+    for text in score_tables.notes_without_truth(scores):
+        page.text(text)
     page.figure(
         _camera_joints({c.topic: c.joints for c in scores.cameras}),
         "Mean distance of each joint of the left-out camera, mm",

@@ -67,7 +67,9 @@ def compare(
     """Run several systems on the same logs.
 
     With a truth, they are ranked by joint error. Without one, they are not ranked: the table shows
-    how far each camera is from the result of the others, jitter, limb lengths and ids.
+    how far each camera is from the result of the others, on the same detections for all systems,
+    jitter, limb lengths and ids. Below, each system is compared with the first one named: better or
+    worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
     """
     from hiros_cli.compiling import ALL, prepare
     from hiros_cli.output import check_outputs
@@ -107,9 +109,11 @@ def compare(
         comparison_page(outcomes, study).write(html)
     if json:
         from hiros_cli.output import print_json
+        from hiros_mcap.evaluate.comparison_tables import notes_on
         from hiros_mcap.summary import plain
 
-        print_json("compare", {"outcomes": [plain(o) for o in outcomes]})
+        data = {"outcomes": [plain(o) for o in outcomes], "notes": notes_on(outcomes)}
+        print_json("compare", data)
     elif not quiet:
         _show(outcomes, study)
 
@@ -141,23 +145,28 @@ def _simulated(folder: Path) -> list[Path]:
 
 
 def _show(outcomes: list[Outcome], study: str | None) -> None:
-    from hiros_cli.run_report import console, note, show_table
+    from hiros_cli.run_report import console, note, say, show_table
     from hiros_mcap.evaluate.comparison import by_number_of_cameras
     from hiros_mcap.evaluate.comparison_tables import (
-        WITHOUT_TRUTH,
         camera_table,
-        has_truth,
+        differences_of,
+        notes_on,
         table_of,
     )
 
     if study == "cameras":
         title = "Mean joint error (SD), mm, by number of cameras, over all subsets"
         tables = {title: camera_table(by_number_of_cameras(outcomes))}
+        lines: dict[str, list[str]] = {title: []}
     else:
         logs = dict.fromkeys(o.log for o in outcomes)
-        tables = {log: table_of([o for o in outcomes if o.log == log]) for log in logs}
+        groups = {log: [o for o in outcomes if o.log == log] for log in logs}
+        tables = {log: table_of(group) for log, group in groups.items()}
+        lines = {log: differences_of(group) for log, group in groups.items()}
     out = console()
     for title, content in tables.items():
         show_table(out, title, content)
-    if not has_truth(outcomes):
-        note(out, WITHOUT_TRUTH)
+        for line in lines[title]:
+            say(out, line)
+    for text in notes_on(outcomes):
+        note(out, text)

@@ -232,10 +232,13 @@ def _show_self(output: _Output, config: Config) -> None:
         self_page(output.log, scores).write(output.html)
     if output.json:
         from hiros_cli.output import print_json
+        from hiros_mcap.evaluate.score_tables import notes_without_truth
         from hiros_mcap.summary import plain, plain_value
 
         pairs = [{"cameras": list(k), "mm": v} for k, v in scores.disagreement.items()]
-        data = {"log": str(output.log), **plain(scores), "disagreement": plain_value(pairs)}
+        notes = notes_without_truth(scores)
+        data = {"log": str(output.log), **plain(scores), "notes": notes}
+        data["disagreement"] = plain_value(pairs)
         print_json("eval.self", data)
     elif not output.quiet:
         from hiros_cli.evaluation import show_self

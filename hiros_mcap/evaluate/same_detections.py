@@ -1,0 +1,149 @@
+"""Several systems scored on the same detections, and how sure the difference between two is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hiros_mcap.evaluate.statistics import ErrorStats, mean_of
+from hiros_mcap.skeletons import Flags, Floats, Stamps
+
+_BLOCK_NS = 1_000_000_000
+"""Errors within a second hang together; those of different seconds hardly do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """D detections of a camera against what a system makes of the others' views.
+
+    Of a truth: what each true person is in each second, with M = 1.
+    """
+
+    stamps: Stamps
+    """(D,) ns."""
+    joints: npt.NDArray[np.float32]
+    """(D, M) distance of each joint, mm; NaN where the system has nobody there, or no such joint.
+    Left and right are as the camera has them."""
+    varying: npt.NDArray[np.float32]
+    """(D, M) the same without the constant displacement of each joint of a person, mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Mean distance of a system less that of another, on what both have, mm."""
+
+    against: str
+    """The other system."""
+    mm: float
+    """Negative: this system is nearer."""
+    low: float
+    """Lower end of the 95 % interval, mm; NaN if there are fewer than two seconds."""
+    high: float
+    seconds: int
+    """Blocks of a second that the interval is made of."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the interval does not hold 0."""
+        return self.low > 0 or self.high < 0
+
+    def __str__(self) -> str:
+        ends = sorted((abs(self.low), abs(self.high)))
+        if not self.is_sure:
+            return f"no difference ({self.low:+.1f} to {self.high:+.1f})"
+        word = "better" if self.mm < 0 else "worse"
+        return f"{word} by {abs(self.mm):.1f} (95 % {ends[0]:.1f} to {ends[1]:.1f})"
+
+
+@dataclass(frozen=True, slots=True)
+class SameScores:
+    """Of one system, on the detections where all systems have somebody."""
+
+    distance: ErrorStats
+    median: float
+    """Of these distances, mm."""
+    spread: float
+    """Mean of the varying distances, mm."""
+    misses: int
+    """Detections at which the system has nobody, but another one has."""
+    detections: int
+    """Detections at which some system has somebody."""
+    difference: Difference | None
+    """From the first system; None for the first itself."""
+
+
+def on_same_detections(systems: Mapping[str, Sequence[Distances]]) -> dict[str, SameScores]:
+    """Score systems on the joints that all of them have at the same detections.
+
+    A system that has nobody anywhere does not count for what the others have.
+
+    Parameters
+    ----------
+    systems : name -> the cameras' distances, for all systems in the same order.
+
+    Raises
+    ------
+    ValueError
+        The systems were given different detections.
+    """
+    joints = {name: _stacked([d.joints for d in own]) for name, own in systems.items()}
+    varying = {name: _stacked([d.varying for d in own]) for name, own in systems.items()}
+    if len({each.shape for each in joints.values()}) > 1:
+        raise ValueError("the systems were given different detections")
+    stamps = np.concatenate([d.stamps for d in next(iter(systems.values()))])
+    known = {name: ~np.isnan(each) for name, each in joints.items()}
+    there = {name: each.any(axis=1) for name, each in known.items()}
+    anybody = np.any(list(there.values()), axis=0)
+    taking_part = [known[name] for name, own in there.items() if own.any()]
+    common: Flags = np.all(taking_part, axis=0) if taking_part else next(iter(known.values()))
+    first = next(iter(systems))
+    scores = {}
+    for name, own in joints.items():
+        distances = own[common & known[name]].astype(np.float64)
+        scores[name] = SameScores(
+            distance=ErrorStats.of(distances),
+            median=float(np.median(distances)) if distances.size else np.nan,
+            spread=mean_of(varying[name][common & known[name]].astype(np.float64)),
+            misses=int((anybody & ~there[name]).sum()),
+            detections=int(anybody.sum()),
+            difference=None if name == first else _difference(own, joints[first], stamps, first),
+        )
+    return scores
+
+
+def _stacked(parts: Sequence[npt.NDArray[np.float32]]) -> npt.NDArray[np.float32]:
+    return np.concatenate(parts)
+
+
+def _difference(
+    own: npt.NDArray[np.float32], other: npt.NDArray[np.float32], stamps: Stamps, name: str
+) -> Difference:
+    """Difference of two systems where both have a joint, with an interval over seconds."""
+    apart = own.astype(np.float64) - other
+    rows, columns = np.nonzero(~np.isnan(apart))
+    blocks = np.unique((stamps[rows] - stamps.min(initial=0)) // _BLOCK_NS, return_inverse=True)[1]
+    return Difference(name, *block_interval(apart[rows, columns], blocks))
+
+
+def block_interval(values: Floats, blocks: Stamps) -> tuple[float, float, float, int]:
+    """Mean of values (K,), the ends of its 95 % interval, and the number of blocks.
+
+    Blocks (K,) are numbered 0, 1, ...; their means count with their numbers of values, as in the
+    mean over all (a ratio estimate, Cochran 1977, section 6.4), and are taken as independent:
+    Student's t. The ends are NaN if there are fewer than two blocks.
+    """
+    if not values.size:
+        return np.nan, np.nan, np.nan, 0
+    sums, counts = np.bincount(blocks, values), np.bincount(blocks)
+    n, mean = len(counts), float(sums.sum() / counts.sum())
+    if n < 2:
+        return mean, np.nan, np.nan, n
+    from scipy.stats import t
+
+    residuals = sums - mean * counts
+    error = np.sqrt(n / (n - 1) * (residuals**2).sum()) / counts.sum()
+    half = float(t.ppf(0.975, n - 1)) * float(error)
+    return mean, mean - half, mean + half, n

@@ -1,0 +1,106 @@
+"""Systems are scored on the same detections, and a difference is stated with its interval."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiros_mcap.evaluate.same_detections import Difference, Distances, on_same_detections
+from hiros_mcap.skeletons import Floats
+
+SECOND = 1_000_000_000
+
+
+def camera(joints: Floats, rate: int = 10) -> Distances:
+    """Detections at ``rate`` Hz."""
+    stamps = np.arange(len(joints), dtype=np.int64) * (SECOND // rate)
+    values = joints.astype(np.float32)
+    return Distances(stamps, values, values / 2)
+
+
+def random(mean: float, seed: int, seconds: int = 20, joints: int = 3) -> Floats:
+    return mean + np.random.default_rng(seed).normal(0, 3, (10 * seconds, joints))
+
+
+def test_who_has_nobody_where_it_is_hard_gains_nothing() -> None:
+    """The second system is 10 mm worse where both have somebody, and silent in the hard part."""
+    good = np.full((100, 4), 20.0)
+    good[50:] = 300.0
+    worse = good + 10
+    worse[50:] = np.nan
+    first, second = on_same_detections({"a": [camera(good)], "b": [camera(worse)]}).values()
+    assert (first.distance.mean, second.distance.mean) == pytest.approx((20, 30))
+    assert (first.median, second.median) == pytest.approx((20, 30))
+    assert (first.misses, second.misses) == (0, 50)
+    assert first.detections == second.detections == 100
+    assert second.difference is not None
+    assert str(second.difference).startswith("worse by 10.0")
+    assert second.difference.seconds == 5
+
+
+def test_a_joint_that_one_lacks_counts_for_nobody() -> None:
+    one, other = random(20, 1), random(20, 2)
+    other[:, 0] = np.nan
+    one[:, 0] = 900.0
+    scores = on_same_detections({"a": [camera(one)], "b": [camera(other)]})
+    assert scores["a"].distance.mean == pytest.approx(20, abs=1)
+    assert scores["a"].distance.count == scores["b"].distance.count == 400
+    assert scores["b"].misses == 0
+    assert scores["a"].spread == pytest.approx(scores["a"].distance.mean / 2, rel=1e-5)
+
+
+def test_a_system_without_a_result_does_not_empty_the_table() -> None:
+    nothing = np.full((200, 3), np.nan)
+    scores = on_same_detections({"a": [camera(random(20, 1))], "b": [camera(nothing)]})
+    assert scores["a"].distance.mean == pytest.approx(20, abs=1)
+    assert scores["b"].misses == 200
+    assert np.isnan(scores["b"].distance.mean)
+    assert scores["b"].difference is not None
+    assert scores["b"].difference.seconds == 0
+    assert not scores["b"].difference.is_sure
+
+
+def test_all_cameras_count_together() -> None:
+    near, far = camera(np.full((100, 2), 10.0)), camera(np.full((300, 2), 50.0))
+    (only,) = on_same_detections({"a": [near, far]}).values()
+    assert only.distance.mean == pytest.approx(40)
+    assert only.difference is None
+
+
+def test_the_interval_is_of_seconds_not_of_frames() -> None:
+    """Errors that last a second: 95 % of the intervals hold the true difference, which is 0."""
+    held, wide = 0, []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        lasting = rng.normal(0, 5, (20, 1)).repeat(10, axis=0)
+        scores = on_same_detections(
+            {"a": [camera(np.full((200, 1), 30.0))], "b": [camera(30 + lasting)]}
+        )
+        found = scores["b"].difference
+        assert found is not None
+        held += found.low <= 0 <= found.high
+        wide.append(found.high - found.low)
+    assert 0.91 < held / 300 < 0.985
+    assert np.mean(wide) == pytest.approx(2 * 2.09 * 5 / 20**0.5, rel=0.05)
+
+
+def test_the_same_numbers_every_time() -> None:
+    systems = {"a": [camera(random(20, 1))], "b": [camera(random(20.4, 2))]}
+    assert on_same_detections(systems) == on_same_detections(systems)
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [
+        ((-2.6, -3.3, -1.9), "better by 2.6 (95 % 1.9 to 3.3)"),
+        ((2.0, 1.0, 3.0), "worse by 2.0 (95 % 1.0 to 3.0)"),
+        ((0.1, -0.2, 0.4), "no difference (-0.2 to +0.4)"),
+    ],
+)
+def test_a_difference_in_words(ends: tuple[float, float, float], text: str) -> None:
+    assert str(Difference("hiros", *ends, seconds=9)) == text
+
+
+def test_other_detections_cannot_be_compared() -> None:
+    with pytest.raises(ValueError, match="different detections"):
+        on_same_detections({"a": [camera(random(1, 1))], "b": [camera(random(1, 1, seconds=3))]})
