@@ -26,7 +26,7 @@ def test_without_anything_the_defaults_hold() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_is_valid_and_reads_back(preset: str, tmp_path: Path) -> None:
-    config = load_config(preset=preset)
+    config = load_config(preset=preset, system="hiros")
     path = tmp_path / "hiros.toml"
     path.write_text(to_toml(config))
     assert load_config(path) == config
@@ -106,7 +106,7 @@ def test_what_config_prints_gives_the_same_configuration(name: str, tmp_path: Pa
 def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:
     path = tmp_path / "hiros.toml"
     path.write_text("[merge]\nmax_delta_time = 0.02\n[filter]\ncutoff = 7\n")
-    config = load_config(path, ["filter.cutoff=8"], "paper")
+    config = load_config(path, ["filter.cutoff=8"], "paper", "hiros")
     assert config.merge.max_delta_time == 0.02
     assert config.filter.cutoff == 8.0
 

@@ -132,7 +132,9 @@ def test_config_prints_what_config_reads(
     assert run(["config", "--preset", "paper", "--set", "filter.cutoff=5"]) == 0
     path = tmp_path / "hiros.toml"
     path.write_text(capsys.readouterr().out)
-    assert load_config(path) == load_config(overrides=["filter.cutoff=5"], preset="paper")
+    assert load_config(path) == load_config(
+        overrides=["filter.cutoff=5"], preset="paper", system="hiros"
+    )
 
 
 def test_config_prints_the_sections_of_the_system(capsys: pytest.CaptureFixture[str]) -> None:

@@ -291,6 +291,7 @@ def process(
     from hiros_mcap.running.pipeline import ProcessOptions
     from hiros_mcap.running.pipeline import process as run
 
+    _check_assignments(system, assignments or ())
     _check_effects(
         system,
         stages,
@@ -461,6 +462,21 @@ def _window(text: str) -> tuple[float, float]:
     if start < 0:
         raise ConfigError(f"--limb-window: {text!r} starts before the log, which starts at 0")
     return start, end
+
+
+def _check_assignments(system: str, assignments: Sequence[str]) -> None:
+    """Refuse parameters that the system does not read."""
+    from hiros_mcap.config import Config
+    from hiros_mcap.systems import sections_of
+
+    unread = Config.model_fields.keys() - {*sections_of(system)}
+    for text in assignments:
+        name = text.partition("=")[0].strip()
+        if name.partition(".")[0] in unread:
+            raise ConfigError(
+                f"--set: {name} has no effect: --system {system} does not read it; hiros systems "
+                "and hiros config --system NAME show what does"
+            )
 
 
 def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> None:
