@@ -18,7 +18,9 @@ from mcap.writer import Writer
 from hiros_cli.app import run
 from hiros_mcap.body.limb_table import LimbTable
 
-CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
+CHANNELS = [
+    f"/hiros/{name}" for name in ("filtered", "merged", "optimized", "tracked", "uncertainty")
+]
 
 
 def counts(path: Path) -> dict[str, int]:
@@ -108,7 +110,7 @@ def test_the_output_of_the_current_folder_lies_beside_it(
     ("stages", "channels"),
     [
         ("T", ["/hiros/tracked"]),
-        ("tmf", ["/hiros/filtered", "/hiros/merged", "/hiros/tracked"]),
+        ("tmf", ["/hiros/filtered", "/hiros/merged", "/hiros/tracked", "/hiros/uncertainty"]),
     ],
 )
 def test_stages_chooses_the_chain(
