@@ -32,14 +32,14 @@ def row(name: str, s: Scores) -> str:
 
 def table(log: Path, truth: Truth, overrides: Sequence[str]) -> None:
     print(f"{'':9} {COLUMNS}")
-    config = load_config(None, list(overrides))
+    config = load_config(None, list(overrides), system="hiros")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
-        process(log, out, config=config)
+        process(log, out, config=config, options=ProcessOptions("hiros"))
         chains = ("T", "TM", "TMO", "TMOF")
         for chain, result in zip(chains, evaluate_log(out, truth).values(), strict=True):
             print(row(chain, result.scores))
-        process(log, out, config=config, options=ProcessOptions(stages="TMF"))
+        process(log, out, config=config, options=ProcessOptions("hiros", stages="TMF"))
         print(row("TMF", evaluate_log(out, truth, ["/hiros/filtered"])["/hiros/filtered"].scores))
 
 

@@ -106,7 +106,7 @@ def run(scene: Scene, frames: Sequence[Frame], config: Config) -> tuple[list[Fra
 def main() -> None:
     numbers = [int(a) for a in sys.argv[1:] if "=" not in a]
     seeds, first = numbers[0] if numbers else 20, numbers[1] if len(numbers) > 1 else 0
-    config = load_config(overrides=[a for a in sys.argv[1:] if "=" in a])
+    config = load_config(overrides=[a for a in sys.argv[1:] if "=" in a], system="hiros")
     results = {kind: Counter[str]() for kind in AWAY}
     for seed in range(first, first + seeds):
         scene, rng = Scene(seed), np.random.default_rng(seed)

@@ -18,6 +18,7 @@ import tomli_w
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from hiros_mcap._version import __version__
+from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params, advanced, explain, is_advanced
 from hiros_mcap.stages.associate import AssociateParams
@@ -330,11 +331,16 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
 """Systems that are another one with other parameters -> what they change."""
 
 
+def presets_of(system: str) -> tuple[str, ...]:
+    """Return the presets that a system takes: all change hiros and what shares its stages."""
+    return tuple(PRESETS) if takes_presets(system) else (NO_PRESET,)
+
+
 def load_config(
     path: Path | None = None,
     overrides: Sequence[str] = (),
-    preset: str = "default",
-    system: str = "hiros",
+    preset: str = NO_PRESET,
+    system: str = DEFAULT_SYSTEM,
     named: Mapping[str, Table] | None = None,
 ) -> Config:
     """Return the configuration of a run.
@@ -343,7 +349,7 @@ def load_config(
     ----------
     path : TOML file with a table per section, as :func:`to_toml` writes it.
     overrides : assignments ``section.param=value``; the value is TOML, a bare word is a string.
-    preset : a key of :data:`PRESETS`.
+    preset : a key of :data:`PRESETS`. None but the default fits fuse and fuse-realtime.
     system : a key of :data:`hiros_mcap.systems.SYSTEMS`, whose own defaults come first.
     named : values by the option that the user gave for them, which errors name; they come before
         ``overrides``.
@@ -355,6 +361,11 @@ def load_config(
     """
     if preset not in PRESETS:
         raise ConfigError(f"no preset {preset!r}{_instead(preset, PRESETS)}")
+    if preset not in presets_of(system):
+        raise ConfigError(
+            f"preset {preset} is of hiros and means nothing to {system}; run the system hiros, or "
+            f"fuse-realtime without a preset if nothing may wait for later frames"
+        )
     layers = [(f"system {system}", SYSTEM_DEFAULTS.get(system, {}))]
     layers += [(f"preset {preset}", PRESETS[preset])]
     if path is not None:

@@ -176,6 +176,8 @@ class Summary:
     """Time from the first to the last message of the cameras, s."""
     wall_s: float
     """Time that the run took, s."""
+    system: str = ""
+    """Name of the system that was run."""
     cameras: tuple[CameraSummary, ...] = ()
     poses: tuple[PoseSummary, ...] = ()
     """Empty if the run did not compare the cameras' poses with the people."""

@@ -15,8 +15,10 @@ from pytest import MonkeyPatch
 from stick_figures import MODEL
 
 from hiros_mcap.config import PRESETS, Config, load_config, to_toml
+from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params, advanced
+from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.systems import SYSTEMS, Run, sections_of, system
 
 
@@ -26,7 +28,7 @@ def test_without_anything_the_defaults_hold() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_is_valid_and_reads_back(preset: str, tmp_path: Path) -> None:
-    config = load_config(preset=preset)
+    config = load_config(preset=preset, system="hiros")
     path = tmp_path / "hiros.toml"
     path.write_text(to_toml(config))
     assert load_config(path) == config
@@ -106,7 +108,7 @@ def test_what_config_prints_gives_the_same_configuration(name: str, tmp_path: Pa
 def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:
     path = tmp_path / "hiros.toml"
     path.write_text("[merge]\nmax_delta_time = 0.02\n[filter]\ncutoff = 7\n")
-    config = load_config(path, ["filter.cutoff=8"], "paper")
+    config = load_config(path, ["filter.cutoff=8"], "paper", "hiros")
     assert config.merge.max_delta_time == 0.02
     assert config.filter.cutoff == 8.0
 
@@ -174,6 +176,28 @@ def test_a_wrong_file_is_named_with_its_fault(content: bytes, said: str, tmp_pat
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"missing\.toml: No such file"):
         load_config(tmp_path / "missing.toml")
+
+
+@pytest.mark.parametrize(
+    ("preset", "live", "name"),
+    [
+        ("default", False, "fuse"),
+        ("default", True, "fuse-realtime"),
+        ("paper", False, "hiros"),
+        ("paper", True, "hiros-realtime"),
+    ],
+)
+def test_what_runs_if_no_system_is_named(preset: str, live: bool, name: str) -> None:
+    assert default_system(preset, live=live) == name
+    load_config(preset=preset, system=name)
+    assert ProcessOptions().system == default_system()
+
+
+@pytest.mark.parametrize("name", ["fuse", "fuse-realtime"])
+@pytest.mark.parametrize("preset", [name for name in PRESETS if name != "default"])
+def test_a_preset_of_hiros_is_refused_where_it_means_nothing(preset: str, name: str) -> None:
+    with pytest.raises(ConfigError, match=f"preset {preset} is of hiros and means nothing to"):
+        load_config(preset=preset, system=name)
 
 
 def test_an_unknown_preset_lists_the_known_ones() -> None:

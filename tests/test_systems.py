@@ -31,7 +31,7 @@ def test_some_of_the_stages_can_be_chosen() -> None:
 
 
 def test_an_unknown_system_is_named_with_those_that_exist() -> None:
-    with pytest.raises(ConfigError, match=r"no system 'hirso' \(there are: hiros, hiros-realtime"):
+    with pytest.raises(ConfigError, match=r"no system 'hirso' \(there are: fuse, fuse-realtime"):
         system("hirso")
 
 
@@ -49,7 +49,12 @@ def test_a_stage_gets_what_the_run_has() -> None:
 def test_the_optimizer_of_the_published_presets_acts(preset: str) -> None:
     """Good detections pass the paper's quality gate; then the lengths vary three times less."""
     scene = room(people=1, cameras=4, seconds=8, noise=0.3, flips=0.0, phantoms=0.0, seed=3)
-    run = Run(scene.model, load_config(preset=preset), cameras=scene.cameras, fixed_frame="world")
+    run = Run(
+        scene.model,
+        load_config(preset=preset, system="hiros"),
+        cameras=scene.cameras,
+        fixed_frame="world",
+    )
     stages, spread = system("hiros").stages(run), {}
     frames = scene.frames
     for channel in ("tracked", "merged", "optimized"):

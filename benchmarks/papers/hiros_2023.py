@@ -59,10 +59,15 @@ def run_experiment(people: int, action: str, config: Config, seconds: float) -> 
         scene = {"people": people, "action": action, "seconds": seconds, "seed": people}
         write_log(log, SimulateParams.model_validate(scene))
         truth = load_truth(log)
-        summary = process(log, out, config=config, options=ProcessOptions(calibrate="off", keep=()))
+        summary = process(
+            log, out, config=config, options=ProcessOptions("hiros", calibrate="off", keep=())
+        )
         full = evaluate_log(out, truth, ["/hiros/tracked", "/hiros/filtered"])
         process(
-            log, out, config=config, options=ProcessOptions(stages="TMF", calibrate="off", keep=())
+            log,
+            out,
+            config=config,
+            options=ProcessOptions("hiros", stages="TMF", calibrate="off", keep=()),
         )
         short = evaluate_log(out, truth, ["/hiros/filtered"])
     results = (full["/hiros/tracked"], short["/hiros/filtered"], full["/hiros/filtered"])
@@ -167,7 +172,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15.0, help="length of every log")
     parser.add_argument("overrides", nargs="*", metavar="PARAM=VALUE")
     given = parser.parse_args()
-    config = load_config(None, given.overrides)
+    config = load_config(None, given.overrides, system="hiros")
     report(run_experiments(config, given.seconds, given.jobs), given.seconds).present(given.html)
 
 

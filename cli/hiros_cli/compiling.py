@@ -13,11 +13,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import hiros_mcap
+from hiros_mcap.defaults import DEFAULT_SYSTEM, LIVE_SYSTEM
 
 NOTICE = "hiros: compiling kernels for this machine, once (about a minute with two cores)"
 
 RUN = ("hiros_mcap.running.pipeline",)
-"""What a run imports."""
+"""What a run of any system imports."""
+DEFAULT_RUN = (*RUN, "hiros_mcap.stages.window_smoother", "hiros_mcap.stages.align_links")
+"""What a run of the default system imports, some of it when it sets up the stages."""
 ALL = ("hiros_mcap.kernels.*",)
 """Every kernel."""
 
@@ -45,6 +48,11 @@ def prepare(*, quiet: bool, roots: Sequence[str] = ()) -> None:
         if not quiet:
             print(NOTICE, file=sys.stderr, flush=True)
         _compile([(group,) for group in independent(missing)])
+
+
+def run_roots(system: str) -> tuple[str, ...]:
+    """Return what a run of a system imports."""
+    return DEFAULT_RUN if system in (DEFAULT_SYSTEM, LIVE_SYSTEM) else RUN
 
 
 def needed_by(roots: Sequence[str], sources: Mapping[str, str]) -> dict[str, str]:

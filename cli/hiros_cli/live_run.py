@@ -10,8 +10,6 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-import typer
-
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import target_kind
 
@@ -63,14 +61,6 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
         )
     if output is not None and target_kind(output) != "log":
         raise ConfigError(f"{output}: live input gives an MCAP file or a pipe, not a bag's folder")
-
-
-def live_system(context: typer.Context, system: str) -> str:
-    """Return the system to run: unless one is named, that which waits for nothing."""
-    from hiros_mcap.running.process_live import REALTIME
-
-    source = context.get_parameter_source("system")
-    return REALTIME if source is None or source.name == "DEFAULT" else system
 
 
 def run_live(

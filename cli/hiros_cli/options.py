@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hiros_cli.completing import parameters, presets, systems
+from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError
 
 PARAMETERS, INPUT, OUTPUT = "Parameters", "Input", "Output"
@@ -21,7 +22,7 @@ Preset = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="Start from a preset: default, realtime, paper or upstream.",
+        help="Start from a preset of hiros: default, realtime, paper or upstream.",
         autocompletion=presets,
         rich_help_panel=PARAMETERS,
     ),
@@ -36,11 +37,12 @@ ConfigFile = Annotated[
     ),
 ]
 SystemName = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--system",
         metavar="NAME",
-        help="System to run; `hiros systems` lists them.",
+        help="System to run; `hiros systems` lists them. Default: fuse, on live input "
+        "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
         autocompletion=systems,
         rich_help_panel=PARAMETERS,
     ),
@@ -106,6 +108,11 @@ Table = Annotated[
         rich_help_panel=MANY,
     ),
 ]
+
+
+def chosen_system(system: str | None, preset: str, *, live: bool = False) -> str:
+    """Return the system to run: the one that is named, or the default."""
+    return default_system(preset, live=live) if system is None else system
 
 
 def seconds_range(option: str, text: str) -> tuple[float, float]:

@@ -96,9 +96,10 @@ def table(*columns: str, rows: Iterable[Sequence[str]]) -> Table:
 def _headline(summary: Summary) -> str:
     target = "" if summary.target is None else f" -> {printable(summary.target, 500)}"
     speed = number(summary.times_real_time, 1)
+    system = f" with {summary.system}" if summary.system else ""
     return (
         f"{printable(summary.source, 500)}{target}\n"
-        f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s: "
+        f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s{system}: "
         f"{speed} times real time"
     )
 

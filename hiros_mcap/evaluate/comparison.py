@@ -35,7 +35,10 @@ _BLOCK = 64  # messages
 _SECOND_NS = 1_000_000_000
 _WARM_UP = 150
 """Messages that a system is run on before it is timed: enough to confirm the first tracks."""
-DEFAULT = ("hiros", "hiros-realtime", "malaguti", "lee", "openptrack", "maf", "average", "raw")
+DEFAULT = (
+    "fuse", "fuse-realtime", "hiros", "hiros-realtime", "malaguti", "lee", "openptrack", "maf",
+    "average", "raw",
+)  # fmt: skip
 """Systems that are compared unless others are named."""
 
 

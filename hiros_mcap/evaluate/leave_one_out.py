@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.config import Config
+from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import Consistency, consistency, output_channels, read_channel
 from hiros_mcap.evaluate.match import match
@@ -115,7 +115,8 @@ def leave_each_out(
     LogError
         The log cannot be read.
     """
-    config, options = config or Config(), options or ProcessOptions()
+    options = options or ProcessOptions()
+    config = config or load_config(system=options.system)
     detections, model = _detections(source, config, options)
     if len(detections) < 2:
         raise ConfigError(f"{source}: leaving one camera out needs at least two cameras")

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hiros_mcap.config import Config
+from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.logs import fused_topics, has_cameras, has_outputs
 from hiros_mcap.io.channels import TRUTH_PREFIX
@@ -33,11 +34,13 @@ def check_scorable(log: Path, truth: str | None, *, has_truth: bool) -> None:
 
 
 @contextmanager
-def results_of(log: Path, config: Config, truth: str | None) -> Iterator[tuple[Path, list[str]]]:
+def results_of(
+    log: Path, config: Config, truth: str | None, system: str = DEFAULT_SYSTEM
+) -> Iterator[tuple[Path, list[str]]]:
     """Yield where the results are, and globs of their channels: [] = all outputs.
 
     That is the log itself if it holds outputs, the truth in it if it holds no cameras either, else
-    its output in a temporary folder.
+    what a ``system`` makes of it, in a temporary folder.
 
     Raises LogError or ConfigError if the log cannot be processed.
     """
@@ -48,6 +51,6 @@ def results_of(log: Path, config: Config, truth: str | None) -> Iterator[tuple[P
     else:
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "out.mcap"
-            options = ProcessOptions(keep=(), topics=fused_topics(log, truth))
+            options = ProcessOptions(system, keep=(), topics=fused_topics(log, truth))
             process(log, out, config=config, options=options)
             yield out, []

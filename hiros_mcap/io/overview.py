@@ -398,13 +398,13 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
     """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    from hiros_mcap.config import PRESETS, load_config, to_toml
+    from hiros_mcap.config import load_config, presets_of, to_toml
     from hiros_mcap.systems import SYSTEMS, sections_of
 
     if not values or system not in SYSTEMS:
         return "", ()
     found: dict[str, tuple[ParameterRow, ...]] = {}
-    for preset in PRESETS:
+    for preset in presets_of(system):
         config = load_config(preset=preset, system=system)
         usual = values_of(to_toml(config, sections_of(system)))
         found[preset] = tuple(

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from hiros_mcap.config import Config
+from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
@@ -124,6 +125,8 @@ class EvalJob:
     match_distance: float = 1.0
     shift: float = 0.0
     up: str = "z"
+    system: str = DEFAULT_SYSTEM
+    """What recordings are processed with."""
 
     command: ClassVar[str] = "eval"
     kind: ClassVar[Kind] = "log"
@@ -149,7 +152,7 @@ class EvalJob:
         if truth is None:
             return self._by_itself(log)
         truth = truth.moved(self.shift, start=start_of(log), up=self.up)
-        with results_of(log, self.config, self.truth) as (result, default):
+        with results_of(log, self.config, self.truth, self.system) as (result, default):
             globs = list(self.channels) or default
             truth, others = covered_by(result, truth, self.covers, globs, self.match_distance)
             results = evaluate_log(result, truth, globs, self.match_distance)
@@ -159,7 +162,7 @@ class EvalJob:
         return Finding({"people": len(truth.people), **values}, warnings=tuple(warnings))
 
     def _by_itself(self, log: Path) -> Finding:
-        scores = leave_one_out(log, config=self.config)
+        scores = leave_one_out(log, config=self.config, options=ProcessOptions(self.system))
         medians = [camera.median for camera in scores.cameras]
         values = {
             "people": len(scores.consistency.people),

@@ -3,7 +3,7 @@
 ::
 
     logs = find_logs(["recordings/"])
-    for record, _ in run_logs(ProcessJob(Config()), logs, Folder("results"), in_processes(2)):
+    for record, _ in run_logs(ProcessJob(load_config()), logs, Folder("results"), in_processes(2)):
         print(record.log, record.verdict)
 """
 

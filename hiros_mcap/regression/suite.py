@@ -26,6 +26,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hiros_mcap.config import load_config, read_toml
+from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
@@ -66,7 +67,7 @@ class Case(Params):
     preset: str = "default"
     config: str = Field("", description="TOML file with parameters.")
     set: tuple[str, ...] = Field((), description="Parameters: stage.param=value.")
-    system: str = "hiros"
+    system: str = Field("", description="Default: fuse; with a preset hiros.")
     stages: str = Field("", description="Chain of the system's stages. Default: all.")
     tolerances: dict[str, float] = Field(
         {}, description="Instead of those in GOLDEN.tolerances.toml."
@@ -222,8 +223,9 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
         with tempfile.TemporaryDirectory() as temporary:
             out = kept_path(keep or Path(temporary), case)
             file = folder / case.config if case.config else None
-            config = load_config(file, case.set, case.preset, case.system)
-            options = ProcessOptions(system=case.system, stages=case.stages, keep=("/truth/*",))
+            system = case.system or default_system(case.preset)
+            config = load_config(file, case.set, case.preset, system)
+            options = ProcessOptions(system=system, stages=case.stages, keep=("/truth/*",))
             # Whether ``out`` may be replaced was asked before the first case ran.
             process(folder / case.input, out, config=config, options=options, force=True)
             result = _check_case(folder, case, out, bless=bless)

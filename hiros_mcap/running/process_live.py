@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hiros_mcap.config import Config, load_config
+from hiros_mcap.defaults import LIVE_SYSTEM
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapWriter, Message
@@ -32,9 +33,6 @@ from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import LogOutput, NoOutput, is_kept
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import chain_of
-
-REALTIME = "hiros-realtime"
-"""The system for live input: no stage waits for later frames."""
 
 
 def process_live(
@@ -56,7 +54,7 @@ def process_live(
     source : the input.
     target : descriptor of a pipe, or a file, which appears when the input ends; None for neither.
     config, options, watcher : as of :func:`hiros_mcap.running.pipeline.process`; the default
-        system is ``hiros-realtime``. Clocks are judged as the messages come.
+        system is ``fuse-realtime``. Clocks are judged as the messages come.
     started : is called with the log when the first messages are read.
 
     Raises
@@ -69,7 +67,7 @@ def process_live(
     BrokenPipeError
         the reader of the output is gone.
     """
-    options = options or ProcessOptions(system=REALTIME)
+    options = options or ProcessOptions(system=LIVE_SYSTEM)
     config = _causal(config or load_config(system=options.system), options)
     chain = chain_of(options.system, options.stages)
     watch = Stopwatch()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Frame
@@ -20,7 +21,7 @@ which the people do not confirm every camera's pose."""
 class ProcessOptions:
     """What is read, run and written, besides the parameters of the stages."""
 
-    system: str = "hiros"
+    system: str = DEFAULT_SYSTEM
     """A key of :data:`hiros_mcap.systems.SYSTEMS`."""
     stages: str = ""
     """One of the system's chains of T tracker, M merger, O optimizer, F filter; "" = all."""

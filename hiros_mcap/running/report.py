@@ -73,6 +73,7 @@ class Report:
             target=target,
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - self.watch.started,
+            system=self.run.system,
             cameras=cameras,
             poses=tuple(self.poses.cameras),
             scatter=scatter_of(self.run.events),

@@ -1,4 +1,4 @@
-"""The published systems, each a table of stages."""
+"""Our own system and the published ones, each a table of stages."""
 
 from __future__ import annotations
 
@@ -24,6 +24,18 @@ _HIROS_SECTIONS = ("track", "sides", "merge", "optimize", "filter")
 _FUSE_SECTIONS = ("track", "sides", "merge", "fuse", "constrain", "filter")
 
 SYSTEMS: dict[str, System] = {
+    "fuse": System(
+        "ours, the default: a Kalman smoother per joint over all cameras, limb lengths",
+        fuse,
+        _FUSE,
+        _FUSE_SECTIONS,
+    ),
+    "fuse-realtime": System(
+        "fuse without future frames, the default of live input; learns on the way",
+        fuse,
+        _FUSE,
+        _FUSE_SECTIONS,
+    ),
     "hiros": System(
         "Hi-ROS 2023, extended for real logs",
         hiros,
@@ -35,18 +47,6 @@ SYSTEMS: dict[str, System] = {
         hiros,
         _HIROS,
         _HIROS_SECTIONS,
-    ),
-    "fuse": System(
-        "ours: a Kalman smoother per joint over all cameras, limb lengths",
-        fuse,
-        _FUSE,
-        _FUSE_SECTIONS,
-    ),
-    "fuse-realtime": System(
-        "fuse without future frames; learns lengths and motion on the way",
-        fuse,
-        _FUSE,
-        _FUSE_SECTIONS,
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",

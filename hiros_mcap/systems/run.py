@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.config import Config
+from hiros_mcap.defaults import DEFAULT_SYSTEM
 from hiros_mcap.events import Events
 from hiros_mcap.frames import BlockStage
 from hiros_mcap.params import Params
@@ -34,7 +35,7 @@ class Run:
     cameras: Mapping[str, Floats] = field(default_factory=dict)
     """Source -> (3,) position of the camera in the fixed frame, m."""
     fixed_frame: str = ""
-    system: str = "hiros"
+    system: str = DEFAULT_SYSTEM
     """Name of the system that is run."""
     noise: FusionNoise | None = None
     """What a first pass has shown of cameras and joints; None = there was none."""

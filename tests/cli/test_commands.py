@@ -23,7 +23,7 @@ import typer
 from hiros_cli.app import run
 from hiros_cli.commands import app
 from hiros_cli.commands.simulate import _params
-from hiros_cli.compiling import ALL, RUN, imported, independent, needed_by, prepare
+from hiros_cli.compiling import ALL, DEFAULT_RUN, imported, independent, needed_by, prepare
 from hiros_cli.help_page import EXAMPLES
 from hiros_mcap import kernels
 from hiros_mcap.config import load_config
@@ -132,7 +132,9 @@ def test_config_prints_what_config_reads(
     assert run(["config", "--preset", "paper", "--set", "filter.cutoff=5"]) == 0
     path = tmp_path / "hiros.toml"
     path.write_text(capsys.readouterr().out)
-    assert load_config(path) == load_config(overrides=["filter.cutoff=5"], preset="paper")
+    assert load_config(path) == load_config(
+        overrides=["filter.cutoff=5"], preset="paper", system="hiros"
+    )
 
 
 def test_config_prints_the_sections_of_the_system(capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,8 +173,8 @@ def test_every_kernel_with_a_signature_is_found() -> None:
 
 
 def test_a_run_needs_its_own_kernels_only() -> None:
-    needed = needed_by(RUN, kernels.sources())
-    assert {"tracking", "merging", "optimizing", "state_space", "encode"} <= needed.keys()
+    needed = needed_by(DEFAULT_RUN, kernels.sources())
+    assert {"tracking", "facing", "fusing", "aligning", "state_space", "encode"} <= needed.keys()
     assert not {"clustering", "predicting", "drawing", "butterworth"} & needed.keys()
     assert needed_by(ALL, kernels.sources()) == kernels.sources()
 
@@ -207,7 +209,7 @@ def test_modules_that_share_a_third_are_compiled_together() -> None:
 
 
 def test_two_cores_share_the_compilation_of_a_run() -> None:
-    sources = needed_by(RUN, kernels.sources())
+    sources = needed_by(DEFAULT_RUN, kernels.sources())
     largest = sum(len(sources[name]) for name in independent(sources)[0])
     assert largest < 0.6 * sum(map(len, sources.values()))
 
@@ -245,8 +247,8 @@ def test_a_run_uses_no_other_kernels_than_those_compiled_before_it(tmp_path: Pat
     prefix = "hiros_mcap.kernels."
     used = {name.removeprefix(prefix) for name in done.stdout.split() if name.startswith(prefix)}
     sources = kernels.sources()
-    assert {"tracking", "merging"} <= used
-    assert used & sources.keys() <= needed_by(RUN, sources).keys()
+    assert {"tracking", "fusing"} <= used
+    assert used & sources.keys() <= needed_by(DEFAULT_RUN, sources).keys()
 
 
 def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(

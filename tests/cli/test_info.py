@@ -110,8 +110,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a run with one changed parameter wrote of the crossing."""
     path = tmp_path_factory.mktemp("info") / "out.mcap"
     source = Path(__file__).parents[2] / "sample_data/two_people_crossing.mcap"
-    config = load_config(overrides=["merge.max_position_delta=0.4"], preset="realtime")
-    process(source, path, config=config)
+    config = load_config(
+        overrides=["merge.max_position_delta=0.4"], preset="realtime", system="hiros"
+    )
+    process(source, path, config=config, options=ProcessOptions("hiros"))
     return path
 
 

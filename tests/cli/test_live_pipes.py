@@ -86,7 +86,7 @@ def test_a_signal_ends_the_input(number: int, crossing: Path, tmp_path: Path) ->
         (["nowhere.mcap", "--follow"], "does not exist yet"),
         (["-", "-o", "-", "--unit", "mm"], "are for files"),
         (["-", "-o", "bag/"], "not a bag's folder"),
-        (["-", "-o", "-", "--two-pass"], "reads the whole log first"),
+        (["-", "-o", "-", "--system", "hiros-realtime", "--two-pass"], "reads the whole log first"),
         (["-", "-o", "-", "--recover"], "are for files"),
     ],
 )

@@ -18,7 +18,9 @@ from mcap.writer import Writer
 from hiros_cli.app import run
 from hiros_mcap.body.limb_table import LimbTable
 
-CHANNELS = ["/hiros/filtered", "/hiros/merged", "/hiros/optimized", "/hiros/tracked"]
+CHANNELS = [
+    f"/hiros/{name}" for name in ("filtered", "merged", "optimized", "tracked", "uncertainty")
+]
 
 
 def counts(path: Path) -> dict[str, int]:
@@ -28,6 +30,9 @@ def counts(path: Path) -> dict[str, int]:
     assert summary.statistics is not None
     messages = summary.statistics.channel_message_counts
     return {channel.topic: messages.get(i, 0) for i, channel in summary.channels.items()}
+
+
+HIROS = ("--system", "hiros")
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -105,7 +110,7 @@ def test_the_output_of_the_current_folder_lies_beside_it(
     ("stages", "channels"),
     [
         ("T", ["/hiros/tracked"]),
-        ("tmf", ["/hiros/filtered", "/hiros/merged", "/hiros/tracked"]),
+        ("tmf", ["/hiros/filtered", "/hiros/merged", "/hiros/tracked", "/hiros/uncertainty"]),
     ],
 )
 def test_stages_chooses_the_chain(
@@ -131,10 +136,11 @@ def test_saved_limbs_can_be_loaded(walking: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        ["--two-pass"],
+        ["--system", "hiros", "--two-pass"],
         ["--system", "hiros-realtime", "--two-pass"],
-        ["--limb-window", "0:2"],
-        ["--solver", "ceres"],
+        ["--system", "hiros", "--limb-window", "0:2"],
+        ["--system", "hiros", "--solver", "ceres"],
+        ["--preset", "paper", "--limb-window", "0:2"],
         ["--topic", "/c*"],
     ],
 )
@@ -163,10 +169,10 @@ def test_malaguti_saves_the_limbs_that_it_finds_and_uses_those_of_a_file(
     [
         (["--keep", "/nope*", "--keep", "/tf*"], "keep: the log has no channel /nope*"),
         (
-            ["--limb-window", "2.99:9"],
+            ["--system", "hiros", "--limb-window", "2.99:9"],
             "limb lengths not calibrated: nobody was seen in the calibration windows",
         ),
-        (["--limb-window", "0:2"], ""),
+        (["--system", "hiros", "--limb-window", "0:2"], ""),
     ],
 )
 def test_what_an_option_did_not_find_is_noted(
@@ -254,18 +260,36 @@ def test_no_transforms_is_one_line_that_names_the_way_out(
         (["--clock", "left=1"], "no camera 'left' (there are: camera_0, camera_1, camera_2)"),
         (["--limb-window", "20:10"], "ends before it starts"),
         (["--limb-window=-5:-1"], "--limb-window: '-5:-1' starts before the log"),
-        (["--limb-window", "3.1:9"], "ends after 3.0 s, before the calibration window 3.1:9"),
-        (["--limb-window", "20:30"], "ends after 3.0 s, before the calibration window 20:30"),
+        (
+            [*HIROS, "--limb-window", "3.1:9"],
+            "ends after 3.0 s, before the calibration window 3.1:9",
+        ),
+        (
+            [*HIROS, "--limb-window", "20:30"],
+            "ends after 3.0 s, before the calibration window 20:30",
+        ),
         (["--stages", "T", "--limbs", "x.toml"], "--limbs has no effect: --stages T"),
         (["--stages", "T", "--save-limbs", "x.toml"], "--save-limbs has no effect"),
         (["--stages", "tm", "--limb-window", "0:3"], "--limb-window has no effect: --stages tm"),
         (["--system", "lee", "--limbs", "x.toml"], "--limbs has no effect: --system lee"),
         (["--system", "lee", "--solver", "ceres"], "--solver has no effect: --system lee"),
+        (
+            ["--two-pass"],
+            "--two-pass has no effect: --system fuse has an optimizer of its own; --sy",
+        ),
+        (
+            ["--preset", "paper", "--system", "fuse"],
+            "preset paper is of hiros and means nothing to",
+        ),
+        (["--set", "optimize.debias=false"], "optimize.debias has no effect: --system fuse does n"),
         (["--system", "malaguti", "--two-pass"], "--two-pass has no effect: --system malaguti"),
         (["--system", "malaguti", "--limbs", "missing.toml"], "missing.toml"),
-        (["--limbs", "x.toml", "--two-pass"], "--two-pass has no effect: the limb lengths come"),
+        (
+            [*HIROS, "--limbs", "x.toml", "--two-pass"],
+            "--two-pass has no effect: the limb lengths come",
+        ),
         (["--limb-window=-inf:3"], "must start at a finite time"),
-        (["--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),
+        ([*HIROS, "--solver", "newton"], "--solver: optimize.solver: should be 'lm' or 'ceres'"),
         (["--topic", "/nobody/*"], "/nobody/*"),
         (["--fixed-frame", "mars"], "mars"),
         (["--limbs", "missing.toml"], "missing.toml"),

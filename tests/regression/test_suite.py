@@ -52,6 +52,7 @@ input = "walk.mcap"
 golden = "golden/walk.mcap"
 channels = ["/hiros/*"]
 require = ["mpjpe <= 25 mm", "id_switches = 0"]
+system = "hiros"
 """
 
 
@@ -60,7 +61,7 @@ def test_the_sample_logs_give_what_they_gave() -> None:
     assert {r.name: (r.error, r.differences) for r in results} == {
         r.name: ("", ()) for r in results
     }
-    assert len(results) == 3
+    assert len(results) == 6
 
 
 @pytest.fixture

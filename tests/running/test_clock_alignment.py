@@ -68,7 +68,7 @@ def without(walk: Path) -> float:
     """Error, mm, of a run without the camera."""
     out = walk.with_name("without.mcap")
     topics = ("/camera_0/*", "/camera_2/*")
-    process(walk, out, options=ProcessOptions(topics=topics))
+    process(walk, out, options=ProcessOptions("hiros", topics=topics))
     return error(out, walk)
 
 
@@ -120,7 +120,7 @@ def test_people_who_stand_still_prove_nothing_and_nothing_is_changed(
 def test_a_correction_by_the_user_is_taken_as_right(walk: Path, tmp_path: Path) -> None:
     summary = run(walk, tmp_path, offset(1.5), "clock.camera_1=-1.5")
     assert summary.warnings == ()
-    plain = process(walk, tmp_path / "plain.mcap")
+    plain = process(walk, tmp_path / "plain.mcap", options=ProcessOptions("hiros"))
     assert summary.written == plain.written
     for name in ("plain.mcap", "out.mcap"):
         frames, _, _ = read_channel(tmp_path / name, "/hiros/filtered")

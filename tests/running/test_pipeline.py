@@ -49,7 +49,7 @@ def test_the_public_names_are_listed_before_their_first_use() -> None:
 @pytest.mark.parametrize("chain", SYSTEMS["hiros"].chains)
 def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
-    summary = process(WALKING, out, options=ProcessOptions(stages=chain, keep=()))
+    summary = process(WALKING, out, options=ProcessOptions("hiros", stages=chain, keep=()))
     with McapReader(out) as reader:
         topics = {channel.topic for channel in reader.channels.values()}
     assert topics == {f"/hiros/{LETTERS[letter]}" for letter in chain}
@@ -59,13 +59,14 @@ def test_every_chain_of_the_paper_runs(chain: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("chain", ["M", "F", "MF", "FT", "TOM", "X"])
 def test_other_chains_are_refused(chain: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot run the stages"):
-        process(WALKING, tmp_path / "out.mcap", options=ProcessOptions(stages=chain))
+        process(WALKING, tmp_path / "out.mcap", options=ProcessOptions("hiros", stages=chain))
     assert not list(tmp_path.iterdir())
 
 
-def test_the_error_falls_at_every_stage(tmp_path: Path) -> None:
+@pytest.mark.parametrize("system", ["fuse", "hiros"])
+def test_the_error_falls_at_every_stage(system: str, tmp_path: Path) -> None:
     out, truth = tmp_path / "out.mcap", truth_of(CROSSING)
-    process(CROSSING, out)
+    process(CROSSING, out, options=ProcessOptions(system))
     scores = []
     for channel in LETTERS.values():
         with open_log(out, topics=[f"/hiros/{channel}"], output_prefix="/truth") as log:
@@ -84,11 +85,13 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_limbs_of_a_first_session_serve_a_second(tmp_path: Path) -> None:
+@pytest.mark.parametrize("system", ["fuse", "fuse-realtime", "hiros"])
+def test_limbs_of_a_first_session_serve_a_second(system: str, tmp_path: Path) -> None:
     limbs = tmp_path / "limbs.toml"
-    process(WALKING, None, options=ProcessOptions(limbs_out=limbs))
+    process(WALKING, None, options=ProcessOptions(system, limbs_out=limbs))
+    assert len(LimbTable.load(limbs).people[0]) > 20
     for name in ("a", "b"):
-        process(WALKING, tmp_path / name, options=ProcessOptions(limbs_in=limbs))
+        process(WALKING, tmp_path / name, options=ProcessOptions(system, limbs_in=limbs))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
@@ -96,7 +99,8 @@ def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -
     """Presets paper and upstream: nobody is lost or renamed, and the error is larger."""
     truth, channel, errors = truth_of(WALKING), "/hiros/filtered", {}
     for preset in ("default", "paper", "upstream"):
-        process(WALKING, tmp_path / preset, config=load_config(preset=preset))
+        config = load_config(preset=preset, system="hiros")
+        process(WALKING, tmp_path / preset, config=config, options=ProcessOptions("hiros"))
         scores = evaluate_log(tmp_path / preset, truth, [channel])[channel].scores
         assert (scores.switches, scores.missing) == (0, 0)
         errors[preset] = scores.mean
@@ -105,8 +109,8 @@ def test_what_the_paper_prints_runs_and_is_behind_the_defaults(tmp_path: Path) -
 
 
 def test_two_passes_hold_lengths_strictly(tmp_path: Path) -> None:
-    config = load_config(None, ["optimize.calibration=two-pass"])
-    process(WALKING, tmp_path / "out.mcap", config=config)
+    config = load_config(None, ["optimize.calibration=two-pass"], system="hiros")
+    process(WALKING, tmp_path / "out.mcap", config=config, options=ProcessOptions("hiros"))
     with open_log(tmp_path / "out.mcap", topics=["/hiros/optimized"], output_prefix="/x") as log:
         poses = np.stack([frame.positions[0] for frame in log.frames()])
     lengths = np.linalg.norm(
@@ -206,6 +210,8 @@ def run_to(path: Path, stages: str = "", system: str = "hiros", *assignments: st
         ("hiros", "TMOF", "filtered"),
         ("hiros", "TM", "merged"),
         ("hiros", "T", "tracked"),
+        ("fuse", "TMOF", "filtered"),
+        ("fuse-realtime", "TMOF", "filtered"),
         ("malaguti", "TMO", "optimized"),
         ("lee", "TMF", "filtered"),
     ],
@@ -244,7 +250,7 @@ def test_what_is_left_out_changes_nothing_that_is_written(tmp_path: Path) -> Non
     assert small.stat().st_size < 0.3 * full.stat().st_size
 
 
-@pytest.mark.parametrize("system", ["hiros", "malaguti", "lee", "maf", "average", "raw"])
+@pytest.mark.parametrize("system", ["fuse", "hiros", "malaguti", "lee", "maf", "average", "raw"])
 def test_every_skeleton_has_the_box_of_its_markers(system: str, tmp_path: Path) -> None:
     process(CROSSING, tmp_path / "out", options=ProcessOptions(system=system))
     for channel in chain_of(system):
@@ -292,10 +298,10 @@ def test_provenance_tells_the_order_of_stages_and_of_the_merger(
 
 
 def test_a_system_or_a_chain_that_does_not_exist() -> None:
-    with pytest.raises(ConfigError, match=r"no system 'hydra' \(there are: hiros"):
+    with pytest.raises(ConfigError, match=r"no system 'hydra' \(there are: fuse"):
         process(WALKING, None, options=ProcessOptions(system="hydra"))
     with pytest.raises(ConfigError, match="system hiros cannot run the stages 'FT'"):
-        process(WALKING, None, options=ProcessOptions(stages="FT"))
+        process(WALKING, None, options=ProcessOptions("hiros", stages="FT"))
 
 
 @pytest.mark.parametrize("options", [{"system": "lee"}, {"stages": "TMF"}])
@@ -308,20 +314,29 @@ def test_limb_lengths_are_refused_where_no_stage_uses_them(
         process(WALKING, None, options=ProcessOptions(**options, **more))
 
 
-def test_limb_lengths_that_are_given_are_not_measured_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("system", ["fuse", "fuse-realtime", "hiros"])
+def test_limb_lengths_that_are_given_are_not_measured_again(system: str, tmp_path: Path) -> None:
     given, saved = tmp_path / "given.toml", tmp_path / "saved.toml"
-    process(WALKING, None, options=ProcessOptions(limbs_out=given))
+    process(WALKING, None, options=ProcessOptions(system, limbs_out=given))
     longer = LimbTable.load(given)
     for limbs in longer.people.values():
         limbs.update(
             {name: replace(limb, length=1.01 * limb.length) for name, limb in limbs.items()}
         )
     longer.save(given)
-    options = ProcessOptions(limbs_in=given, limbs_out=saved)
-    process(
-        WALKING, None, config=load_config(None, ["optimize.calibration=two-pass"]), options=options
-    )
+    options = ProcessOptions(system, limbs_in=given, limbs_out=saved)
+    settings = ["optimize.calibration=two-pass"] if system == "hiros" else []
+    config = load_config(None, settings, system=system)
+    out = tmp_path / "out.mcap"
+    process(WALKING, out, config=config, options=options)
     assert LimbTable.load(saved).people == LimbTable.load(given).people
+    frames, model, _ = read_channel(out, "/hiros/optimized")
+    poses = np.stack([frame.positions[0] for frame in frames])[30:]
+    shin = model.link_names.index("KNEE_LEFT")
+    lengths = np.linalg.norm(
+        poses[:, model.links[shin, 0]] - poses[:, model.links[shin, 1]], axis=1
+    )
+    assert np.median(lengths) == pytest.approx(longer.people[0]["KNEE_LEFT"].length, rel=0.003)
 
 
 def topics_of(path: Path) -> list[str]:

@@ -76,7 +76,12 @@ def chain(
     request: pytest.FixtureRequest, log: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Chain:
     out = tmp_path_factory.mktemp("out") / f"{request.param}.mcap"
-    process(log, out, config=load_config(preset=request.param), options=ProcessOptions(keep=()))
+    process(
+        log,
+        out,
+        config=load_config(preset=request.param, system="hiros"),
+        options=ProcessOptions("hiros", keep=()),
+    )
     truth, channels = find_truth(log), ("/hiros/merged", "/hiros/optimized")
     assert truth is not None
     (merged, model, _), (optimized, _, _) = (read_channel(out, channel) for channel in channels)

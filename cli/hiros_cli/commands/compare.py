@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hiros_mcap.evaluate.comparison import Outcome
 
 STUDIES = ("cameras", "people")
-CAMERA_STUDY = ("hiros", "malaguti", "lee")
+CAMERA_STUDY = ("fuse", "hiros", "malaguti", "lee")
 """Systems of the study of cameras, which runs each many times, unless others are named."""
 
 
@@ -31,7 +31,7 @@ def compare(
             "--system",
             metavar="NAME[:CHAIN][,PARAM=VALUE]",
             help="System to compare, such as hiros:TMF or lee,cluster.radius=0.2; may be "
-            "repeated. Default: hiros, hiros-realtime, malaguti, lee and the baselines.",
+            "repeated. Default: fuse, hiros, both realtime, malaguti, lee and the baselines.",
         ),
     ] = None,
     study: Annotated[

@@ -20,7 +20,9 @@ from hiros_cli.options import (
     Json,
     Preset,
     QuietResult,
+    SystemName,
     Table,
+    chosen_system,
 )
 from hiros_mcap.errors import ConfigError
 
@@ -91,6 +93,7 @@ def evaluate(
     joints: Annotated[
         bool, typer.Option("--joints", help="Also show every joint and the signed angles.")
     ] = False,
+    system: SystemName = None,
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
@@ -120,7 +123,7 @@ def evaluate(
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.compiling import prepare, run_roots
     from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
@@ -137,14 +140,15 @@ def evaluate(
             raise ConfigError("--output is for many logs; for one, use --json or --html")
         log = one_log(context, logs[0])
         check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
-    prepare(quiet=quiet or json, roots=RUN if is_many else ())
+    system = chosen_system(system, preset)
+    prepare(quiet=quiet or json, roots=run_roots(system) if is_many else ())
 
     from hiros_mcap.config import load_config
     from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
     from hiros_mcap.evaluate.remarks import warnings_of
     from hiros_mcap.evaluate.scored import check_scorable, results_of
 
-    effective = load_config(config, list(assignments or ()), preset)
+    effective = load_config(config, list(assignments or ()), preset, system)
     if is_many:
         from hiros_mcap.many.jobs import EvalJob
 
@@ -158,16 +162,17 @@ def evaluate(
             match_distance,
             shift,
             up,
+            system,
         )
         raise typer.Exit(run(job, many))
     shown = _Output(log, html, json=json, quiet=quiet, joints=joints)
     true = None if leave_one_out else find_truth(log, truth)
     check_scorable(log, truth, has_truth=true is not None)
     if true is None:
-        _show_self(shown, effective)
+        _show_self(shown, effective, system)
         return
     true = true.moved(shift, start=start_of(log), up=up)
-    with results_of(log, effective, truth) as (processed, default):
+    with results_of(log, effective, truth, system) as (processed, default):
         globs = channel or default
         true, others = covered_by(processed, true, truth_covers, globs, match_distance)
         results = evaluate_log(processed, true, globs, match_distance)
@@ -222,10 +227,11 @@ def _show_truth(
         warn(text)
 
 
-def _show_self(output: _Output, config: Config) -> None:
+def _show_self(output: _Output, config: Config, system: str) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
+    from hiros_mcap.running.process_options import ProcessOptions
 
-    scores = leave_one_out(output.log, config=config)
+    scores = leave_one_out(output.log, config=config, options=ProcessOptions(system))
     if output.html is not None:
         from hiros_viewer.evaluation_page import self_page
 

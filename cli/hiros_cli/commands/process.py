@@ -15,7 +15,6 @@ from hiros_cli.live_run import (
     STREAM,
     check_live,
     is_live,
-    live_system,
     run_live,
     stdout_free,
 )
@@ -35,6 +34,7 @@ from hiros_cli.options import (
     Quiet,
     SystemName,
     Table,
+    chosen_system,
     seconds_range,
 )
 from hiros_mcap.errors import ConfigError, HirosError
@@ -71,7 +71,7 @@ def process(
             rich_help_panel=OUTPUT,
         ),
     ] = None,
-    system: SystemName = "hiros",
+    system: SystemName = None,
     stages: Annotated[
         str,
         typer.Option(
@@ -250,7 +250,7 @@ def process(
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.compiling import prepare, run_roots
     from hiros_cli.progress import bar
     from hiros_mcap.io.remote import is_remote
 
@@ -266,7 +266,6 @@ def process(
     elif live:
         many.refuse_alone()
         check_live(logs, output, follow=follow)
-        system = live_system(context, system)
         if output != STREAM:
             wanted = _checked_output(source, output, sides, save_limbs, force=force)
     else:
@@ -274,6 +273,7 @@ def process(
         source = one_log(context, logs[0])
         named = Path(source.name) if is_remote(logs[0]) else source
         wanted = _checked_output(named, output, sides, save_limbs, force=force)
+    system = chosen_system(system, preset, live=live)
     if strict and recover:
         raise ConfigError("--strict refuses what --recover accepts; choose one")
     shortcuts = _shortcuts(fixed_frame, limb_window, two_pass=two_pass, solver=solver)
@@ -283,7 +283,7 @@ def process(
         shortcuts["--unit"] = {"input": {"unit": unit}}
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
-    prepare(quiet=quiet, roots=RUN)
+    prepare(quiet=quiet, roots=run_roots(system))
 
     if output is None and not live:
         _refuse_result(source)
@@ -291,6 +291,7 @@ def process(
     from hiros_mcap.running.pipeline import ProcessOptions
     from hiros_mcap.running.pipeline import process as run
 
+    _check_assignments(system, assignments or ())
     _check_effects(
         system,
         stages,
@@ -463,6 +464,21 @@ def _window(text: str) -> tuple[float, float]:
     return start, end
 
 
+def _check_assignments(system: str, assignments: Sequence[str]) -> None:
+    """Refuse parameters that the system does not read."""
+    from hiros_mcap.config import Config
+    from hiros_mcap.systems import sections_of
+
+    unread = Config.model_fields.keys() - {*sections_of(system)}
+    for text in assignments:
+        name = text.partition("=")[0].strip()
+        if name.partition(".")[0] in unread:
+            raise ConfigError(
+                f"--set: {name} has no effect: --system {system} does not read it; hiros systems "
+                "and hiros config --system NAME show what does"
+            )
+
+
 def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> None:
     """Refuse options on limb lengths that would change nothing."""
     from hiros_mcap.systems import chain_of, sections_of
@@ -473,7 +489,7 @@ def _check_effects(system: str, stages: str, given: Mapping[str, object]) -> Non
     elif "optimize" not in sections_of(system):
         # It calibrates in its own way; the lengths can be saved and given.
         unused = {*given} - {"--save-limbs", "--limbs"}
-        why = f"--system {system} has an optimizer of its own"
+        why = f"--system {system} has an optimizer of its own; --system hiros reads it"
     elif given["--limbs"]:
         unused, why = {"--two-pass"}, "the limb lengths come from --limbs"
     else:

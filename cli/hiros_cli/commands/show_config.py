@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from hiros_cli.options import Assignments, ConfigFile, Preset, SystemName
+from hiros_cli.options import Assignments, ConfigFile, Preset, SystemName, chosen_system
 
 
 def config(
-    system: SystemName = "hiros",
+    system: SystemName = None,
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
@@ -25,5 +25,6 @@ def config(
     from hiros_mcap.config import load_config, to_toml
     from hiros_mcap.systems import sections_of
 
+    system = chosen_system(system, preset)
     effective = load_config(config, assignments or (), preset, system)
     print(to_toml(effective, sections_of(system), everything=everything), end="")
