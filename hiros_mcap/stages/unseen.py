@@ -17,7 +17,8 @@ class Unseen:
 
     Everybody does for ``bridge`` s. Up to ``carry`` s, those do who are hidden: somebody else
     stands in front of every camera that reported them in the last second and looks at the place
-    where they were seen last. Whom such a camera should see is gone until seen again.
+    where they were seen last. Whom such a camera should see is gone until seen again. Whoever is
+    known to be hidden (:meth:`hide`) goes on; ``carry`` then begins anew.
 
     Parameters
     ----------
@@ -39,6 +40,8 @@ class Unseen:
         self._places: dict[int, Floats] = {}
         """Person who is not seen to the place of the latest view, (3,) m."""
         self._gone: set[int] = set()
+        self._hidden: dict[int, int] = {}
+        """Person to the latest time, ns, at which a detection was left out as distorted."""
 
     def see(self, stamp: int, source: str, people: People, rows: range) -> None:
         """Note that a camera's message of ``stamp``, ns, shows the people in ``rows``."""
@@ -53,6 +56,11 @@ class Unseen:
             if due:
                 self._coverage.learn(source, _centre(people, row), stamp)
 
+    def hide(self, stamp: int, people: Iterable[int]) -> None:
+        """Note that the detections of people at ``stamp``, ns, were left out as distorted."""
+        if self._sources:
+            self._hidden.update(dict.fromkeys(people, stamp))
+
     def go_on(
         self, stamp: int, seen: Iterable[int], last_seen: Mapping[int, int]
     ) -> tuple[set[int], set[int]]:
@@ -64,11 +72,18 @@ class Unseen:
                 continue
             if stamp - last <= self._bridge:
                 bridged.add(person)
-            elif stamp - last < self._carry and self._is_hidden(person, shown):
+            elif self._is_carried(person, stamp, last, shown):
                 carried.add(person)
         if self._places or self._gone or len(self._views) > len(last_seen):
             self._tidy(shown, last_seen)
         return bridged, carried
+
+    def _is_carried(self, person: int, stamp: int, last: int, shown: set[int]) -> bool:
+        """Whether a person who was seen at ``last``, ns, is hidden, and not for long."""
+        hidden = self._hidden.get(person, last)
+        if hidden == stamp:
+            return True
+        return stamp - max(last, hidden) < self._carry and self._is_hidden(person, shown)
 
     def _is_hidden(self, person: int, shown: set[int]) -> bool:
         """Whether others hide a person from every camera that looks at the place."""
@@ -94,6 +109,7 @@ class Unseen:
         for person in self._views.keys() - last_seen.keys() - shown:
             del self._views[person], self._reported[person]
             self._places.pop(person, None)
+            self._hidden.pop(person, None)
             self._gone.discard(person)
 
 

@@ -19,7 +19,7 @@ LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _LEE = ("T", "TM", "TMF")
 
-_HIROS_SECTIONS = ("track", "sides", "merge", "optimize", "filter")
+_HIROS_SECTIONS = ("track", "plausible", "sides", "merge", "optimize", "filter")
 
 SYSTEMS: dict[str, System] = {
     "hiros": System(
@@ -38,13 +38,13 @@ SYSTEMS: dict[str, System] = {
         "ours: a Kalman smoother per joint over all cameras, limb lengths",
         fuse,
         ("T", "TM", "TMF"),
-        ("track", "sides", "merge", "fuse", "constrain", "filter"),
+        ("track", "plausible", "sides", "merge", "fuse", "constrain", "filter"),
     ),
     "fuse-realtime": System(
         "fuse without future frames; learns lengths and motion on the way",
         fuse,
         ("T", "TM", "TMF"),
-        ("track", "sides", "merge", "fuse", "constrain", "filter"),
+        ("track", "plausible", "sides", "merge", "fuse", "constrain", "filter"),
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",
