@@ -188,10 +188,11 @@ class InstantMerger:
                 i, self._cameras.setdefault(plan.block.sources[i], len(self._cameras))
             )
             seen.update(people)
-            rows = plan.people_rows(i)
-            self._unseen.see(stamp, plan.block.sources[i], plan.people, rows)
+            rows, source = plan.people_rows(i), plan.block.sources[i]
+            self._unseen.see(stamp, source, plan.people, rows)
             if plan.blank:
-                self._unseen.hide(stamp, [plan.blank[row] for row in rows if row in plan.blank])
+                hidden = [plan.blank[row] for row in rows if row in plan.blank]
+                self._unseen.hide(stamp, source, hidden)
             views += most_often([person for person in people if person != UNTRACKED])
         seen.discard(UNTRACKED)
         self._bank.expire(stamp)

@@ -5,8 +5,8 @@ the pelvis jumps. Every person's limb lengths, and how much they usually vary, a
 way (:mod:`hiros_mcap.kernels.plausible`). Then
 
 1. a view whose limbs contradict them while somebody else stands in front of the person is left
-   out: it has no marker from here on. If no other view is left, the person is carried on
-   (merge.carry).
+   out, if no other camera shows the person: it has no marker from here on, and the person is
+   carried on (merge.carry).
 2. a marker whose limbs contradict them loses confidence. The merger gives it less weight, and the
    fuser a larger variance.
 
@@ -41,7 +41,7 @@ class PlausibleParams(Params):
         True,
         description="Compare the limb lengths of each detection with those that the person has "
         "shown so far. Contradictory markers count less; a contradictory detection behind somebody "
-        "else is left out. false: off (paper).",
+        "else is left out where no other camera shows the person. false: off (paper).",
     )
     max_deviation: float = advanced(
         3.0,
@@ -135,6 +135,7 @@ class _Bodies:
         work = kernels.PlausibleWork(np.empty(m), np.empty(m), np.empty((len(out.people.ids), 3)))
         nowhere = np.full(3, np.nan)
         places = np.array([self._places.get(name, nowhere) for name in self._cameras])
+        self._make_room(len(places))
         counts = np.zeros((2, len(places)), np.int64)
         kernels.find_implausible(
             messages, out.people, places, self._links, self._bank.past, self._settings, counts, work
@@ -145,6 +146,13 @@ class _Bodies:
             for source, n in zip(self._cameras, by_camera, strict=True):
                 self._events.count(kind, source, n)
         return out
+
+    def _make_room(self, n_cameras: int) -> None:
+        """Remember more cameras."""
+        seen = self._bank.past.seen
+        if n_cameras > seen.shape[1]:
+            seen = np.pad(seen, ((0, 0), (0, n_cameras)))
+            self._bank.past = self._bank.past._replace(seen=seen)
 
     def _messages(self, block: Block) -> kernels.Messages:
         """Return the messages of a block, and where its people are remembered."""
