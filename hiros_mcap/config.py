@@ -30,6 +30,7 @@ from hiros_mcap.stages.kalman import KalmanParams
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.moving_average import MovingAverageParams
 from hiros_mcap.stages.optimize import OptimizeParams
+from hiros_mcap.stages.plausible import PlausibleParams
 from hiros_mcap.stages.predict import PredictParams
 from hiros_mcap.stages.sides import SidesParams
 from hiros_mcap.stages.straighten import StraightenParams
@@ -162,6 +163,9 @@ class Config(Params):
     )
     output: OutputParams = Field(OutputParams(), description="Writing the results.")
     track: TrackParams = Field(TrackParams(), description="Tracking (Hi-ROS 3.1).")
+    plausible: PlausibleParams = Field(
+        PlausibleParams(), description="Detections against the person's own limbs, before merging."
+    )
     sides: SidesParams = Field(
         SidesParams(), description="Left and right of each view, before merging."
     )
@@ -224,6 +228,7 @@ _PAPER: Table = {
         "lookahead": 0.0,
         "reorder": 0.1,
     },
+    "plausible": {"limbs": False},
     "sides": {"over_time": False},
     # Equation 12 as printed, on the views as they are; turned-round views are dropped.
     "merge": {

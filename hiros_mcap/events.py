@@ -34,6 +34,8 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "not confirmed": ("detection", "ignored: seen too briefly or by too few cameras"),
     "optimizer not converged": ("skeleton", "not fully optimized: the solver did not converge"),
     "predict: time not increasing": ("skeleton", "not filtered: its time did not increase"),
+    "distorted": ("detection", "ignored: limbs of a wrong length, and somebody else in front"),
+    "implausible marker": ("marker", "trusted less: the person's limbs have another length"),
     "duplicate": ("detection", "ignored: the same camera had already reported the person"),
     "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
     "swap": ("pair", "of joints re-arranged: left and right were swapped"),

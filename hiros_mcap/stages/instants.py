@@ -169,7 +169,7 @@ class InstantMerger:
         for plan in plans:
             part = out.at(slice(first, first + len(plan.ids)))
             part.ids[:] = plan.ids
-            self._kernel(plan.buffers(), plan.block.people, plan.max_views, part, counts)
+            self._kernel(plan.buffers(), plan.people, plan.max_views, part, counts)
             first += len(plan.ids)
         for kind, by_camera in zip(self._counted, counts.tolist(), strict=True):
             for source, n in zip(self._cameras, by_camera, strict=True):
@@ -188,7 +188,11 @@ class InstantMerger:
                 i, self._cameras.setdefault(plan.block.sources[i], len(self._cameras))
             )
             seen.update(people)
-            self._unseen.see(stamp, plan.block.sources[i], plan.block.people, plan.people_rows(i))
+            rows, source = plan.people_rows(i), plan.block.sources[i]
+            self._unseen.see(stamp, source, plan.people, rows)
+            if plan.blank:
+                hidden = [plan.blank[row] for row in rows if row in plan.blank]
+                self._unseen.hide(stamp, source, hidden)
             views += most_often([person for person in people if person != UNTRACKED])
         seen.discard(UNTRACKED)
         self._bank.expire(stamp)
@@ -214,12 +218,18 @@ class _MergePlan:
 
     def __init__(self, block: Block) -> None:
         self.block = block
+        ids, markers = block.people.ids, block.people.markers
+        blank = np.isnan(markers[:, :, 0]).all(axis=1) & (ids != UNTRACKED)
+        self.blank = {int(row): int(ids[row]) for row in np.flatnonzero(blank)}
+        """Row to person, where no marker is left."""
+        self.people = block.people._replace(ids=np.where(blank, UNTRACKED, ids).astype(np.int32))
+        """Those of the block; who is blank has no id."""
         self.ids: list[int] = []
         """Of each merged person."""
         self.people_ends = [0]
         self.max_views = 0
         """Most views of one person at an instant."""
-        self._rows, self._ids = block.rows.tolist(), block.people.ids.tolist()
+        self._rows, self._ids = block.rows.tolist(), self.people.ids.tolist()
         self._times = block.stamps.tolist()
         self._past_rows: list[int] = []
         self._stamps: list[int] = []

@@ -17,7 +17,8 @@ class Unseen:
 
     Everybody does for ``bridge`` s. Up to ``carry`` s, those do who are hidden: somebody else
     stands in front of every camera that reported them in the last second and looks at the place
-    where they were seen last. Whom such a camera should see is gone until seen again.
+    where they were seen last. Whom such a camera should see is gone until seen again. A camera that
+    showed a person distorted (:meth:`hide`) need not see him; ``carry`` then begins anew.
 
     Parameters
     ----------
@@ -39,6 +40,8 @@ class Unseen:
         self._places: dict[int, Floats] = {}
         """Person who is not seen to the place of the latest view, (3,) m."""
         self._gone: set[int] = set()
+        self._hidden: dict[int, tuple[int, str]] = {}
+        """Person to the time, ns, and camera of the latest view left out as distorted since."""
 
     def see(self, stamp: int, source: str, people: People, rows: range) -> None:
         """Note that a camera's message of ``stamp``, ns, shows the people in ``rows``."""
@@ -53,6 +56,14 @@ class Unseen:
             if due:
                 self._coverage.learn(source, _centre(people, row), stamp)
 
+    def hide(self, stamp: int, source: str, people: Iterable[int]) -> None:
+        """Note that a camera's views of people at ``stamp``, ns, were left out as distorted."""
+        if not self._sources:
+            return
+        for person in people:
+            self._hidden[person] = stamp, source
+            self._reported.setdefault(person, {})[source] = stamp
+
     def go_on(
         self, stamp: int, seen: Iterable[int], last_seen: Mapping[int, int]
     ) -> tuple[set[int], set[int]]:
@@ -64,11 +75,18 @@ class Unseen:
                 continue
             if stamp - last <= self._bridge:
                 bridged.add(person)
-            elif stamp - last < self._carry and self._is_hidden(person, shown):
+            elif self._is_carried(person, stamp, last, shown):
                 carried.add(person)
-        if self._places or self._gone or len(self._views) > len(last_seen):
+        if self._places or self._gone or self._hidden or len(self._views) > len(last_seen):
             self._tidy(shown, last_seen)
         return bridged, carried
+
+    def _is_carried(self, person: int, stamp: int, last: int, shown: set[int]) -> bool:
+        """Whether a person who was seen at ``last``, ns, is hidden, and not for long."""
+        hidden, _ = self._hidden.get(person, (last, ""))
+        if hidden == stamp:
+            return True
+        return stamp - max(last, hidden) < self._carry and self._is_hidden(person, shown)
 
     def _is_hidden(self, person: int, shown: set[int]) -> bool:
         """Whether others hide a person from every camera that looks at the place."""
@@ -80,8 +98,10 @@ class Unseen:
         others = [_centre(*self._views[other]) for other in shown if other in self._views]
         reported = self._reported[person]
         recent = [s for s, t in reported.items() if max(reported.values()) - t < _RECENT]
-        looking = [source for source in recent if self._coverage.covers(source, place)]
-        if not looking or any(self._coverage.sees(each, place, others) for each in looking):
+        _, hiding = self._hidden.get(person, (0, ""))
+        looking = [s for s in recent if s == hiding or self._coverage.covers(s, place)]
+        sees = (self._coverage.sees(each, place, others) for each in looking if each != hiding)
+        if not looking or any(sees):
             self._gone.add(person)
             return False
         return True
@@ -89,6 +109,8 @@ class Unseen:
     def _tidy(self, shown: set[int], last_seen: Mapping[int, int]) -> None:
         """Forget the absences that are over, and people whom nobody remembers."""
         self._gone -= shown
+        for person in self._hidden.keys() & (shown | (self._hidden.keys() - last_seen.keys())):
+            del self._hidden[person]
         for person in shown & self._places.keys():
             del self._places[person]
         for person in self._views.keys() - last_seen.keys() - shown:

@@ -20,8 +20,8 @@ _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _FUSE = ("T", "TM", "TMO", "TMF", "TMOF")
 _LEE = ("T", "TM", "TMF")
 
-_HIROS_SECTIONS = ("track", "sides", "merge", "optimize", "filter")
-_FUSE_SECTIONS = ("track", "sides", "merge", "fuse", "constrain", "filter")
+_HIROS_SECTIONS = ("track", "plausible", "sides", "merge", "optimize", "filter")
+_FUSE_SECTIONS = ("track", "plausible", "sides", "merge", "fuse", "constrain", "filter")
 
 SYSTEMS: dict[str, System] = {
     "fuse": System(

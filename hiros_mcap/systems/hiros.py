@@ -26,16 +26,20 @@ def hiros(run: Run) -> Stages:
 
 
 def left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
-    """Return the step that decides left and right before the merger, and the merger's parameters.
+    """Return what comes between tracker and merger, and the merger's parameters.
 
-    Where the step decides, the merger does not vote on it (section 3.2).
+    Detections that contradict the person's own body count less; then left and right are decided.
+    Where they are, the merger does not vote on them (section 3.2).
     """
+    from hiros_mcap.stages.plausible import drop_implausible_blocks
     from hiros_mcap.stages.sides import decide_sides, knows_sides
 
     merging = run.config.merge
     if run.config.sides.over_time and knows_sides(run.model):
         merging = merging.model_copy(update={"max_facing_delta": 0.0})
-    return run.stage(decide_sides, run.config.sides), merging
+    bodies = run.stage(drop_implausible_blocks, run.config.plausible, cameras=run.cameras)
+    decide = run.stage(decide_sides, run.config.sides)
+    return lambda blocks: decide(bodies(blocks)), merging
 
 
 def merging_order(params: MergeParams) -> tuple[str, ...]:

@@ -1,0 +1,176 @@
+"""Detections that contradict a person's own body count less, before they are merged or fused.
+
+A detector that sees a part of somebody guesses the rest: limbs get longer or shorter, feet float,
+the pelvis jumps. Every person's limb lengths, and how much they usually vary, are learned on the
+way (:mod:`hiros_mcap.kernels.plausible`). Then
+
+1. a view whose limbs contradict them while somebody else stands in front of the person is left
+   out, if no other camera shows the person: it has no marker from here on, and the person is
+   carried on (merge.carry).
+2. a marker whose limbs contradict them loses confidence. The merger gives it less weight, and the
+   fuser a larger variance.
+
+Lengths do not depend on how fast somebody moves, nor on sides that a detector has exchanged.
+Nothing is changed while too little is known of a person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from pydantic import Field
+
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.kernels import plausible as kernels
+from hiros_mcap.params import Params, advanced
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
+
+DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
+"""Kinds of events: views that are left out, and markers that count less."""
+_FORGET = 600.0  # s; somebody who returns has the same body
+
+
+class PlausibleParams(Params):
+    """Parameters of plausible bodies."""
+
+    limbs: bool = Field(
+        True,
+        description="Compare the limb lengths of each detection with those that the person has "
+        "shown so far. Contradictory markers count less; a contradictory detection behind somebody "
+        "else is left out where no other camera shows the person. false: off (paper).",
+    )
+    max_deviation: float = advanced(
+        3.0,
+        gt=0,
+        description="Root mean square deviation of the links of a marker, in standard deviations "
+        "of the person's own, up to which it keeps its confidence. Beyond, the confidence falls "
+        "with the square.",
+    )
+    enough: float = advanced(
+        5.0,
+        ge=0,
+        description="Seconds that a person must have been seen before lengths are compared. A few "
+        "seconds in one pose do not show how much they vary.",
+    )
+    patience: float = advanced(
+        1.0,
+        ge=0,
+        description="Longest time, s, for which all detections of a person are left out. After "
+        "that they count again, so nobody is lost. As long as merge.carry.",
+    )
+
+
+def drop_implausible(
+    frames: Iterable[Frame],
+    model: SkeletonModel,
+    params: PlausibleParams | None = None,
+    events: Events | None = None,
+    cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Frame]:
+    """Do what :func:`drop_implausible_blocks` does, frame by frame."""
+    blocks = map(Block.of, frames)
+    return frames_of(drop_implausible_blocks(blocks, model, params, events, cameras))
+
+
+def drop_implausible_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: PlausibleParams | None = None,
+    events: Events | None = None,
+    cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Block]:
+    """Lower the weight of detections that contradict the limb lengths of their person.
+
+    Parameters
+    ----------
+    blocks : tracked frames in the fixed frame, in the order of time.
+    model, params : the skeleton; see :class:`PlausibleParams`.
+    events : counts "distorted" (views without markers from here on) and "implausible marker"
+        (markers with less confidence), by camera.
+    cameras : source -> (3,) position in the fixed frame, m. Without it no view is left out.
+
+    Yields
+    ------
+    The same frames at once.
+    """
+    params = params or PlausibleParams()
+    if not params.limbs:
+        yield from blocks
+        return
+    bodies = _Bodies(model, params, Events() if events is None else events, cameras or {})
+    for block in blocks:
+        yield bodies.compare(block)
+
+
+class _Bodies:
+    """What is known of everybody's limbs."""
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        params: PlausibleParams,
+        events: Events,
+        places: Mapping[str, Floats],
+    ) -> None:
+        self._links = links_of(model)
+        self._settings = kernels.PlausibleSettings(
+            params.max_deviation, params.enough, params.patience
+        )
+        self._events, self._places = events, places
+        self._bank = Bank(kernels.LimbPast.empty(len(self._links.ends)), _FORGET)
+        self._cameras: dict[str, int] = {}
+
+    def compare(self, block: Block) -> Block:
+        """Return a block with less confident markers, and without those of distorted views."""
+        if not np.diff(block.rows).any():
+            return block
+        m = block.people.markers.shape[1]
+        # A copy of these frames only: the tracker may still write into others of the arrays.
+        out = join([(block, i) for i in range(len(block))])
+        messages = self._messages(out)
+        work = kernels.PlausibleWork(np.empty(m), np.empty(m), np.empty((len(out.people.ids), 3)))
+        nowhere = np.full(3, np.nan)
+        places = np.array([self._places.get(name, nowhere) for name in self._cameras])
+        self._make_room(len(places))
+        counts = np.zeros((2, len(places)), np.int64)
+        kernels.find_implausible(
+            messages, out.people, places, self._links, self._bank.past, self._settings, counts, work
+        )
+        if not counts.any():
+            return block
+        for kind, by_camera in zip((DISTORTED, CONTRADICTORY), counts.tolist(), strict=True):
+            for source, n in zip(self._cameras, by_camera, strict=True):
+                self._events.count(kind, source, n)
+        return out
+
+    def _make_room(self, n_cameras: int) -> None:
+        """Remember more cameras."""
+        seen = self._bank.past.seen
+        if n_cameras > seen.shape[1]:
+            seen = np.pad(seen, ((0, 0), (0, n_cameras)))
+            self._bank.past = self._bank.past._replace(seen=seen)
+
+    def _messages(self, block: Block) -> kernels.Messages:
+        """Return the messages of a block, and where its people are remembered."""
+        cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
+        rows = np.full(len(block.people.ids), -1, np.int64)
+        for stamp, (begin, end) in zip(block.stamps.tolist(), block.rows.tolist(), strict=True):
+            self._bank.expire(stamp)
+            for p, person in enumerate(block.people.ids[begin:end].tolist(), begin):
+                if person != UNTRACKED:
+                    rows[p] = self._bank.row(person, stamp)
+        return kernels.Messages(block.stamps, np.array(cameras, np.int64), block.rows, rows)
+
+
+def links_of(model: SkeletonModel) -> kernels.LimbLinks:
+    """Return the links of a skeleton that have two ends, and where their lengths are kept."""
+    ends = model.links[(model.links >= 0).all(axis=1)]
+    mirror = symmetry_of(model).mirror
+    places = {tuple(pair): k for k, pair in enumerate(ends.tolist())}
+    others = [places.get(tuple(pair), k) for k, pair in enumerate(mirror[ends].tolist())]
+    slots: Stamps = np.minimum(np.arange(len(ends)), others).astype(np.int64)
+    return kernels.LimbLinks(np.ascontiguousarray(ends), slots)
