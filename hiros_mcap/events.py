@@ -13,9 +13,6 @@ from hiros_mcap.summary import quantity
 TOO_LATE = "too late to be merged"
 """Counts messages, by source, that came after their time had been merged."""
 
-DISPLACED = "camera displaced"
-"""Kind of an event: a camera shows people elsewhere than the others do."""
-
 RESIDUAL, COMMON = "residual", "common residual"
 """Histograms by camera: (M, B) of each marker's squared residual over its expected variance; (1, B)
 of the share of a person's squared residuals that all markers have in common."""

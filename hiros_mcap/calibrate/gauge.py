@@ -26,9 +26,7 @@ PRIOR_M = 0.006
 """SD of a position that the log states, per axis."""
 CHI2_3_MEDIAN = 2.36597
 """Median of a chi-square distribution with three degrees of freedom."""
-_ASSUMED = 12
-"""Coordinates that the assumption counts as. Fewer state too little: cameras that deviate alike do
-not deviate from the rig."""
+_AXES = 3
 ROUNDS = 20
 STILL = 1e-5
 """A step that changes less, m or radians, is the last."""
@@ -108,10 +106,13 @@ def placement_error(
 
 
 def _observed(scaled: Floats) -> float:
-    """Return observed over assumed variance of vectors (C, 3) in assumed standard deviations."""
+    """Return observed over assumed variance of vectors (C, 3) in assumed standard deviations.
+
+    It is at least 1: where all cameras deviate alike, they do not deviate from the rig.
+    """
     free = 3 * (len(scaled) - 1)
     middle = float(np.median((scaled**2).sum(axis=1))) / CHI2_3_MEDIAN
-    return (_ASSUMED + free * middle) / (_ASSUMED + free)
+    return max(1.0, (_AXES + free * middle) / (_AXES + free))
 
 
 def on_transforms(rig: Rig, given: Mapping[int, Rigid]) -> Placement:

@@ -280,7 +280,8 @@ def _predict(dt: float, q: float, offset_variance: float, time: float, work: Fus
 def _log_likelihood(scaled: float, variance: float, freedom: float) -> float:
     """Of an innovation in space under Student's t, by its square over its ``variance``."""
     tail: float = 0.5 * (freedom + 3.0) * math.log1p(scaled / freedom)
-    return -1.5 * math.log(variance) - tail
+    likelihood: float = -1.5 * math.log(variance) - tail
+    return likelihood
 
 
 @inlined

@@ -158,15 +158,19 @@ class Report:
     def _displaced(self) -> Iterator[str]:
         """Yield which cameras show people elsewhere than the others do."""
         events = self.run.events
-        displaced = [event for event in events.log if event.kind in _DISPLACED]
-        for event in displaced:
+        some = sorted((e for e in events.log if e.kind in _DISPLACED), key=lambda e: e.stamp)
+        displaced = {(e.source, e.kind): e for e in reversed(some)}  # the first of each
+        for event in reversed(displaced.values()):
             n = events.counts[DISPLACED, event.source]
             if len(displaced) == 1:  # of two cameras that disagree, copies of both are left out
                 n = events.total(DISPLACED)
             seconds = max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
+            done = (
+                f"hiros left out {quantity(n, 'such detection')}" if n else "its views count less"
+            )
             yield (
-                f"{event.source} {event.detail}. From {seconds:.1f} s on hiros left out "
-                f"{quantity(n, 'such detection')}; {_DISPLACED[event.kind]}"
+                f"{event.source} {event.detail}. From {seconds:.1f} s on {done}; "
+                f"{_DISPLACED[event.kind]}"
             )
 
     def _nobody(self) -> Iterator[str]:

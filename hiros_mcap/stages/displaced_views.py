@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.events import DISPLACED, Events
+from hiros_mcap.events import Events
 from hiros_mcap.kernels.fusing import FusedPoses, Sightings
 from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.displaced import CAMERA_DISPLACED
 
 LIMIT = 0.035
 """m. Healthy cameras of simulated and real rigs with three cameras or more stay below."""
@@ -30,7 +31,9 @@ MAJORITY = 3
 """Fewer cameras do not tell which one of them is wrong."""
 SECOND = 1_000_000_000  # ns
 _MEMORY = 0.5  # s; time constant of the mean without future views
-_WORTH_A_WARNING = 2.0  # s of people in front of a displaced camera
+_WORTH_S, _WORTH_M = 2.0, 0.06
+"""For a warning, people must be off for so long and by so much. Parts of a second that are off by
+less occur with healthy cameras, too: while somebody lies or crouches."""
 
 
 def view_offsets(
@@ -120,9 +123,9 @@ class DisplacedViews:
     def tell(self, events: Events) -> None:
         """Note the cameras that were displaced for long enough to be worth a warning."""
         for camera, span in self._spans.items():
-            if span.seconds >= _WORTH_A_WARNING:
+            if span.seconds >= _WORTH_S and span.metres >= _WORTH_M:
                 detail = f"shows people {span.metres:.2f} m from where other cameras see them"
-                events.note(span.first, DISPLACED, source=self._names[camera], detail=detail)
+                events.note(span.first, CAMERA_DISPLACED, source=self._names[camera], detail=detail)
 
 
 class _Span:

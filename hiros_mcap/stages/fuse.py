@@ -159,7 +159,8 @@ def fuse_blocks(
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
     smoother = WindowSmoother(model, params, noise, cameras or {})
-    residuals = ResidualMeter(model, noise, cameras or {}, events)
+    causal = params.window == 0
+    residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
     for block, sightings, names in views.run(blocks, events, fixed_frame):
         residuals.expect(len(block), sightings, names)
         for fused in smoother.update(block, sightings, names):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from hiros_mcap.skeletons import Floats, Stamps
 
@@ -13,14 +16,14 @@ _BINS = (_MOST - _LEAST) * _PER_OCTAVE
 def histograms(values: Floats) -> Stamps:
     """(K, B) How many of the values (K, N) lie in each bin; NaN lie in none."""
     counts = np.zeros((len(values), _BINS), np.int64)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         places = (np.log2(values) - _LEAST) * _PER_OCTAVE
     k, n = np.nonzero(~np.isnan(places))
     np.add.at(counts, (k, np.clip(places[k, n], 0, _BINS - 1).astype(np.int64)), 1)
     return counts
 
 
-def medians(counts: Stamps, fewest: int) -> Floats:
+def medians(counts: NDArray[Any], fewest: int) -> Floats:
     """(K,) Medians of histograms (K, B), within 1 %; NaN where there are fewer values."""
     total = counts.sum(axis=1)
     before = np.cumsum(counts, axis=1)

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
@@ -33,8 +35,9 @@ _EVERY = 3  # instants; residuals of neighbours tell the same
 _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
 _FEWEST_VIEWS = 5
-_AS_EXPECTED = 1.1
-"""Healthy cameras scatter up to so many times as far as expected."""
+_HEALTHY, _HEALTHY_CAUSAL = 1.1, 1.4
+"""Means over a second, over what is expected, that need no larger ellipsoids. The errors of a filter
+that looks at most 0.1 s ahead last for longer than those of a smoother."""
 
 
 class ResidualMeter:
@@ -43,7 +46,7 @@ class ResidualMeter:
     Parameters
     ----------
     model, noise : what the fuser assumes. places : source -> (3,) position of the camera, m.
-    events : gets a histogram of every camera.
+    events : gets a histogram of every camera. causal : whether the poses are those of a filter.
     """
 
     def __init__(
@@ -52,7 +55,10 @@ class ResidualMeter:
         noise: FusionNoise,
         places: Mapping[str, Floats],
         events: Events,
+        *,
+        causal: bool = False,
     ) -> None:
+        self._healthy = _HEALTHY_CAUSAL if causal else _HEALTHY
         self._n_markers = model.n_markers
         self._noise, self._places, self._events = noise, places, events
         self._names: tuple[str, ...] = ()
@@ -101,7 +107,7 @@ class ResidualMeter:
             return fused
         ratio_of = {name: float(ratios(one[None])[0]) for name, one in self._recent.items()}
         ratio = np.array([ratio_of.get(name, np.nan) for name in known.names])
-        factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / _AS_EXPECTED, 1.0) ** 2
+        factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / self._healthy, 1.0) ** 2
         if (factors == 1.0).all():
             return fused
         sees = (known.cameras[:, :, None] >> np.arange(len(factors))) & 1
@@ -166,10 +172,10 @@ class ResidualMeter:
         self._last = stamp
         for k, name in enumerate(self._names):
             counts = histograms(squares[keys[0] == k].reshape(1, -1))[0]
-            self._recent[name] = keep * self._recent.get(name, 0.0) + counts
+            self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
 
 
-def ratios(counts: Floats | Stamps) -> Floats:
+def ratios(counts: NDArray[Any]) -> Floats:
     """(K,) Size of residuals as a multiple of the expected one, from histograms (K, B)."""
     return np.sqrt(medians(counts, FEWEST) / CHI2_3_MEDIAN)
 

@@ -157,7 +157,7 @@ class WindowSmoother:
         for again in range(1 + _ROUNDS):
             before = self._bank.past
             if ahead:
-                self._bank.past = before._make(array.copy() for array in before)
+                self._bank.past = JointStates(*[array.copy() for array in before])
             poses = self._smooth_people(window, white + excess[:, None], boundary)
             offsets = view_offsets(views, white, poses, window.stamps, of_views)
             if not ahead:

@@ -25,7 +25,7 @@ from hiros_mcap.systems import Run, system
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
-NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9, 0.0)
+NOISE = JointNoise(np.array([5.0]), np.array([0.02**2]), 2.0, 1e9)
 
 
 def steps_of(seed: int = 0) -> Steps:
@@ -39,23 +39,31 @@ def steps_of(seed: int = 0) -> Steps:
     return Steps(times, cameras, z, np.full((180, 1), 0.01**2))
 
 
-def smoothed(steps: Steps, keep: int = 10**9, states: JointStates | None = None) -> FusedPoses:
+def smoothed(
+    steps: Steps,
+    keep: int = 10**9,
+    states: JointStates | None = None,
+    work: FusionWork | None = None,
+) -> FusedPoses:
     states = states or JointStates.unknown(1, 1, 2)
     out = FusedPoses.absent(int((steps.cameras == POSE).sum()), 1)
-    work = FusionWork.of(len(steps.times), 4)
+    work = work or FusionWork.of(len(steps.times), 4)
     fusing.smooth_joints(steps, keep, NOISE, states, 0, out, work)
     return out
 
 
-def dense_solution(steps: Steps) -> tuple[Floats, Floats]:
-    """Positions and variances by one Gaussian regression over all states at once."""
+def dense_solution(steps: Steps, factors: Floats) -> tuple[Floats, Floats]:
+    """Positions and variances by one Gaussian regression over all states at once.
+
+    ``factors`` (T,) are those of the density of the acceleration before each step.
+    """
     n, t = 4, len(steps.times)
     prior = np.diag([0.05, 1.0, NOISE.offsets[0], NOISE.offsets[0]])
     covariance = np.zeros((t * n, t * n))
     block = [slice(k * n, k * n + n) for k in range(t)]
     covariance[block[0], block[0]] = prior
     for k in range(1, t):
-        dt, q = steps.times[k] - steps.times[k - 1], NOISE.accelerations[0]
+        dt, q = steps.times[k] - steps.times[k - 1], NOISE.accelerations[0] * factors[k]
         keep = np.exp(-dt / NOISE.time)
         f = np.diag([1.0, 1.0, keep, keep])
         f[0, 1] = dt

@@ -25,7 +25,7 @@ from hiros_mcap.summary import ScatterSummary, Summary
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
 CAMERAS = "abc"
-REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0, "agility": 0.07}
+REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}
 
 
 def wander(rng: np.random.Generator, steps: int, shape: tuple[int, ...]) -> Floats:
