@@ -64,7 +64,7 @@ _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
 _TOES_LABEL = 0.2, 0.5  # agreement of toes: labels say nothing; they say all that labels can
-_TOES_FOLLOW = 0.3, 0.5  # lines say nothing of turns; they do
+_TOES_FOLLOW = 0.45, 0.5  # lines say nothing of turns; they do (0.5 = nothing is known yet)
 _TOES_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
 _SURE = 0.5  # length of the mean direction of a belief that overrules labels
 _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
