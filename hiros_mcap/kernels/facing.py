@@ -397,7 +397,7 @@ def _line_reliability(width: float, usual: float) -> float:
 # Views, one after the other, in the axes of each person.
 
 
-@kernel
+@inlined
 def _follow_body(
     positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int, trust: float
 ) -> tuple[float, float]:
@@ -422,7 +422,7 @@ def _follow_body(
     return cosine * x + sine * y, cosine * y - sine * x
 
 
-@kernel
+@inlined
 def _measure(
     people: People, view: int, markers: FacingMarkers, looks: Looks, i: int,
     past: FacingPast, tables: FacingTables,
@@ -627,7 +627,7 @@ def _starts_anew(start: int, past: FacingPast, row: int) -> bool:
     return anew
 
 
-@kernel
+@inlined
 def _open_cell(looks: Looks, i: int, past: FacingPast, tables: FacingTables, work: Floats) -> bool:
     """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
     row, cell, start = looks.rows[i], looks.cells[i], looks.starts[i]
