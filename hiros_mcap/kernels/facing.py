@@ -64,7 +64,7 @@ _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
 _TOES_LABEL = 0.2, 0.5  # agreement of toes: labels say nothing; they say all that labels can
-_TOES_FOLLOW = 0.3, 0.5  # lines say nothing of turns; they do
+_TOES_FOLLOW = 0.45, 0.5  # lines say nothing of turns; they do (0.5 = nothing is known yet)
 _TOES_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
 _SURE = 0.5  # length of the mean direction of a belief that overrules labels
 _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
@@ -397,7 +397,7 @@ def _line_reliability(width: float, usual: float) -> float:
 # Views, one after the other, in the axes of each person.
 
 
-@kernel
+@inlined
 def _follow_body(
     positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int, trust: float
 ) -> tuple[float, float]:
@@ -422,7 +422,7 @@ def _follow_body(
     return cosine * x + sine * y, cosine * y - sine * x
 
 
-@kernel
+@inlined
 def _measure(
     people: People, view: int, markers: FacingMarkers, looks: Looks, i: int,
     past: FacingPast, tables: FacingTables,
@@ -627,7 +627,7 @@ def _starts_anew(start: int, past: FacingPast, row: int) -> bool:
     return anew
 
 
-@kernel
+@inlined
 def _open_cell(looks: Looks, i: int, past: FacingPast, tables: FacingTables, work: Floats) -> bool:
     """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
     row, cell, start = looks.rows[i], looks.cells[i], looks.starts[i]
