@@ -179,8 +179,8 @@ class _State:
         own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
         together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
         by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
-        parts = (own, other), (pairs.own, pairs.other)
-        if max(median_distance(by, *part, mirror) for part in parts) > ALIKE_IF_DISPLACED:
+        before = median_distance(by, own, other, mirror)
+        if max(before, median_distance(by, pairs.own, pairs.other, mirror)) > ALIKE_IF_DISPLACED:
             return False
         self.by = by
         self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
