@@ -49,7 +49,8 @@ CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"
 """Events: a camera's first copy."""
 
 _INTERVAL = 45_000_000  # ns between two samples of a track
-_PATIENCE = 90_000_000  # ns between two comparisons of a track
+_PATIENCE, _LATER = 90_000_000, 500_000_000  # ns between two comparisons of a track: at first, and
+_SHARE = 8  # at most; in between, its age divided by this
 _SHORTEST, _LONGEST = 350_000_000, 1_500_000_000  # ns that are compared
 _CROWD = 100  # pairs of a track and a person; of more, too slow to compare, none is
 _NEAR = 0.3  # m from the person, once the displacement is undone
@@ -179,8 +180,8 @@ class _State:
         own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
         together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
         by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
-        parts = (own, other), (pairs.own, pairs.other)
-        if max(median_distance(by, *part, mirror) for part in parts) > ALIKE_IF_DISPLACED:
+        before = median_distance(by, own, other, mirror)
+        if max(before, median_distance(by, pairs.own, pairs.other, mirror)) > ALIKE_IF_DISPLACED:
             return False
         self.by = by
         self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
@@ -263,7 +264,8 @@ class DisplacedCameras:
         for number, history in histories.items():
             if lone.stamp < history.due or history.samples[-1][0] != lone.stamp:
                 continue
-            history.due = lone.stamp + _PATIENCE
+            age = lone.stamp - history.first
+            history.due = lone.stamp + min(max(_PATIENCE, age // _SHARE), _LATER)
             if self._is_copy(history, lone):
                 copies.append(number)
         if copies:

@@ -59,6 +59,7 @@ _INSISTENCE = 500_000_000  # ns for which a camera's leaps are left out
 _DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person
 _YOUNG = 2_400_000_000  # ns for which a track may be merged into an older one
 _DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
+_OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
 _NOW = 200_000_000  # ns since the last detection of a person who is there
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
 
@@ -790,8 +791,14 @@ class _Tracker:
             self.absent = [old for old in self.absent if stamp - old.stamp <= longest]
 
     def _is_unseen_since(self, person: _Track, track: _Track) -> bool:
-        """Whether a person was last seen before a track began, and not for a while."""
-        return person.seen < track.support.first and not self._is_there(person, track.seen)
+        """Whether a person was last seen before a track began, and not for a while.
+
+        Where cameras disagree for a moment, the old track may also outlive the beginning of the
+        one that goes on; then no camera shows both.
+        """
+        disagree = self.params.merge_tracks and person.number not in track.beside
+        latest = track.support.first + (_OVERLAP if disagree else 0)
+        return person.seen < latest and not self._is_there(person, track.seen)
 
     def _somebody_absent(self, track: _Track) -> bool:
         """Whether a newcomer may be anybody known."""
