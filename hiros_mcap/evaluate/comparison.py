@@ -19,7 +19,7 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_each_out
 from hiros_mcap.evaluate.logs import find_truth, fused_topics
 from hiros_mcap.evaluate.match import Matches, match
-from hiros_mcap.evaluate.same_detections import Difference, Distances, on_same_detections
+from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_same_detections
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth
@@ -92,7 +92,7 @@ class Outcome:
     """Without a truth: detections at which this system has nobody, but another one has."""
     detections: int = 0
     """Without a truth: detections at which some system has somebody."""
-    difference: Difference | None = None
+    difference: MeanDifference | None = None
     """From the first system; None for the first itself."""
     coverage: float = float("nan")
     """Without a truth: share of the left-out cameras' skeletons that the others confirm."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.parts import PARTS
-from hiros_mcap.evaluate.same_detections import Difference
+from hiros_mcap.evaluate.same_detections import MeanDifference
 from hiros_mcap.evaluate.score_tables import TWO_CAMERAS, Table
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.statistics import ErrorStats
@@ -60,7 +60,7 @@ def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
     return [f"{o.name}: {_against(o.difference)}" for o in outcomes if o.difference is not None]
 
 
-def _against(difference: Difference) -> str:
+def _against(difference: MeanDifference) -> str:
     if difference.seconds < 2:
         return f"not compared with {difference.against}: less than two seconds in common"
     return f"against {difference.against}, mm: {difference} in {difference.seconds} s"

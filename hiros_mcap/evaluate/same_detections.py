@@ -32,7 +32,7 @@ class Distances:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class MeanDifference:
     """Mean distance of a system less that of another, on what both have, mm."""
 
     against: str
@@ -71,7 +71,7 @@ class SameScores:
     """Detections at which the system has nobody, but another one has."""
     detections: int
     """Detections at which some system has somebody."""
-    difference: Difference | None
+    difference: MeanDifference | None
     """From the first system; None for the first itself."""
 
 
@@ -120,12 +120,12 @@ def _stacked(parts: Sequence[npt.NDArray[np.float32]]) -> npt.NDArray[np.float32
 
 def _difference(
     own: npt.NDArray[np.float32], other: npt.NDArray[np.float32], stamps: Stamps, name: str
-) -> Difference:
-    """Difference of two systems where both have a joint, with an interval over seconds."""
+) -> MeanDifference:
+    """MeanDifference of two systems where both have a joint, with an interval over seconds."""
     apart = own.astype(np.float64) - other
     rows, columns = np.nonzero(~np.isnan(apart))
     blocks = np.unique((stamps[rows] - stamps.min(initial=0)) // _BLOCK_NS, return_inverse=True)[1]
-    return Difference(name, *block_interval(apart[rows, columns], blocks))
+    return MeanDifference(name, *block_interval(apart[rows, columns], blocks))
 
 
 def block_interval(values: Floats, blocks: Stamps) -> tuple[float, float, float, int]:

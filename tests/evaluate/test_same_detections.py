@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiros_mcap.evaluate.same_detections import Difference, Distances, on_same_detections
+from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_same_detections
 from hiros_mcap.skeletons import Floats
 
 SECOND = 1_000_000_000
@@ -98,7 +98,7 @@ def test_the_same_numbers_every_time() -> None:
     ],
 )
 def test_a_difference_in_words(ends: tuple[float, float, float], text: str) -> None:
-    assert str(Difference("hiros", *ends, seconds=9)) == text
+    assert str(MeanDifference("hiros", *ends, seconds=9)) == text
 
 
 def test_other_detections_cannot_be_compared() -> None:

@@ -53,14 +53,20 @@ def test_a_late_result_has_that_lag() -> None:
     assert evaluate(late, truth, MODEL).lag == pytest.approx(50, abs=2)
 
 
-@pytest.mark.parametrize("late_ms", [-31.5, -3.5, 1.5, 3.5, 51.5, 58.5])
+@pytest.mark.parametrize("late_ms", [-146.5, -31.5, -3.5, 1.5, 3.5, 51.5, 58.5, 165.0])
 def test_a_lag_between_those_that_are_tried(late_ms: float) -> None:
     """Lags are tried every 5 ms; the truth at 200 Hz."""
     x = [0.3 * math.sin(0.03 * k) for k in range(400)]
     truth = Truth.of(seen([person(x[k])], START + k * 5_000_000, ids=[0]) for k in range(400))
     late = round(late_ms * 1e6)
     result = [seen([person(x[k])], START + k * 5_000_000 + late, ids=[0]) for k in range(400)]
-    assert evaluate(result, truth, MODEL).lag == pytest.approx(late_ms, abs=0.2)
+    scores = evaluate(result, truth, MODEL)
+    assert scores.lag == pytest.approx(late_ms, abs=0.2)
+    assert scores.mean_at_lag < 0.25 * scores.mean
+
+
+def test_who_stands_still_has_no_lag_and_no_error_at_it() -> None:
+    assert np.isnan(evaluate(still(), Truth.of(still()), MODEL).mean_at_lag)
 
 
 def test_who_is_missing_false_or_renamed() -> None:
@@ -143,6 +149,7 @@ def test_95_percent_of_the_errors_are_below() -> None:
         frame.positions[0] += [0.001 * k, 0, 0]
     scores = evaluate(result, Truth.of(still(20)), MODEL)
     assert scores.percentile_95 == pytest.approx(np.percentile(np.arange(20).repeat(8), 95))
+    assert scores.percentile_99 == pytest.approx(np.percentile(np.arange(20).repeat(8), 99))
     assert (scores.mean, scores.deviation) == pytest.approx((9.5, np.std(np.arange(20))))
 
 
