@@ -267,7 +267,9 @@ def is_kept(
         # Transforms that a file replaced would contradict the result.
         transforms = () if options.extrinsics else TF_TOPICS[1:] if moved else TF_TOPICS
         return is_read or info.topic in transforms or info.topic.startswith(f"{TRUTH_PREFIX}/")
-    return info.topic not in OUTPUT_TOPICS and any(fnmatchcase(info.topic, g) for g in options.keep)
+    if info.topic in (*OUTPUT_TOPICS, UNCERTAINTY_TOPIC):  # of a former run
+        return False
+    return any(fnmatchcase(info.topic, glob) for glob in options.keep)
 
 
 def unmatched_globs(log: Log, options: ProcessOptions) -> list[str]:
