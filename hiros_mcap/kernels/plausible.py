@@ -55,9 +55,7 @@ _SHARED = 2.0  # links that the view counts like where one of its markers is com
 # the views. Distorted views of people who cross have 1.6 to 3.
 _ALIGNED, _PER_METRE = 1.4, 0.8
 _BESIDE = 0.5  # m
-_ALONE = (
-    200_000_000  # ns without a good view of another camera after which a camera is the only one
-)
+_ALONE = 200_000_000  # ns without a good view of another camera: then a camera is alone
 _IN_FRONT = 0.35  # m: somebody this much nearer to the camera is in front
 
 OUT, MARKERS = 0, 1
