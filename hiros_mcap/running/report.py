@@ -141,11 +141,24 @@ class Report:
                     f"{account.topic}: {quantity(n, 'faulty message')} left out; the first: "
                     f"{account.first_error}. Look for the fault at its source; --strict refuses it"
                 )
+        yield from self._distortions(cameras)
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
         yield from self.poses.warnings()
         yield from self.log.warnings
         if not self.observer.people:
             yield from self._nobody()
+
+    def _distortions(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
+        """Yield which cameras often show people distorted."""
+        for channel, camera in zip(self.log.cameras, cameras, strict=True):
+            counts = self.run.events.counts
+            n = sum(counts["distorted", source] for source in channel.sources.values())
+            if n > _LARGEST_LOSS * camera.messages:
+                yield (
+                    f"{camera.topic}: {quantity(n, 'detection')} of {camera.messages} messages "
+                    "contradict the limb lengths of people behind others and were left out; see "
+                    "them with hiros view --layout cameras"
+                )
 
     def _nobody(self) -> Iterator[str]:
         """Yield why nobody was found in detections of somebody."""
