@@ -91,9 +91,8 @@ class LimbPast(NamedTuple):
     @classmethod
     def empty(cls, n_links: int) -> LimbPast:
         """Return arrays with no rows."""
-        lengths = [np.zeros((0, n_links)) for _ in range(3)]
-        times = [np.zeros(0, np.int64) for _ in range(2)]
-        return cls(*lengths, *times, np.zeros((0, 4), np.int64))
+        lengths, never = np.zeros((0, n_links)), np.zeros(0, np.int64)
+        return cls(lengths, lengths, lengths, never, never, np.zeros((0, 4), np.int64))
 
 
 class PlausibleSettings(NamedTuple):
