@@ -105,7 +105,7 @@ class PlausibleSettings(NamedTuple):
     """s."""
 
 
-class Messages(NamedTuple):
+class ComparedMessages(NamedTuple):
     """N messages, in order."""
 
     stamps: Stamps
@@ -133,7 +133,7 @@ class PlausibleWork(NamedTuple):
 _LINKS = named_tuple(LimbLinks, J2, I1)
 _PAST = named_tuple(LimbPast, F2, F2, F2, I1, I1, I2)
 _SETTINGS = named_tuple(PlausibleSettings, *[types.float64] * 3)
-_MESSAGES = named_tuple(Messages, I1, I1, I2, I1)
+_MESSAGES = named_tuple(ComparedMessages, I1, I1, I2, I1)
 _WORK = named_tuple(PlausibleWork, F1, F1, F2, F1)
 
 
@@ -273,7 +273,7 @@ def _is_left_out(
 
 @kernel(types.void(_MESSAGES, PEOPLE, F2, _LINKS, _PAST, _SETTINGS, I2, _WORK))
 def find_implausible(
-    messages: Messages, people: People, places: Floats, links: LimbLinks, past: LimbPast,
+    messages: ComparedMessages, people: People, places: Floats, links: LimbLinks, past: LimbPast,
     settings: PlausibleSettings, counts: Stamps, work: PlausibleWork,
 ) -> None:  # fmt: skip
     """Blank distorted views, and lower the confidences of contradictory markers.
