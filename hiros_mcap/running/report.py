@@ -148,6 +148,7 @@ class Report:
                     f"{account.topic}: {quantity(n, 'faulty message')} left out; the first: "
                     f"{account.first_error}. Look for the fault at its source; --strict refuses it"
                 )
+        yield from self._distortions(cameras)
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
         yield from self.poses.warnings()
         yield from self._displaced()
@@ -165,13 +166,24 @@ class Report:
             if len(displaced) == 1:  # of two cameras that disagree, copies of both are left out
                 n = events.total(DISPLACED)
             seconds = max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
-            done = (
-                f"hiros left out {quantity(n, 'such detection')}" if n else "its views count less"
-            )
+            left_out = f"hiros left out {quantity(n, 'such detection')}"
+            done = left_out if n else "its views count less"
             yield (
                 f"{event.source} {event.detail}. From {seconds:.1f} s on {done}; "
                 f"{_DISPLACED[event.kind]}"
             )
+
+    def _distortions(self, cameras: Sequence[CameraSummary]) -> Iterator[str]:
+        """Yield which cameras often show people distorted."""
+        for channel, camera in zip(self.log.cameras, cameras, strict=True):
+            counts = self.run.events.counts
+            n = sum(counts["distorted", source] for source in channel.sources.values())
+            if n > _LARGEST_LOSS * camera.messages:
+                yield (
+                    f"{camera.topic}: {quantity(n, 'detection')} of {camera.messages} messages "
+                    "contradict the limb lengths of people behind others and were left out; see "
+                    "them with hiros view --layout cameras"
+                )
 
     def _nobody(self) -> Iterator[str]:
         """Yield why nobody was found in detections of somebody."""

@@ -188,10 +188,10 @@ class InstantMerger:
                 i, self._cameras.setdefault(plan.block.sources[i], len(self._cameras))
             )
             seen.update(people)
-            rows, source = plan.people_rows(i), plan.block.sources[i]
-            self._unseen.see(stamp, source, plan.people, rows)
+            here, source = plan.people_rows(i), plan.block.sources[i]
+            self._unseen.see(stamp, source, plan.people, here)
             if plan.blank:
-                hidden = [plan.blank[row] for row in rows if row in plan.blank]
+                hidden = [plan.blank[row] for row in here if row in plan.blank]
                 self._unseen.hide(stamp, source, hidden)
             views += most_often([person for person in people if person != UNTRACKED])
         seen.discard(UNTRACKED)

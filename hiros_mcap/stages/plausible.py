@@ -2,7 +2,7 @@
 
 A detector that sees a part of somebody guesses the rest: limbs get longer or shorter, feet float,
 the pelvis jumps. Every person's limb lengths, and how much they usually vary, are learned on the
-way (:mod:`hiros_mcap.kernels.plausible`). Then
+way (:mod:`hiros_mcap.kernels.limb_deviations`). Then
 
 1. a view whose limbs contradict them while somebody else stands in front of the person is left
    out, if no other camera shows the person: it has no marker from here on, and the person is
@@ -24,7 +24,7 @@ from pydantic import Field
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.kernels import plausible as kernels
+from hiros_mcap.kernels import limb_deviations as kernels
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -46,9 +46,9 @@ class PlausibleParams(Params):
     max_deviation: float = advanced(
         3.0,
         gt=0,
-        description="Root mean square deviation of the links of a marker, in standard deviations "
-        "of the person's own, up to which it keeps its confidence. Beyond, the confidence falls "
-        "with the square.",
+        description="Deviation of the links of a marker from the person's lengths, in standard "
+        "deviations of these, up to which it keeps its confidence. Beyond, the confidence falls "
+        "with the square. With 3, below 1 % of the markers of simulated logs lose some.",
     )
     enough: float = advanced(
         5.0,
@@ -101,12 +101,12 @@ def drop_implausible_blocks(
     if not params.limbs:
         yield from blocks
         return
-    bodies = _Bodies(model, params, Events() if events is None else events, cameras or {})
+    bodies = _KnownLimbs(model, params, Events() if events is None else events, cameras or {})
     for block in blocks:
         yield bodies.compare(block)
 
 
-class _Bodies:
+class _KnownLimbs:
     """What is known of everybody's limbs."""
 
     def __init__(
@@ -132,7 +132,8 @@ class _Bodies:
         # A copy of these frames only: the tracker may still write into others of the arrays.
         out = join([(block, i) for i in range(len(block))])
         messages = self._messages(out)
-        work = kernels.PlausibleWork(np.empty(m), np.empty(m), np.empty((len(out.people.ids), 3)))
+        centres = np.empty((len(out.people.ids), 3))
+        work = kernels.PlausibleWork(np.empty(m), np.empty(m), centres, np.empty(1))
         nowhere = np.full(3, np.nan)
         places = np.array([self._places.get(name, nowhere) for name in self._cameras])
         self._make_room(len(places))
@@ -154,7 +155,7 @@ class _Bodies:
             seen = np.pad(seen, ((0, 0), (0, n_cameras)))
             self._bank.past = self._bank.past._replace(seen=seen)
 
-    def _messages(self, block: Block) -> kernels.Messages:
+    def _messages(self, block: Block) -> kernels.ComparedMessages:
         """Return the messages of a block, and where its people are remembered."""
         cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
         rows = np.full(len(block.people.ids), -1, np.int64)
@@ -163,7 +164,7 @@ class _Bodies:
             for p, person in enumerate(block.people.ids[begin:end].tolist(), begin):
                 if person != UNTRACKED:
                     rows[p] = self._bank.row(person, stamp)
-        return kernels.Messages(block.stamps, np.array(cameras, np.int64), block.rows, rows)
+        return kernels.ComparedMessages(block.stamps, np.array(cameras, np.int64), block.rows, rows)
 
 
 def links_of(model: SkeletonModel) -> kernels.LimbLinks:

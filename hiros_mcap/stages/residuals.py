@@ -36,8 +36,8 @@ _BATCH = 48  # frames that are compared at once
 _MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
 _FEWEST_VIEWS = 5
 _HEALTHY, _HEALTHY_CAUSAL = 1.1, 1.4
-"""Means over a second, over what is expected, that need no larger ellipsoids. The errors of a filter
-that looks at most 0.1 s ahead last for longer than those of a smoother."""
+"""Means over a second, over what is expected, that need no larger ellipsoids. The errors of a
+filter, which looks at most 0.1 s ahead, last for longer than those of a smoother."""
 
 
 class ResidualMeter:

@@ -6,16 +6,17 @@ general (scaled inverse chi square, Gelman et al. 2013, section 2.6):
 
     s^2 = (n v + PRIOR (RELATIVE L)^2) / (n + PRIOR),   v = mean (l - L)^2.
 
-The deviation of a view is the root mean square of z over its links. That of a marker is over the
-links that it ends, and the view counts like some more links. So, of the two ends of a link, the one
-that contradicts more of its links is at fault.
+The deviation of a view is the root mean square of z over its links. A marker contradicts by the
+second largest z^2 of its links, or by that of its only link; the view counts like some more. So, of
+the two ends of a link, the one that contradicts more of its links is at fault.
 
 A detector that sees a part of a person beside somebody in front distorts the whole person. If no
 other camera shows the person, a view is left out whose deviation is larger than
 
-    ALIGNED + PER_METRE d,
+    sqrt(1 + SURE sqrt(2 / N)) + PER_METRE d,
 
-where d < BESIDE is the distance, m, of somebody in front from the line of sight.
+where N is the number of its links, and d < BESIDE the distance, m, of somebody in front from the
+line of sight. The mean square of N independent z has the mean 1 and the variance 2 / N.
 """
 
 # mypy: disable-error-code="no-any-return"
@@ -48,16 +49,14 @@ _RELATIVE = 0.1  # assumed standard deviation of a length, as a share of it
 _FEWEST = 100.0  # views that give a length
 _MEMORY = 1800.0  # views that a length remembers: 30 s of two cameras
 _OUTLIER = 4.0  # standard deviations at which what is learned is clipped
-_LARGEST = 36.0  # z^2; a larger one says no more
+_LARGEST = 36.0  # z^2; a larger one says no more of the view as a whole
 _FEWEST_LINKS = 6  # links of known length; fewer say too little of a view
 _SHARED = 2.0  # links that the view counts like where one of its markers is compared
 # Of real recordings by two cameras, the deviation is 0.8 at the median, and below 1.75 in 95 % of
 # the views. Distorted views of people who cross have 1.6 to 3.
-_ALIGNED, _PER_METRE = 1.4, 0.8
+_SURE, _PER_METRE = 4.0, 0.8
 _BESIDE = 0.5  # m
-_ALONE = (
-    200_000_000  # ns without a good view of another camera after which a camera is the only one
-)
+_ALONE = 200_000_000  # ns without a good view of another camera: then a camera is alone
 _IN_FRONT = 0.35  # m: somebody this much nearer to the camera is in front
 
 OUT, MARKERS = 0, 1
@@ -92,9 +91,8 @@ class LimbPast(NamedTuple):
     @classmethod
     def empty(cls, n_links: int) -> LimbPast:
         """Return arrays with no rows."""
-        lengths = [np.zeros((0, n_links)) for _ in range(3)]
-        times = [np.zeros(0, np.int64) for _ in range(2)]
-        return cls(*lengths, *times, np.zeros((0, 4), np.int64))
+        lengths, never = np.zeros((0, n_links)), np.zeros(0, np.int64)
+        return cls(lengths, lengths, lengths, never, never, np.zeros((0, 4), np.int64))
 
 
 class PlausibleSettings(NamedTuple):
@@ -107,7 +105,7 @@ class PlausibleSettings(NamedTuple):
     """s."""
 
 
-class Messages(NamedTuple):
+class ComparedMessages(NamedTuple):
     """N messages, in order."""
 
     stamps: Stamps
@@ -123,19 +121,20 @@ class Messages(NamedTuple):
 class PlausibleWork(NamedTuple):
     """Scratch for a view, and for the people of a message."""
 
-    squares: Floats
-    """(M,) sums of z^2."""
-    links: Floats
-    """(M,) numbers of links that they are of."""
+    largest: Floats
+    second: Floats
+    """(M,) z^2 of the links of each marker; -1 = there is none."""
     centres: Floats
     """(P, 3) mean marker position, m."""
+    limit: Floats
+    """(1,) deviation that is still likely of an honest view."""
 
 
 _LINKS = named_tuple(LimbLinks, J2, I1)
 _PAST = named_tuple(LimbPast, F2, F2, F2, I1, I1, I2)
 _SETTINGS = named_tuple(PlausibleSettings, *[types.float64] * 3)
-_MESSAGES = named_tuple(Messages, I1, I1, I2, I1)
-_WORK = named_tuple(PlausibleWork, F1, F1, F2)
+_MESSAGES = named_tuple(ComparedMessages, I1, I1, I2, I1)
+_WORK = named_tuple(PlausibleWork, F1, F1, F2, F1)
 
 
 @inlined
@@ -174,21 +173,22 @@ def _learn(view: Floats, row: int, links: LimbLinks, past: LimbPast) -> None:
 def _compare(
     view: Floats, row: int, links: LimbLinks, past: LimbPast, work: PlausibleWork
 ) -> float:
-    """Deviation of a view (M, 19), NaN if too little is known; sums by marker go to ``work``."""
+    """Deviation of a view (M, 19), NaN if too little is known; the rest goes to ``work``."""
     for m in range(len(view)):
-        work.squares[m] = work.links[m] = 0.0
+        work.largest[m] = work.second[m] = -1.0
     total, n = 0.0, 0
     for k in range(len(links.ends)):
         slot, length = links.slots[k], _length(view, k, links)
         if math.isnan(length) or past.counts[row, slot] < _FEWEST:
             continue
         z = (length - past.lengths[row, slot]) / _spread(row, slot, past)
-        square = min(z * z, _LARGEST)
-        total += square
+        total += min(z * z, _LARGEST)
         n += 1
         for end in range(2):
-            work.squares[links.ends[k, end]] += square
-            work.links[links.ends[k, end]] += 1.0
+            m = links.ends[k, end]
+            work.second[m] = max(work.second[m], min(work.largest[m], z * z))
+            work.largest[m] = max(work.largest[m], z * z)
+    work.limit[0] = math.sqrt(1.0 + _SURE * math.sqrt(2.0 / max(n, 1)))
     return math.sqrt(total / n) if n >= _FEWEST_LINKS else np.nan
 
 
@@ -199,10 +199,11 @@ def _lower(
     """Lower the confidences of contradictory markers of a view; return of how many."""
     n = 0
     for m in range(people.markers.shape[1]):
-        if work.links[m] == 0.0:
+        square = work.second[m] if work.second[m] >= 0.0 else work.largest[m]
+        if square < 0.0:
             continue
-        sums = work.squares[m] + _SHARED * deviation * deviation
-        ratio = settings.max_deviation**2 / (sums / (work.links[m] + _SHARED))
+        mean = (square + _SHARED * deviation * deviation) / (1.0 + _SHARED)
+        ratio = settings.max_deviation**2 / mean
         if ratio < 1.0:
             given = people.marker_confidences[p, m]
             whole = people.confidences[p]
@@ -272,7 +273,7 @@ def _is_left_out(
 
 @kernel(types.void(_MESSAGES, PEOPLE, F2, _LINKS, _PAST, _SETTINGS, I2, _WORK))
 def find_implausible(
-    messages: Messages, people: People, places: Floats, links: LimbLinks, past: LimbPast,
+    messages: ComparedMessages, people: People, places: Floats, links: LimbLinks, past: LimbPast,
     settings: PlausibleSettings, counts: Stamps, work: PlausibleWork,
 ) -> None:  # fmt: skip
     """Blank distorted views, and lower the confidences of contradictory markers.
@@ -300,7 +301,8 @@ def find_implausible(
             if math.isnan(deviation) or not is_known:
                 continue
             beside = _least_distance(p, begin, end, places[camera], work.centres)
-            is_distorted = beside < _BESIDE and deviation > _ALIGNED + _PER_METRE * beside
+            limit = work.limit[0] + _PER_METRE * beside
+            is_distorted = beside < _BESIDE and deviation > limit
             if _is_left_out(stamp, row, camera, is_distorted, past, settings):
                 blank_person(people, p)
                 counts[OUT, camera] += 1

@@ -1,0 +1,150 @@
+"""Detections that contradict a person's own limb lengths, by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
+
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, join
+from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
+from hiros_mcap.stages.merge import merge
+from hiros_mcap.stages.plausible import PlausibleParams, drop_implausible, drop_implausible_blocks
+
+CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
+WRIST = MODEL.marker_names.index("WRIST_LEFT")
+KNOWN = 200  # frames after which the lengths of a person are known
+
+
+def noisy(n: int, x: float = 0.0, seed: int = 1) -> list[Floats]:
+    """Views of somebody who stands still: 1 cm of noise along each axis."""
+    noise = np.random.default_rng(seed).normal(0, 0.01, (n, MODEL.n_markers, 3))
+    return list(person(x) + noise)
+
+
+def squeezed(x: float = 0.0) -> Floats:
+    """Somebody half as large."""
+    return np.asarray(person(x) * [1, 0.5, 0.5] + [0, 0, 0.5])
+
+
+def run(frames: Sequence[Frame], events: Events | None = None, **params: object) -> list[Frame]:
+    settings = PlausibleParams.model_validate(params)
+    return list(drop_implausible(frames, MODEL, settings, events, CAMERAS))
+
+
+def alone(poses: Sequence[Floats]) -> list[Frame]:
+    return [seen([pose], at(k), ids=[7]) for k, pose in enumerate(poses)]
+
+
+def behind(poses: Sequence[Floats], aside: float = 0.0) -> list[Frame]:
+    """Person 7, and person 8 a metre nearer to camera a."""
+    front = person(-1.0, aside)
+    return [seen([pose, front], at(k), ids=[7, 8]) for k, pose in enumerate(poses)]
+
+
+def is_blank(frame: Frame, row: int = 0) -> bool:
+    return bool(np.isnan(frame.positions[row]).all())
+
+
+def test_honest_views_stay_as_they_are() -> None:
+    frames = behind(noisy(300))
+    for before, after in zip(frames, run(frames), strict=True):
+        np.testing.assert_array_equal(before.positions, after.positions)
+        np.testing.assert_array_equal(before.marker_confidences, after.marker_confidences)
+
+
+def test_the_far_end_of_a_stretched_limb_loses_confidence() -> None:
+    stretched = person()
+    stretched[WRIST] += [0.0, 0.5, 0.0]
+    events = Events()
+    last = run(alone([*noisy(KNOWN), stretched]), events)[-1]
+    lowered = last.marker_confidences[0] < 0.5
+    assert np.flatnonzero(lowered).tolist() == [WRIST]
+    assert events.counts["implausible marker", "a"] == 1
+    assert not is_blank(last)
+
+
+def test_a_distorted_view_behind_somebody_is_left_out() -> None:
+    events = Events()
+    last = run(behind([*noisy(KNOWN), squeezed()]), events)[-1]
+    assert is_blank(last)
+    assert last.ids.tolist() == [7, 8]
+    assert not is_blank(last, 1)
+    assert events.counts["distorted", "a"] == 1
+
+
+@pytest.mark.parametrize("aside", [0.8, -0.8])
+def test_a_distorted_view_beside_somebody_stays(aside: float) -> None:
+    last = run(behind([*noisy(KNOWN), squeezed()], aside))[-1]
+    assert not is_blank(last)
+    assert (last.marker_confidences[0] < 0.5).any()
+
+
+def test_nothing_is_left_out_while_another_camera_shows_the_person() -> None:
+    frames = behind(noisy(KNOWN))
+    other = seen([person()], at(KNOWN), "b", ids=[7])
+    distorted = seen([squeezed(), person(-1.0)], at(KNOWN, 1), ids=[7, 8])
+    assert not is_blank(run([*frames, other, distorted])[-1])
+    assert is_blank(run([*frames, distorted])[-1])
+
+
+def test_distorted_views_are_left_out_for_a_second_only() -> None:
+    after = run(behind([*noisy(KNOWN), *[squeezed()] * 45]))[KNOWN:]
+    blank = [is_blank(frame) for frame in after]
+    assert blank == [True] * 31 + [False] * 14  # 30 periods are a little less than 1 s
+
+
+def test_nothing_happens_before_a_person_is_known() -> None:
+    frames = behind([*noisy(100), squeezed()])
+    last = run(frames)[-1]
+    np.testing.assert_array_equal(last.positions, frames[-1].positions)
+    np.testing.assert_array_equal(last.marker_confidences, frames[-1].marker_confidences)
+
+
+def test_a_fast_kick_and_exchanged_sides_are_no_contradiction() -> None:
+    """Lengths do not depend on speed, nor on which side is which."""
+    poses = [pose + np.array([0.4 * k, 0, 0]) for k, pose in enumerate(noisy(20, seed=2))]  # 12 m/s
+    mirrored = noisy(1, seed=3)[0][MIRROR]
+    after = run(alone([*noisy(KNOWN), *poses, mirrored]))[KNOWN:]
+    assert all((frame.marker_confidences == 1.0).all() for frame in after)
+
+
+def test_detections_without_an_id_and_without_links_stay() -> None:
+    nobody = [seen([pose], at(k), ids=[UNTRACKED]) for k, pose in enumerate(noisy(KNOWN))]
+    strange = seen([squeezed()], at(KNOWN), ids=[UNTRACKED])
+    assert not is_blank(run([*nobody, strange])[-1])
+    loose = SkeletonModel.of(MODEL.marker_names, [])
+    frames = [
+        Frame.empty(1, loose, stamp=at(k)).replace(ids=np.array([7], np.int32)) for k in range(3)
+    ]
+    assert len(list(drop_implausible(frames, loose))) == 3
+
+
+def test_without_it_nothing_changes() -> None:
+    frames = behind([*noisy(KNOWN), squeezed()])
+    assert not is_blank(run(frames, limbs=False)[-1])
+
+
+def test_the_cut_into_blocks_does_not_matter() -> None:
+    frames = behind([*noisy(KNOWN), *[squeezed()] * 10, *noisy(10)])
+    whole = join([(block, 0) for block in map(Block.of, frames)])
+    (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
+    one_by_one = run(frames)
+    for one, other in zip(at_once.frames(), one_by_one, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+        np.testing.assert_array_equal(one.marker_confidences, other.marker_confidences)
+
+
+def test_the_merger_carries_a_person_whose_views_are_left_out() -> None:
+    """As long as they come, and with less and less confidence."""
+    frames = behind([*noisy(KNOWN), *[squeezed()] * 20])
+    merged = list(merge(run(frames), MODEL, cameras=CAMERAS))
+    rows = [frame.ids.tolist().index(7) for frame in merged[-20:]]
+    places = np.array([f.positions[row] for f, row in zip(merged[-20:], rows, strict=True)])
+    assert np.abs(places - person()).max() < 0.1
+    shown = zip(merged[-15:], rows[-15:], strict=True)
+    assert (np.diff([f.marker_confidences[row, 0] for f, row in shown]) < 0).all()
+    assert merged[-1].stamp - frames[0].stamp > 7 * SECOND
