@@ -314,7 +314,8 @@ def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> 
             x[i, c] += gain * work.innovations[t, c]
         for j in range(n):
             p[i, j] -= gain * h[j]
-    return _log_likelihood(scaled, expected, freedom)
+    likelihood: float = _log_likelihood(scaled, expected, freedom)
+    return likelihood
 
 
 @kernel
@@ -406,8 +407,8 @@ def _choose_levels(
             level[t, k] = next_level[k] * math.exp(level[t, k] - most)
         _normalize(level[t])
         previous = level[t]
-    if keep > 0:
-        _copy(level[keep - 1], states.levels[row, m])
+    if min(keep, n) > 0:
+        _copy(level[min(keep, n) - 1], states.levels[row, m])
     for t in range(n - 2, -1, -1):
         dt = steps.times[t + 1] - steps.times[t]
         stay = math.exp(-_CHANGES * dt)

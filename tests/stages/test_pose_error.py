@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pytest
 
-from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.rotations import Rigid, from_vector, rotate
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.pose_error import PoseError
@@ -19,13 +17,13 @@ ASSUMED = 0.01
 """m; with no error of the orientation."""
 
 
-def learned(shifts: Floats, moved: Mapping[str, Rigid] | None = None) -> PoseError:
+def learned(shifts: Floats) -> PoseError:
     """Three cameras see a body, each shifted by a row of ``shifts`` (3, 3)."""
-    error = PoseError(0.0, ASSUMED, PLACES, moved or {})
+    error = PoseError(0.0, ASSUMED, PLACES, {})
     views = Sightings.allocate(3, 12)._replace(
         cameras=np.arange(3), positions=BODY + shifts[:, None]
     )
-    error.learn(views, np.full((3, 12), 1e-4), np.broadcast_to(BODY, (3, 12, 3)), NAMES)
+    error.learn(views, shifts, NAMES)
     return error
 
 
@@ -58,14 +56,45 @@ def test_cameras_that_disagree_as_assumed_change_nothing_and_others_do() -> None
     assert learned(2 * shifts).ratio == pytest.approx(3.0)
 
 
-def test_refined_cameras_share_the_mean_of_the_errors_that_were_given() -> None:
-    moved = {
-        name: Rigid(np.array([0.0, 0, 0, 1]), np.array([0.02 * k, 0, 0]))
-        for k, name in enumerate(NAMES)
-    }
-    refined, given = learned(np.zeros((3, 3)), moved), learned(np.eye(3)[[0] * 3] * 0.0)
-    assert refined.ratio > 1 > given.ratio
-    assert stated(refined, 0b1) == pytest.approx(stated(refined, 0b111))
+def refined(angle: float, shift: float, bad: float = 0.0) -> PoseError:
+    """Cameras whose given poses deviate from the refined rig by rad and m; c by more."""
+    rng = np.random.default_rng(3)
+    moved = {}
+    for name in NAMES:
+        size = bad if name == "c" and bad else angle
+        turn = Rigid(from_vector(size * unit(rng)), np.zeros(3))
+        place = PLACES[name]
+        moved[name] = Rigid(turn.xyzw, place + shift * unit(rng) - rotate(turn.xyzw, place))
+    return PoseError(0.005, 0.006, PLACES, moved)
+
+
+def unit(rng: np.random.Generator) -> Floats:
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def test_refined_cameras_share_the_placement_of_the_rig() -> None:
+    error = refined(0.005, 0.006)
+    assert stated(error, 0b1) == pytest.approx(stated(error, 0b111))
+
+
+def test_a_rig_whose_given_poses_deviate_more_is_less_sure() -> None:
+    small, turned, shifted = (refined(a, s) for a, s in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.05)))
+    assert stated(turned, 0b111) > stated(small, 0b111)
+    # Positions that are right hold the rig, whatever the orientations are.
+    assert stated(turned, 0b111) < 1.5 * stated(small, 0b111)
+    assert stated(shifted, 0b111) > 5 * stated(small, 0b111)
+
+
+def test_one_bad_camera_does_not_count_as_all() -> None:
+    usual, one_bad = refined(0.005, 0.006), refined(0.005, 0.006, bad=0.07)
+    assert stated(one_bad, 0b111) < 1.5 * stated(usual, 0b111)
+
+
+def test_a_camera_whose_pose_was_not_refined_adds_its_own_error() -> None:
+    moved = {name: Rigid.identity() for name in NAMES[:2]}
+    error = PoseError(0.005, 0.006, PLACES, moved)
+    assert stated(error, 0b100) > stated(error, 0b11)
 
 
 def test_a_confused_identity_does_not_make_the_poses_arbitrarily_bad() -> None:

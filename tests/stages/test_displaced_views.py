@@ -1,0 +1,133 @@
+"""Cameras that show people elsewhere than the others lose their weight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from hiros_mcap.events import Events
+from hiros_mcap.kernels.fusing import Sightings
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.displaced import CAMERA_DISPLACED
+from hiros_mcap.stages.displaced_views import LIMIT, SHARE, DisplacedViews, excess_of
+from hiros_mcap.stages.fuse import FuseParams, fuse
+
+BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
+REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}
+SECOND = 1_000_000_000
+
+
+def views_of(cameras: int, seconds: float = 1.0, person: int = 0) -> Sightings:
+    """Views of one person by some cameras, ten a second each."""
+    n = round(10 * seconds)
+    stamps = np.repeat(np.arange(n) * SECOND // 10, cameras)
+    return Sightings.allocate(n * cameras, 1)._replace(
+        stamps=stamps, people=np.full(len(stamps), person), cameras=np.tile(np.arange(cameras), n)
+    )
+
+
+def excess(*metres: float) -> Floats:
+    """Excess of each camera, m2, of cameras that are off by so much along x."""
+    views = views_of(len(metres))
+    offsets = np.zeros((len(views.stamps), 3))
+    offsets[:, 0] = np.array(metres)[views.cameras]
+    return excess_of(views, offsets, len(metres))[: len(metres)]
+
+
+def test_who_is_off_alone_loses_its_weight() -> None:
+    assert excess(0.16, -0.04, -0.04, -0.04, -0.04) == pytest.approx([SHARE * 0.16**2, 0, 0, 0, 0])
+    assert excess(-0.03, 0.06, -0.03) == pytest.approx([0, SHARE * 0.06**2, 0])
+
+
+def test_a_small_offset_is_that_of_the_detector() -> None:
+    assert not excess(0.9 * LIMIT, 0.0, 0.0).any()
+
+
+def test_without_a_majority_nobody_loses_weight() -> None:
+    assert not excess(0.2, -0.2).any()
+    assert not excess(0.07, -0.06, 0.06, -0.07).any()
+
+
+def test_each_second_and_each_person_counts_alone() -> None:
+    views = views_of(3, seconds=2)
+    offsets = np.zeros((60, 3))
+    offsets[(views.cameras == 2) & (views.stamps >= SECOND)] = 0.1
+    lost = excess_of(views, offsets, 3) > 0
+    np.testing.assert_array_equal(lost, (views.cameras == 2) & (views.stamps >= SECOND))
+    others = views._replace(people=np.where(views.stamps >= SECOND, 1, 0))
+    np.testing.assert_array_equal(excess_of(others, offsets, 3) > 0, lost)
+
+
+def after(seconds: float, *, off: float, then: float = 0.0) -> Floats:
+    """Excess expected of three cameras after camera 2 was off for some seconds, then back."""
+    memory = DisplacedViews()
+    memory.name(("a", "b", "c"))
+    views = views_of(3, seconds + then)
+    for k in range(0, len(views.stamps), 3):
+        some = Sightings(*[array[k : k + 3] for array in views])
+        metres = off if some.stamps[0] < seconds * SECOND else 0.0
+        offsets = np.array([[0.0, 0, 0], [0.0, 0, 0], [metres, 0, 0]])
+        memory.remember(some, offsets, np.ones(3, bool))
+    return memory.expected(views_of(3, 0.1))
+
+
+def test_a_filter_knows_it_from_the_views_before() -> None:
+    assert after(0.2, off=0.0) == pytest.approx([0, 0, 0])
+    assert after(1.0, off=0.1) == pytest.approx([0, 0, SHARE * 0.1**2])
+    assert after(1.0, off=0.1, then=1.5) == pytest.approx([0, 0, 0])
+
+
+def test_nothing_is_expected_of_somebody_new() -> None:
+    memory = DisplacedViews()
+    memory.name(("a", "b", "c"))
+    assert not memory.expected(views_of(3, 0.1, person=7)).any()
+
+
+def detections(shift: Mapping[str, float]) -> list[Frame]:
+    """20 s of one who moves before four cameras, of which some are displaced from 10 s on."""
+    rng = np.random.default_rng(5)
+    times = np.arange(600) / 30
+    place = 0.4 * np.sin(times[:, None, None] + np.arange(24.0).reshape(8, 3))
+    frames = []
+    for k, t in enumerate(times):
+        for c, name in enumerate("abcd"):
+            frame = Frame.empty(1, BODY, stamp=round((t + 0.005 * c) * 1e9) + SECOND, source=name)
+            frame.ids[:] = 0
+            frame.markers[0, :, :3] = place[k] + rng.normal(0, 0.01, (8, 3))
+            if t >= 10:
+                frame.markers[0, :, 0] += shift.get(name, 0.0)
+            frame.marker_confidences[:] = frame.confidences[:] = 0.9
+            frames.append(frame)
+    return frames
+
+
+def error(shift: Mapping[str, float], left_out: str = "", **params: float) -> tuple[float, Events]:
+    """Mean error, m, in the last 8 s."""
+    frames = [f for f in detections(shift) if f.source != left_out or f.stamp < 11 * SECOND]
+    events = Events()
+    errors = []
+    for frame in fuse(frames, BODY, FuseParams(**params), events):
+        t = frame.stamp * 1e-9 - 1
+        if t > 12:
+            true = 0.4 * np.sin(t + np.arange(24.0).reshape(8, 3))
+            errors.append(np.linalg.norm(frame.positions[0] - true, axis=1).mean())
+    return float(np.mean(errors)), events
+
+
+@pytest.mark.parametrize("params", [{"window": 5.0}, REALTIME])
+def test_a_camera_that_was_moved_hardly_harms_the_result(params: dict[str, float]) -> None:
+    moved, events = error({"b": 0.15}, **params)
+    without, _ = error({}, left_out="b", **params)
+    assert moved < 1.2 * without
+    (event,) = (e for e in events.log if e.kind == CAMERA_DISPLACED)
+    assert event.source == "b"
+    assert "0.15 m" in event.detail
+    assert event.stamp * 1e-9 - 1 == pytest.approx(10, abs=1.1)
+
+
+@pytest.mark.parametrize("params", [{"window": 5.0}, REALTIME])
+def test_healthy_cameras_are_not_named(params: dict[str, float]) -> None:
+    _, events = error({}, **params)
+    assert not [e for e in events.log if e.kind == CAMERA_DISPLACED]
