@@ -35,7 +35,7 @@ class ForwardCues:
     feet: Ints
     """(F, 2) ankle and toes."""
     trunk: Ints
-    """(T, 2) a hip and the shoulder above it: which way is up."""
+    """(T, 2) a hip and the shoulder above it: the way of the trunk."""
 
     @classmethod
     def of(cls, model: SkeletonModel) -> ForwardCues:
