@@ -31,7 +31,7 @@ from hiros_mcap.stages.bank import Bank
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""
-_FORGET = 600.0  # s; somebody who returns has the same body
+_FORGET = 30.0  # s; longest absence after which somebody gets the old id back (track.reidentify)
 
 
 class PlausibleParams(Params):
