@@ -26,7 +26,8 @@ LIMIT = 0.035
 CLEARLY = 1.5
 """Offset over the median of the cameras. One of three that is off by d moves the mean by d / 3, so
 it has twice the offset of the others; with more cameras the ratio is larger."""
-SHARE = 10.0
+SHARE = 100.0
+"""The offset lasts, and noise averages out: the variance of a view must be far over its square."""
 MAJORITY = 3
 """Fewer cameras do not tell which one of them is wrong."""
 SECOND = 1_000_000_000  # ns
@@ -99,9 +100,9 @@ class DisplacedViews:
             return np.zeros(len(rows))
         return np.where(rows >= 0, variances[rows, views.cameras], 0.0)
 
-    def remember(self, views: Sightings, offsets: Floats, new: Flags) -> None:
-        """Take the offsets of ``new`` views, for those to come."""
-        own = np.flatnonzero(new & ~np.isnan(offsets[:, 0]))
+    def remember(self, views: Sightings, offsets: Floats) -> None:
+        """Take the offsets of views, m; NaN = none. Each view comes once with an offset."""
+        own = np.flatnonzero(~np.isnan(offsets[:, 0]))
         if not len(own):
             return
         stamp = int(views.stamps[own].max())
@@ -114,10 +115,10 @@ class DisplacedViews:
         np.add.at(self._bank.past.weights, (rows, views.cameras[own]), 1.0)
         self._bank.expire(stamp)
 
-    def count(self, views: Sightings, excess: Floats, new: Flags) -> None:
-        """Note which ``new`` views have lost their weight."""
-        for camera in np.unique(views.cameras[new]).tolist():
-            own = new & (views.cameras == camera)
+    def count(self, views: Sightings, excess: Floats, done: Flags) -> None:
+        """Note which of the views whose results are ``done`` have lost their weight."""
+        for camera in np.unique(views.cameras[done]).tolist():
+            own = done & (views.cameras == camera)
             self._spans.setdefault(camera, _Span()).add(views.stamps[own], excess[own])
 
     def tell(self, events: Events) -> None:
@@ -155,15 +156,23 @@ class _Span:
 
 
 def excess_of(views: Sightings, offsets: Floats, n_cameras: int) -> Floats:
-    """(N,) Variance, m2, to be added to views with ``offsets`` (N, 3), m, second by second."""
+    """(N,) Variance, m2, to be added to views with ``offsets`` (N, 3), m, second by second.
+
+    A second without a majority, as in the look-ahead, where offsets are NaN, is like the one
+    before.
+    """
     keys = np.stack([views.people, views.stamps // SECOND])
-    _, groups = np.unique(keys, axis=1, return_inverse=True)
+    keys, groups = np.unique(keys, axis=1, return_inverse=True)
     groups, n = groups.ravel(), int(groups.max(initial=-1)) + 1
     there = ~np.isnan(offsets[:, 0])
     sums, counts = np.zeros((n, n_cameras, 3)), np.zeros((n, n_cameras))
     np.add.at(sums, (groups[there], views.cameras[there]), offsets[there])
     np.add.at(counts, (groups[there], views.cameras[there]), 1.0)
-    return np.asarray(displaced(sums, counts)[groups, views.cameras])
+    excess = displaced(sums, counts)
+    for g in range(1, n):
+        if keys[0, g] == keys[0, g - 1] and (counts[g] > 0).sum() < MAJORITY:
+            excess[g] = excess[g - 1]
+    return np.asarray(excess[groups, views.cameras])
 
 
 def displaced(sums: Floats, weights: Floats) -> Floats:

@@ -161,14 +161,13 @@ class WindowSmoother:
             poses = self._smooth_people(window, white + excess[:, None], boundary)
             offsets = view_offsets(views, white, poses, window.stamps, of_views)
             if not ahead:
-                self.displaced.remember(views, offsets, new & (of_views >= 0))
+                self.displaced.remember(views, offsets)
                 break
             last, excess = excess, excess_of(views, offsets, len(self._names))
             if again == _ROUNDS or not ((excess > 0) != (last > 0)).any():
-                excess = last
                 break
             self._bank.past = before
-        self.displaced.count(views, excess, new & (of_views >= 0))
+        self.displaced.count(views, excess, of_views >= 0)
         self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T, self._names)
         return poses
 

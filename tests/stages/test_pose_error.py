@@ -82,7 +82,7 @@ def test_a_rig_whose_given_poses_deviate_more_is_less_sure() -> None:
     small, turned, shifted = (refined(a, s) for a, s in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.05)))
     assert stated(turned, 0b111) > stated(small, 0b111)
     # Positions that are right hold the rig, whatever the orientations are.
-    assert stated(turned, 0b111) < 1.5 * stated(small, 0b111)
+    assert stated(turned, 0b111) < 3 * stated(small, 0b111)
     assert stated(shifted, 0b111) > 5 * stated(small, 0b111)
 
 
