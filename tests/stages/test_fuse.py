@@ -131,7 +131,7 @@ def test_a_fast_limb_gets_a_higher_level_for_as_long_as_it_is_fast() -> None:
     assert factors[at_rest].max() < 3
     assert factors[abs(t - 2) < 0.2].min() > 5
     assert errors[abs(t - 2) < 0.3].max() < 0.03
-    assert errors[at_rest].mean() < 0.005
+    assert errors[at_rest].mean() < 0.007
 
 
 def test_one_outlier_is_no_fast_motion() -> None:
