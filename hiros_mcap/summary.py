@@ -78,6 +78,16 @@ class PoseSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class PlacementSummary:
+    """How uncertain it is where the rig as a whole stands: the people in a log cannot show it."""
+
+    error_mm: float
+    """Standard deviation of the cameras' middle along an axis."""
+    error_deg: float
+    """Standard deviation of the orientation about an axis."""
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSummary:
     """What became of the messages of one camera's channel: ``messages`` = used + skipped."""
 
@@ -181,9 +191,11 @@ class Summary:
     cameras: tuple[CameraSummary, ...] = ()
     poses: tuple[PoseSummary, ...] = ()
     """Empty if the run did not compare the cameras' poses with the people."""
+    placement: PlacementSummary | None = None
+    """Of the whole rig; None if the run did not compare the poses, or the log has none."""
     scatter: float = math.nan
-    """How many times as far as expected the detections are from the result: 1 = the uncertainty of
-    the result is right. NaN if the system states none."""
+    """How many times as far as expected the detections are from the result. The uncertainty of the
+    result allows for what lasts of it. NaN if the system states none."""
     scatters: tuple[ScatterSummary, ...] = ()
     """The same by camera."""
     people: tuple[PersonSummary, ...] = ()

@@ -34,7 +34,7 @@ def show(summary: Summary) -> None:
     """Print cameras, people, times and what was written."""
     out = console()
     out.print(Text(_headline(summary), style="bold"), soft_wrap=True)
-    parts = (_cameras(summary.cameras), _poses(summary.poses), _people(summary.people))
+    parts = (_cameras(summary.cameras), _poses(summary), _people(summary.people))
     for part in (*filter(None, parts), _times(summary)):
         out.print()
         out.print(part)
@@ -128,17 +128,21 @@ def _cameras(cameras: Sequence[CameraSummary]) -> Table:
     )
 
 
-def _poses(poses: Sequence[PoseSummary]) -> Table | None:
-    """Return what the people say about the poses of two or more cameras."""
-    if len(poses) < 2:
+def _poses(summary: Summary) -> Table | None:
+    """Return what the people say about the poses of two or more cameras, and what they cannot."""
+    if len(summary.poses) < 2:
         return None
     columns = (">Moved mm", ">deg", ">Clock ms", ">SE mm", ">deg", ">ms", "Verdict")
     rows = []
-    for pose in poses:
+    for pose in summary.poses:
         numbers = [number(pose.moved_mm, 0), number(pose.moved_deg, 2), number(pose.clock_ms, 0)]
         errors = [number(pose.error_mm, 0), number(pose.error_deg, 2), number(pose.error_ms, 1)]
         verdict = f"{pose.verdict}: {pose.reason}" if pose.reason else pose.verdict
         rows.append((pose.name + period(pose.since_s, pose.until_s), *numbers, *errors, verdict))
+    rig = summary.placement
+    if rig is not None:
+        errors = [number(rig.error_mm, 0), number(rig.error_deg, 2), "-"]
+        rows.append(("whole rig", "-", "-", "-", *errors, "its placement: people cannot show it"))
     return table("Camera pose", *columns, rows=rows)
 
 

@@ -57,7 +57,7 @@ def scatter_notes(cameras: Sequence[ScatterSummary]) -> Iterator[str]:
             joint = f" ({camera.worst_joint} {camera.worst_ratio:.1f} times)"
         yield (
             f"the detections of {camera.name} scatter {camera.ratio:.1f} times as much as the "
-            f"model expects{joint}, so the standard deviations of the result are too small; "
+            f"model expects{joint}; the standard deviations of the result allow for it; "
             f"{_remedy(camera)}"
         )
 

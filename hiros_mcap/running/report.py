@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log
@@ -23,6 +24,7 @@ from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,
     PersonSummary,
+    PlacementSummary,
     StageTime,
     Summary,
     cleaned,
@@ -76,6 +78,7 @@ class Report:
             system=self.run.system,
             cameras=cameras,
             poses=tuple(self.poses.cameras),
+            placement=self._placement(),
             scatter=scatter_of(self.run.events),
             scatters=scatters,
             people=tuple(self._person(i, people[i]) for i in sorted(people)),
@@ -85,6 +88,13 @@ class Report:
             warnings=tuple(self._warnings(cameras)),
             notes=(*self._all_notes(), *scatter_notes(scatters)),
         )
+
+    def _placement(self) -> PlacementSummary | None:
+        """Return how uncertain the placement of the rig is."""
+        if len(self.poses.cameras) < 2 or self.poses.from_nothing:
+            return None
+        error = placement_error(self.run.cameras, self.run.to_given)
+        return PlacementSummary(1000.0 * error.metres, error.degrees) if error else None
 
     def _camera(self, camera: CameraChannel) -> CameraSummary:
         """Return what became of a camera's messages."""
