@@ -282,7 +282,6 @@ upstream: the same with workable launch values of the published code; its defect
 
 SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "hiros-realtime": PRESETS["realtime"],
-    "fuse": {"filter": {"keep_positions": True}},
     # 0.04 s of a usual camera, and 0.1 s in all.
     "fuse-realtime": {
         "input": {"clocks": "causal"},
@@ -296,7 +295,7 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
             "follow_noise": True,
         },
         "constrain": {"window": 0.0, "enough": 5.0},
-        "filter": {"lookahead": 0.0, "cutoff": 8.0, "keep_positions": True},
+        "filter": {"lookahead": 0.0, "cutoff": 8.0},
     },
     # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
     "openptrack": {

@@ -91,11 +91,6 @@ class FilterParams(Params):
         description="Give each link its mean length in the input. Smoothing each joint separately "
         "shortens limbs that swing.",
     )
-    keep_positions: bool = advanced(
-        False,
-        description="Leave markers where they are, because an earlier stage has smoothed them; "
-        "only their velocities and accelerations, and the links, are filtered.",
-    )
     length_time: float = advanced(
         2.0,
         gt=0,
@@ -143,9 +138,16 @@ def filter_blocks(
     model: SkeletonModel,
     params: FilterParams = FilterParams(),  # noqa: B008 - immutable
     events: Events | None = None,
+    *,
+    keep_positions: bool = False,
 ) -> Iterator[Block]:
-    """Do what :func:`filter_frames` does, a block at a time."""
-    skeletons = _SkeletonFilter(model, params, Events() if events is None else events)
+    """Do what :func:`filter_frames` does, a block at a time.
+
+    keep_positions : leave markers where they are, because an earlier stage has smoothed them.
+    Their velocities and accelerations, and the links, are filtered.
+    """
+    events = Events() if events is None else events
+    skeletons = _SkeletonFilter(model, params, events, keep_positions=keep_positions)
     for block in blocks:
         for start in range(0, len(block), _BATCH):
             yield from skeletons.update(block, range(start, min(start + _BATCH, len(block))))
@@ -155,8 +157,11 @@ def filter_blocks(
 class _SkeletonFilter:
     """Hi-ROS 2023, section 3.4: the filters of all people, and the frames that are held."""
 
-    def __init__(self, model: SkeletonModel, params: FilterParams, events: Events) -> None:
+    def __init__(
+        self, model: SkeletonModel, params: FilterParams, events: Events, *, keep_positions: bool
+    ) -> None:
         self._params, self._events, self._method = params, events, _method(params)
+        self._keep_positions = keep_positions
         self._settings = FilterSettings(params.order, params.max_gap, params.bridge)
         self._links = np.ascontiguousarray(model.links)
         self._bank = Bank(
@@ -205,7 +210,7 @@ class _SkeletonFilter:
             given = out.people.markers[:, :, POSITION].copy()
             # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
             self._method.estimate(out.people, steps, past, settings, work)
-            if self._params.keep_positions:
+            if self._keep_positions:
                 positions = out.people.markers[:, :, POSITION]
                 positions[:] = np.where(np.isnan(given), positions, given)
             elif self._params.keep_lengths:

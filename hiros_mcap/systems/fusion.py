@@ -24,7 +24,7 @@ def fuse(run: Run) -> Stages:
     waits = config.constrain.window > 0
     constrain = constrain_blocks if waits else constrain_live
     bodies = run.stage(constrain, config.constrain, limbs=run.limbs)
-    derivatives = run.stage(filter_blocks, config.filter)
+    derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),
         # smoothed positions

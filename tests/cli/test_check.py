@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from xml.etree import ElementTree
@@ -100,7 +101,9 @@ def test_bless_check_and_differ(
     assert run(["check", str(output), *strict]) == 1
     out = capsys.readouterr().out
     assert "positions: was " in out
-    assert "up to 0.0001" in out
+    largest = re.search(r"positions: was .*up to (\S+) mm", out)
+    assert largest
+    assert 0 < float(largest[1]) <= 1.1e-4  # golden files have 0.1 um
 
 
 def test_a_suite_with_reports(
