@@ -15,7 +15,6 @@ from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,
     PersonSummary,
-    PoseSummary,
     Summary,
     number,
 )

@@ -158,7 +158,12 @@ class _SkeletonFilter:
     """Hi-ROS 2023, section 3.4: the filters of all people, and the frames that are held."""
 
     def __init__(
-        self, model: SkeletonModel, params: FilterParams, events: Events, *, keep_positions: bool
+        self,
+        model: SkeletonModel,
+        params: FilterParams,
+        events: Events,
+        *,
+        keep_positions: bool = False,
     ) -> None:
         self._params, self._events, self._method = params, events, _method(params)
         self._keep_positions = keep_positions
