@@ -31,7 +31,7 @@ from hiros_mcap.skeletons import Floats, Ints
 THRESHOLD = 0.9
 """Least probability with which somebody gets an old id."""
 
-_LASTING_NOISE, _NOISE_OF_ONE = 0.018, 0.04  # SD of a limb's length, m: lasting (10 to 18 mm of
+_LASTING_NOISE, _NOISE_OF_ONE = 0.016, 0.04  # SD of a limb's length, m: lasting (10 to 18 mm of
 # simulated limbs), and what one detection adds, which falls with the root of their number
 _SHARED_NOISE = 0.4  # correlation of the lasting noise of two limbs with a common marker: 0.5 of
 # limbs that lie in one line, less if they are bent
