@@ -2,44 +2,47 @@
 
 Each newcomer is one of the people who are absent, or a stranger. The model, with its numbers below:
 
-- Limb lengths: the ratio of two sizes, a size being the sum of the limbs that both have, and the
-  ratio of each limb besides. Of one person the logarithms are normal with the SD of the
-  measurement, of two people also with that of adults' stature and proportions. One in ten
-  measurements is three times as noisy: somebody bends or is half hidden. The proportions count
-  less than they would if the two sides of a body were not alike.
+- Limb lengths: the logarithms of the ratios of all limbs that both have are normal. Of one person
+  their covariance is that of the measurement, of two people also that of adults' stature and
+  proportions. A detector misplaces markers for longer than a moment. So what one limb gains, the
+  next one along the chain loses: a leg is known better than thigh and shank. The two sides of a
+  body are alike. One in ten measurements is three times as noisy: somebody bends or is half hidden.
 - Place and time: a person who left is somewhere about the place where he was lost, on the floor,
   normal with an SD that grows with the time to that of a room. A stranger may be anywhere in it.
 - Number of people: whoever comes while somebody is missing, of as many as were there at once, is
   probably one of the missing.
 
 All ways to give several newcomers the absent people's ids are weighed together, so two people who
-left and came back are told apart by each other.
+left and came back are told apart by each other. Every choice of as many absent people is equally
+probable at first.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Ints
 
 THRESHOLD = 0.9
 """Least probability with which somebody gets an old id."""
 
-_SIZE_NOISE, _SIZE_NOISE_OF_ONE = 0.0125, 0.06  # SD of the logarithm of a ratio of sizes: lasting,
-# and what one detection adds, which falls with the root of their number
-_LIMB_NOISE, _LIMB_NOISE_OF_ONE = 0.014, 0.04  # the same of a limb's length, m
+_LASTING_NOISE, _NOISE_OF_ONE = 0.016, 0.04  # SD of a limb's length, m: lasting (10 to 18 mm of
+# simulated limbs), and what one detection adds, which falls with the root of their number
+_SHARED_NOISE = 0.4  # correlation of the lasting noise of two limbs with a common marker: 0.5 of
+# limbs that lie in one line, less if they are bent
 _NOISY, _NOISE_OF_NOISY = 0.1, 3.0  # share of noisy measurements, and how many times the SD
 _STATURE, _PROPORTION = 0.055, 0.04  # SD of the logarithm among adults
-_PROPORTIONS_COUNT = 0.8
 _SHORT = 0.15  # m: shorter limbs are too noisy
 _FEWEST_LENGTHS = 5.0  # detections that make a limb's length worth comparing
 _PLACE, _WALK, _ROOM = 0.4, 0.7, 2.5  # SD of the place, m: at once, more per s, at most
 _TOP_SPEED = 4.0  # m/s on the floor; nobody comes back faster
 _REACH = 0.6  # m, besides
+OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
 _KNOWN_IF_MISSING, _KNOWN_IF_COMPLETE = 0.95, 0.5  # that a newcomer was there before
 _MOST = 4  # newcomers, and absent people, that are weighed together; older ones wait or are left
 
@@ -62,6 +65,27 @@ class PersonCues:
     """(L,) detections that they are of."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Limbs:
+    """How the lengths of a skeleton's limbs go together."""
+
+    noise: Floats
+    """(L, L) correlation of their lasting noise."""
+    alike: Floats
+    """(L, L) 1 for a limb with itself and with the one on the other side, else 0."""
+
+    @classmethod
+    def of(cls, links: Ints, mirror: Ints) -> Limbs:
+        """Return those of links (L, 2), and the link on the other side of each (L,)."""
+        noise, alike = np.eye(len(links)), np.eye(len(links))
+        alike[np.arange(len(links)), mirror] = 1.0
+        ends = links.tolist()
+        for (i, (a, b)), (j, (c, d)) in itertools.permutations(enumerate(ends), 2):
+            if {a, b} & {c, d} - {-1}:
+                noise[i, j] = _SHARED_NOISE if a == c or b == d else -_SHARED_NOISE
+        return cls(noise, alike)
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """The most probable absent person for a newcomer."""
@@ -81,7 +105,7 @@ class Verdict:
 
 
 def reidentify(
-    newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: int
+    newcomers: Sequence[PersonCues], absent: Sequence[PersonCues], missing: int, limbs: Limbs
 ) -> dict[int, Verdict]:
     """Return the verdict on each newcomer; there is somebody absent.
 
@@ -89,12 +113,13 @@ def reidentify(
     ----------
     newcomers : the most important first. absent : the last to leave last.
     missing : how many people are missing, of as many as were there at once.
+    limbs : of their skeleton.
     """
     newcomers, absent = newcomers[:_MOST], absent[-_MOST:]
     known = _KNOWN_IF_MISSING if missing > 0 else _KNOWN_IF_COMPLETE
-    number = math.log(known / len(absent) / (1 - known))
+    number = math.log(known / (1 - known))
     cues = {
-        (n, a): {LIMBS: limb_cue(new, old), PLACE: place_cue(new, old), NUMBER: number}
+        (n, a): {LIMBS: limb_cue(new, old, limbs), PLACE: place_cue(new, old), NUMBER: number}
         for n, new in enumerate(newcomers)
         for a, old in enumerate(absent)
     }
@@ -108,25 +133,24 @@ def reidentify(
     return verdicts
 
 
-def limb_cue(new: PersonCues, old: PersonCues) -> float:
+def limb_cue(new: PersonCues, old: PersonCues, limbs: Limbs) -> float:
     """Logarithm of the likelihood ratio of one person's limb lengths against two people's."""
     known = np.minimum(new.counts, old.counts) >= _FEWEST_LENGTHS
     both = known & (np.minimum(new.lengths, old.lengths) > _SHORT)
     if not both.any():
         return 0.0
-    ours, theirs = new.lengths[both], old.lengths[both]
-    fewest = np.minimum(new.counts, old.counts)[both]
-    size = math.log(ours.sum() / theirs.sum())
-    noise = _SIZE_NOISE**2 + _SIZE_NOISE_OF_ONE**2 / float(np.median(fewest))
-    cue = _ratio(size, noise, 2 * _STATURE**2)
-    noises = (_LIMB_NOISE**2 + _LIMB_NOISE_OF_ONE**2 / fewest) / theirs**2
-    for limb, noise in zip((np.log(ours / theirs) - size).tolist(), noises.tolist(), strict=True):
-        cue += _PROPORTIONS_COUNT * _ratio(limb, noise, 2 * _PROPORTION**2)
-    return cue
+    ours, theirs, pairs = new.lengths[both], old.lengths[both], np.ix_(both, both)
+    of_one = _NOISE_OF_ONE**2 / np.minimum(new.counts, old.counts)[both]
+    noise = (_LASTING_NOISE**2 * limbs.noise[pairs] + np.diag(of_one)) / np.outer(theirs, theirs)
+    population = 2 * (_STATURE**2 + _PROPORTION**2 * limbs.alike[pairs])
+    ratios = np.log(ours / theirs)
+    return _log_density(ratios, noise) - _log_density(ratios, noise, population)
 
 
 def place_cue(new: PersonCues, old: PersonCues) -> float:
-    """Logarithm of the likelihood ratio of the way on the floor; -inf if it is too far."""
+    """Logarithm of the likelihood ratio of the way on the floor; -inf if it can't be."""
+    if new.stamp < old.stamp - OVERLAP:
+        return -math.inf
     seconds = max((new.stamp - old.stamp) * 1e-9, 0.0)
     way = float(np.hypot(*(new.place - old.place)[:2]))
     if not way <= _REACH + _TOP_SPEED * seconds:
@@ -135,19 +159,16 @@ def place_cue(new: PersonCues, old: PersonCues) -> float:
     return 2 * math.log(_ROOM / sd) - way**2 / (2 * sd**2)
 
 
-def _ratio(x: float, noise: float, spread: float) -> float:
-    """Logarithm of the ratio of two densities: of one person and of two people.
-
-    One person: normal of variance ``noise``, or noisier. Two people: of ``noise + spread``.
-    """
-    usual = (1 - _NOISY) * _normal(x, noise)
-    one = usual + _NOISY * _normal(x, noise * _NOISE_OF_NOISY**2)
-    return math.log(max(one, 1e-300) / max(_normal(x, noise + spread), 1e-300))
+def _log_density(x: Floats, noise: Floats, more: Floats | float = 0.0) -> float:
+    """Logarithm of a normal density, but for a constant, whose noise is sometimes larger."""
+    usual = math.log(1 - _NOISY) + _log_normal(x, noise + more)
+    noisy = math.log(_NOISY) + _log_normal(x, noise * _NOISE_OF_NOISY**2 + more)
+    return float(np.logaddexp(usual, noisy))
 
 
-def _normal(x: float, variance: float) -> float:
-    """Return a normal density, but for a constant factor."""
-    return math.exp(-x * x / (2 * variance)) / math.sqrt(variance)
+def _log_normal(x: Floats, covariance: Floats) -> float:
+    """Logarithm of a normal density, but for a constant."""
+    return float(-0.5 * (np.linalg.slogdet(covariance)[1] + x @ np.linalg.solve(covariance, x)))
 
 
 def _marginals(
@@ -158,7 +179,8 @@ def _marginals(
     sums = dict.fromkeys(ratios, 0.0)
     for way in _ways(n_new, tuple(range(n_absent))):
         pairs = [(n, a) for n, a in enumerate(way) if a >= 0]
-        weight = math.exp(sum(ratios[pair] for pair in pairs))
+        orders = math.perm(n_absent, len(pairs))
+        weight = math.exp(sum(ratios[pair] for pair in pairs)) / orders
         total += weight
         for pair in pairs:
             sums[pair] += weight

@@ -52,14 +52,13 @@ from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.coverage import Coverage
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.displaced import DISPLACED, DisplacedCameras, LoneTracks, Others
-from hiros_mcap.stages.reidentify import PersonCues, Verdict, reidentify
+from hiros_mcap.stages.reidentify import OVERLAP, Limbs, PersonCues, Verdict, reidentify
 from hiros_mcap.stages.time_order import TimeOrder
 
 _INSISTENCE = 500_000_000  # ns for which a camera's leaps are left out
 _DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person
 _YOUNG = 2_400_000_000  # ns for which a track may be merged into an older one
 _DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
-_OVERLAP = 300_000_000  # ns for which two tracks of a person may run side by side
 _NOW = 200_000_000  # ns since the last detection of a person who is there
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
 
@@ -315,6 +314,8 @@ class _Track:
     """Numbers of the persons whom a message showed beside it, before it was certain."""
     leaps: dict[str, tuple[int, int]] = field(default_factory=dict)
     """Camera to the times, ns, of the first and last of its latest leaps."""
+    stranger: bool = False
+    """Whether it has a new id although somebody was absent: it may yet be one of them."""
     is_copy: bool = False
     """Whether it was left out as a displaced camera's view of somebody else."""
 
@@ -473,12 +474,13 @@ class _Tracker:
         same = np.arange(model.n_markers, dtype=np.int32)
         ends = model.links if params.reidentify > 0 else np.empty((0, 2), np.int32)
         self.slots = kernels.SlotOrders(same, symmetry.mirror, np.ascontiguousarray(ends))
+        self.limbs = Limbs.of(ends, symmetry.link_mirror[: len(ends)])
         self.heard: dict[str, int] = {}
         """Camera to the time of its latest message, ns, where it matters."""
         self.absent: list[PersonCues] = []
         self.patience = round(_PATIENCE * params.lookahead * 1e9)
-        self.most = 0
-        """Largest number of people who were there at once."""
+        self.crowd: set[int] = set()
+        """Numbers of the tracks of as many people as were there at once."""
         self.displaced = DisplacedCameras(symmetry.mirror, events)
         self.settings = kernels.TrackSettings._make(
             getattr(params, name) for name in kernels.TrackSettings._fields
@@ -683,6 +685,7 @@ class _Tracker:
         if track.confirmed and support.refuted(self.params):
             self.events.note(group.stamp, "track withdrawn", person=track.id)
             track.former_id, track.id = track.id, UNTRACKED
+            self.crowd.discard(track.number)
             scene.dismiss(track)
         elif (
             not track.confirmed
@@ -702,18 +705,19 @@ class _Tracker:
                 kind, remark = "person re-identified", f"; by {verdict}"
                 self._restore(track, verdict.person, scene)
             else:
-                remark = f"; not re-identified ({verdict})"
+                track.stranger, remark = True, f"; not re-identified ({verdict})"
         track.id = next(self.ids) if track.former_id == UNTRACKED else track.former_id
         scene.admit(track)
-        self.most = max(self.most, self._count(scene, group.stamp))
+        there = self._there(scene, group.stamp)
+        self.crowd = max(self.crowd, there, key=len)
         self.events.note(
             group.stamp, kind, person=track.id, source=group.source,
             detail=f"seen by {', '.join(sorted(track.support.reports))}{remark}",
         )  # fmt: skip
 
-    def _count(self, scene: _Scene, stamp: int) -> int:
-        """Count the persons who are there."""
-        return sum(self._is_there(person, stamp) for person in scene.persons)
+    def _there(self, scene: _Scene, stamp: int) -> set[int]:
+        """Return the numbers of the persons who are there."""
+        return {person.number for person in scene.persons if self._is_there(person, stamp)}
 
     def _is_duplicate(self, track: _Track, stamp: int, scene: _Scene) -> bool:
         """Whether a tentative track is a second view of a person, nobody new.
@@ -763,6 +767,7 @@ class _Tracker:
             is_near = distance < _DOUBTFUL * self.params.max_distance
             if is_older and is_near and self._hides(person, track, group.stamp):
                 self._remove(track, scene)
+                self.crowd.discard(track.number)
                 detail = f"was person {track.id}"
                 self.events.note(group.stamp, "tracks merged", person=person.id, detail=detail)
                 track.id = person.id  # also in messages that are held
@@ -797,7 +802,7 @@ class _Tracker:
         one that goes on; then no camera shows both.
         """
         disagree = self.params.merge_tracks and person.number not in track.beside
-        latest = track.support.first + (_OVERLAP if disagree else 0)
+        latest = track.support.first + (OVERLAP if disagree else 0)
         return person.seen < latest and not self._is_there(person, track.seen)
 
     def _somebody_absent(self, track: _Track) -> bool:
@@ -815,9 +820,14 @@ class _Tracker:
         return sorted([*left, *map(self._cues_of, unseen)], key=lambda old: old.stamp)
 
     def _reidentify(self, track: _Track, scene: _Scene) -> Verdict:
-        """Weigh whether a newcomer is one of the absent people, with all other newcomers."""
+        """Weigh whether a newcomer is one of the absent people, with all other newcomers.
+
+        Those who came before, with a new id, are newcomers still: whom they fit best by now is
+        less probably this one.
+        """
         others = [each for each in self._tentative() if each is not track]
         rivals = [each for each in others if each.support.confirms(each.seen, self.params)]
+        rivals += [person for person in scene.persons if person.stranger]
         newcomers = [
             replace(
                 self._cues_of(each),
@@ -827,8 +837,9 @@ class _Tracker:
             )
             for each in [track, *rivals]
         ]
-        missing = self.most - self._count(scene, track.seen)
-        return reidentify(newcomers, self._absent_before(track, scene), missing)[track.number]
+        missing = len(self.crowd) - len(self._there(scene, track.seen))
+        absent = self._absent_before(track, scene)
+        return reidentify(newcomers, absent, missing, self.limbs)[track.number]
 
     def _restore(self, track: _Track, person: int, scene: _Scene) -> None:
         """Give a newcomer the id of an absent person; what is known of the limbs is joined."""
@@ -905,6 +916,7 @@ class _Tracker:
         """Delete a copy, also in messages that are held."""
         if track.confirmed:
             self.events.note(group.stamp, "track withdrawn", person=track.id)
+        self.crowd.discard(track.number)
         self.tracks.remove(track)
         self.bank.forget(track.number)
         track.id, track.is_copy = UNTRACKED, True

@@ -14,7 +14,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Event, Events
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.merge import MergeParams, merge
-from hiros_mcap.stages.reidentify import PersonCues, limb_cue, place_cue, reidentify
+from hiros_mcap.stages.reidentify import Limbs, PersonCues, limb_cue, place_cue, reidentify
 from hiros_mcap.stages.track import TrackParams, track
 from hiros_mcap.stages.unseen import Unseen
 
@@ -198,6 +198,33 @@ def test_two_people_who_are_alike_get_new_ids_rather_than_each_others() -> None:
     assert ids(frames)[-1] == [2, 3]
 
 
+def test_who_comes_back_second_is_not_whom_the_first_resembles() -> None:
+    """The first is measured too tall at first, so nobody knows who it is. The second is in between,
+    but by then the limbs of the first are known."""
+    frames = standing([person(-1.0), person(1.0) * 1.04], 0, 2)
+    frames += standing([person() * 1.02], 5, 6) + standing([person()], 6, 14)
+    alone = ids([*frames, *standing([person(), person(1.0) * 1.02], 14, 16)])
+    assert alone[-1] == [2, 1]
+
+
+@pytest.mark.parametrize("chair", [True, False])
+def test_what_was_nobody_is_not_missing(chair: bool) -> None:
+    """A chair is a person until the second camera looks. It must not make a newcomer probable."""
+    two, third = [person(-1.0), person(1.0)], person(0.0, 1.5)
+    furniture = [person()] if chair else []
+    frames = standing([*two, *furniture], 0, 1, "a")
+    frames += [
+        seen([*two, *furniture] if name == "a" else two, at(k, c), name)
+        for k in range(30, 90)
+        for c, name in enumerate("ab")
+    ]
+    frames += standing([two[0]], 3, 5) + standing([two[0], third * TALL], 5, 8)
+    frames += standing([two[0], third * TALL, person(1.0) * 1.03], 8, 10)
+    found = events_of(frames)
+    assert ("track withdrawn" in kinds(found)) == chair
+    assert found[-1].kind == "track born"
+
+
 @pytest.mark.parametrize("absence", [29.0, 31.0])
 def test_nobody_is_remembered_for_longer_than_the_parameter_says(absence: float) -> None:
     expected = 0 if absence < TrackParams().reidentify else 1
@@ -221,43 +248,72 @@ def cues(
     return PersonCues(person_id, stamp, np.array([x, 0.0, 1.0]), lengths, np.full(5, n))
 
 
+# Five limbs that have no marker in common.
+APART = Limbs(np.eye(5), np.eye(5))
+# Thigh and shank of both legs, and the trunk apart from them.
+LEGS = Limbs.of(
+    np.array([[0, 1], [2, 3], [3, 4], [5, 6], [6, 7]], np.int32), np.array([0, 3, 4, 1, 2])
+)
+
+
 def test_each_cue_speaks_for_whom_it_fits() -> None:
     old = cues(0, 0.0, 0.0)
-    assert limb_cue(cues(9, 5.0, 0.0), old) > 0 > limb_cue(cues(9, 5.0, 0.0, TALL), old)
-    assert limb_cue(cues(9, 5.0, 0.0, n=0.0), old) == 0.0
+    same, other = cues(9, 5.0, 0.0), cues(9, 5.0, 0.0, TALL)
+    assert limb_cue(same, old, APART) > 0 > limb_cue(other, old, APART)
+    assert limb_cue(cues(9, 5.0, 0.0, n=0.0), old, APART) == 0.0
     assert place_cue(cues(9, 2.0, 0.0), old) > 0 > place_cue(cues(9, 2.0, 6.0), old)
     assert place_cue(cues(9, 0.1, 2.0), old) == -math.inf
+    assert place_cue(cues(9, -0.4, 0.0), old) == -math.inf
+    assert place_cue(cues(9, -0.2, 0.0), old) > 0
+
+
+def test_a_knee_that_is_misplaced_along_the_leg_is_no_other_leg() -> None:
+    """What the thigh gains the shank loses; two longer limbs are somebody else's."""
+    old, new, taller = (cues(k, 0.0, 0.0) for k in range(3))
+    new.lengths[:] += [0.0, 0.025, -0.025, 0.025, -0.025]
+    taller.lengths[:] += [0.0, 0.025, 0.025, 0.025, 0.025]
+    assert limb_cue(new, old, LEGS) > 0 > limb_cue(taller, old, LEGS)
+
+
+def test_the_limbs_of_a_model_have_markers_in_common() -> None:
+    assert LEGS.noise[1, 2] < 0 == LEGS.noise[1, 3]
+    assert LEGS.noise[1, 2] == LEGS.noise[2, 1]
+    assert LEGS.alike[1, 3] == LEGS.alike[0, 0] == 1 > LEGS.alike[1, 2]
+    beside = Limbs.of(np.array([[0, 1], [0, 2], [-1, -1], [-1, -1]], np.int32), np.arange(4))
+    assert beside.noise[0, 1] > 0 == beside.noise[2, 3]
 
 
 def test_nobody_runs_faster_than_people_do() -> None:
-    verdict = reidentify([cues(9, 0.1, 2.0)], [cues(0, 0.0, 0.0)], missing=1)[9]
+    verdict = reidentify([cues(9, 0.1, 2.0)], [cues(0, 0.0, 0.0)], missing=1, limbs=APART)[9]
     assert verdict.probability == 0.0
     assert not verdict.accepted
 
 
 def test_two_people_of_almost_one_size_are_told_apart_by_each_other() -> None:
-    old = [cues(0, 0.0, 0.0), cues(1, 0.1, 0.0, 1.03)]
-    verdicts = reidentify([cues(9, 5.0, 0.0, 1.03), cues(8, 5.1, 0.0)], old, missing=2)
+    old = [cues(0, 0.0, 0.0), cues(1, 0.1, 0.0, 1.04)]
+    verdicts = reidentify([cues(9, 5.0, 0.0, 1.04), cues(8, 5.1, 0.0)], old, missing=2, limbs=LEGS)
     assert {new: verdict.person for new, verdict in verdicts.items()} == {9: 1, 8: 0}
     assert all(verdict.accepted for verdict in verdicts.values())
 
 
 def test_a_noisy_measurement_of_the_size_does_not_rule_somebody_out() -> None:
-    assert reidentify([cues(9, 5.0, 0.0, 1.05)], [cues(0, 0.0, 0.0)], missing=1)[9].accepted
+    assert reidentify([cues(9, 5.0, 0.0, 1.05)], [cues(0, 0.0, 0.0)], missing=1, limbs=APART)[
+        9
+    ].accepted
 
 
 def test_an_old_id_is_given_once_at_most() -> None:
     """Both newcomers fit the one who is absent: together they can't be him."""
-    verdicts = reidentify([cues(8, 5.0, 0.0), cues(9, 5.0, 0.1)], [cues(0, 0.0, 0.0)], 1)
+    verdicts = reidentify([cues(8, 5.0, 0.0), cues(9, 5.0, 0.1)], [cues(0, 0.0, 0.0)], 1, APART)
     assert sum(verdict.probability for verdict in verdicts.values()) <= 1.0
     assert not any(verdict.accepted for verdict in verdicts.values())
 
 
 def test_the_number_of_people_tips_the_balance() -> None:
     newcomer, old = [cues(9, 10.0, 2.0, n=0.0)], [cues(0, 0.0, 0.0, n=0.0)]
-    missing, complete = (reidentify(newcomer, old, n)[9].probability for n in (1, 0))
+    missing, complete = (reidentify(newcomer, old, n, APART)[9].probability for n in (1, 0))
     assert missing > 0.8 > 0.6 > complete
-    assert reidentify(newcomer, old, 1)[9].cue == "number of people"
+    assert reidentify(newcomer, old, 1, APART)[9].cue == "number of people"
 
 
 def test_whom_one_camera_carries_off_for_a_moment_keeps_the_id() -> None:
