@@ -70,7 +70,7 @@ def test_a_camera_as_the_reference_is_not_in_what_is_compared_with_it(
     for topic, result in expected.items():
         assert channels[topic]["mean"] == pytest.approx(result.scores.mean)
         assert channels[topic]["deviation"] == pytest.approx(result.scores.deviation)
-    outcome = run_task(Task(walking, Entry("hiros"), truth=reference))
+    outcome = run_task(Task(walking, Entry("fuse"), truth=reference))
     assert outcome.cameras == ("camera_0", "camera_1")
     assert outcome.error == pytest.approx(expected["/hiros/filtered"].scores.mean)
     process(walking, tmp_path / "one.mcap", options=ProcessOptions(stages="T", keep=capture[:1]))

@@ -73,7 +73,7 @@ def test_the_summary_for_a_person_names_cameras_people_and_channels(
 ) -> None:
     assert run(["process", str(crossing), "-o", str(tmp_path / "out.mcap")]) == 0
     captured = capsys.readouterr()
-    assert all(word in captured.out for word in (*CHANNELS, "/camera_0/skeletons", "Person"))
+    assert all(word in captured.out for word in (*CHANNELS[:4], "/camera_0/skeletons", "Person"))
     assert "times real time" in captured.out
     assert "\x1b" not in captured.out
 

@@ -68,5 +68,5 @@ def test_a_result_of_fuse_says_how_well_it_is_known(tmp_path: Path) -> None:
 def test_a_result_of_hiros_says_nothing(tmp_path: Path) -> None:
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     write_log(log, SimulateParams(people=1, cameras=2, seconds=1, seed=5))
-    process(log, out)
+    process(log, out, options=ProcessOptions(system="hiros"))
     assert read_uncertainty(out) == {}
