@@ -30,6 +30,9 @@ from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
 
 GATES_M = (0.35, 0.3, 0.25, 0.25)
 """Who is who is decided anew in each round, within a smaller distance."""
+WIDEST_M = 0.75
+"""Within this distance people are looked for if the first gate finds nobody. Later gates are as
+narrow as ever, so strangers drop out."""
 STEPS = 2
 """Gauss-Newton steps in each round."""
 CAUCHY = 1.5
@@ -108,12 +111,23 @@ def refine(
     The rig, and the points on which it was found.
     """
     if points is None:
-        points = common_points(views, rig, instants, mirror, gates[0])
+        points = _first_points(views, rig, instants, mirror, gates[0])
     for k, gate in enumerate(gates):
         if k:
             points = common_points(views, rig, instants, mirror, gate)
         rig = solve(points, rig, free, rig, STEPS)
     return rig, common_points(views, rig, instants, mirror, gates[-1])
+
+
+def _first_points(
+    views: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints, gate: float
+) -> Points:
+    """Find the joints that two cameras see, also if the start puts people far off."""
+    points = common_points(views, rig, instants, mirror, gate)
+    while not len(points.seconds) and gate < WIDEST_M:
+        gate *= 1.5
+        points = common_points(views, rig, instants, mirror, gate)
+    return points
 
 
 def solve(points: Points, rig: Rig, free: Flags, sampled: Rig, steps: int) -> Rig:

@@ -119,6 +119,7 @@ def constrain_blocks(
                     yield bodies.corrected(waiting.popleft(), block.log_times[i])
     if held:
         waiting.append(bodies.measured(held))
+    bodies.end_of_log()
     for window in waiting:
         yield bodies.corrected(window, waiting[-1].log_times[-1])
 
@@ -194,8 +195,18 @@ class _Bodies:
         body.lengths = self._limbs.given_or(person, np.where(np.isnan(found), body.lengths, found))
         self._limbs.keep(person, body.lengths, *_deviations(poses, self._pairs))
         if body.known:
+            self._note(person)
             body.poses, body.variances = [], []
-            self._events.note(body.last, "limbs calibrated", person=person)
+
+    def end_of_log(self) -> None:
+        """Note the lengths of those who were not seen for long enough."""
+        for person in [p for p, body in self._people.items() if not body.known]:
+            self._note(person)
+
+    def _note(self, person: int) -> None:
+        body = self._people[person]
+        detail = f"{sum(map(len, body.poses))} frames"
+        self._events.note(body.last, "limbs calibrated", person=person, detail=detail)
 
     def _correct(self, person: int, out: Block, rows: Stamps, variances: Floats) -> None:
         """Project onto the lengths; move towards what the person does; project again."""

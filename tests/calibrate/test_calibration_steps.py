@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, POSE, person
@@ -90,6 +90,7 @@ def test_the_lag_of_two_clocks_needs_no_pose() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 1000))
+@example(158)  # the start puts people 0.43 m off
 def test_exact_cameras_are_found_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     turn, shift = Rotation.random(random_state=seed), rng.normal(0, 2, 3)

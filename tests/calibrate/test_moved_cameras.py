@@ -87,7 +87,7 @@ def test_each_part_of_the_log_gets_its_own_pose(
     never, off = tmp_path / "never.mcap", tmp_path / "off.mcap"
     process(logged(tmp_path / "lab.mcap", scene, healthy), never)
     process(log, off, options=ProcessOptions(calibrate="off"))
-    assert distance(done[1], never) < 0.003 < 0.008 < distance(off, never)
+    assert distance(done[1], never) < 0.003 < 0.005 < distance(off, never)
 
 
 def test_the_summary_names_camera_and_time(done: tuple[Summary, Path]) -> None:

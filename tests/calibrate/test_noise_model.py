@@ -71,7 +71,7 @@ def test_fuse_reads_what_is_written(measured: Path, walking: Path) -> None:
         noise = set_up(log, config, ProcessOptions("fuse")).noise
         pelvis, head = (log.model.marker_names.index(name) for name in ("PELVIS", "HEAD"))
         usual = FusionNoise.default(log.model)
-        assert set_up(log, config, ProcessOptions()).noise is None
+        assert set_up(log, config, ProcessOptions("hiros")).noise is None
     assert np.sqrt(noise.joints[pelvis]) == pytest.approx(0.004, rel=0.15)
     assert np.sqrt(noise.joints[head] / noise.joints[pelvis]) == pytest.approx(2.0, rel=0.1)
     assert noise.power == pytest.approx(1.5, abs=0.15)

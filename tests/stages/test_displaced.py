@@ -182,7 +182,7 @@ def test_causal_systems_leave_a_moved_camera_out_before_its_people_are_confirmed
 
 
 def test_published_trackers_do_not_look_for_copies() -> None:
-    params = load_config(preset="paper").track
+    params = load_config(preset="paper", system="hiros").track
     ids, events = tracked(filmed({"a": one, "b": one, "c": moved_at(0)}), params)
     assert ids["c"][-1] == [1]
     assert displacements(events) == []
