@@ -41,7 +41,7 @@ def stream(poses: Sequence[Sequence[Floats]], **changes: object) -> list[Frame]:
 
 
 @pytest.mark.parametrize(
-    "preset", [PLAIN, load_config(preset="paper").merge], ids=["plain", "paper"]
+    "preset", [PLAIN, load_config(preset="paper", system="hiros").merge], ids=["plain", "paper"]
 )
 def test_eq12_weighs_by_confidence(preset: MergeParams) -> None:
     frames = views([person(x) for x in (0.0, 10.0, 20.0, 30.0)])

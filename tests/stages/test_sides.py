@@ -429,7 +429,9 @@ def test_cues_are_found_by_their_names() -> None:
 
 def merged(preset: str, frames: Sequence[Frame]) -> list[Floats]:
     """Merge tracked frames as hiros does with a preset."""
-    stages = system("hiros").stages(Run(MODEL, load_config(preset=preset), fixed_frame="world"))
+    stages = system("hiros").stages(
+        Run(MODEL, load_config(preset=preset, system="hiros"), fixed_frame="world")
+    )
     return [f.positions[0] for f in frames_of(stages["merged"](map(Block.of, frames)))]
 
 
