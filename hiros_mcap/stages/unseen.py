@@ -83,7 +83,7 @@ class Unseen:
 
     def _is_carried(self, person: int, stamp: int, last: int, shown: set[int]) -> bool:
         """Whether a person who was seen at ``last``, ns, is hidden, and not for long."""
-        hidden, _ = self._hidden.get(person, (last, ""))
+        hidden, _ = self._hidden.get(person, (-1, ""))
         if hidden == stamp:
             return True
         return stamp - max(last, hidden) < self._carry and self._is_hidden(person, shown)
