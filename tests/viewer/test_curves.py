@@ -104,7 +104,7 @@ def test_a_page_says_of_what_it_is_and_how_good(processed: Path, tmp_path: Path)
     text = page.read_text(encoding="utf-8")
     for fact in (
         f"<h1>{processed}: /hiros/filtered</h1>",
-        "recorded 2023-11-14 22:13 UTC; hiros 0.1.0, system hiros",
+        "recorded 2023-11-14 22:13 UTC; hiros 0.1.0, system fuse",
         "mean joint error ",
         "no warnings</p>",
     ):
