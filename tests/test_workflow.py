@@ -100,9 +100,9 @@ def test_the_documented_workflow_runs_as_written(checkout: Path) -> None:
 
 
 def test_a_changed_parameter_fails_the_job_and_is_named_first(checkout: Path) -> None:
-    (checkout / "suite.toml").write_text(SUITE + 'set = ["merge.max_position_delta=0.02"]\n')
+    (checkout / "suite.toml").write_text(SUITE + 'set = ["fuse.acceleration=300"]\n')
     code, summary = run_steps(checkout)
     assert code == 1
     rows = summary[summary.index("| where | what | was | is |") :].splitlines()
-    assert rows[2] == "| configuration | merge.max_position_delta | 0.2 | 0.02 |"
+    assert rows[2] == "| configuration | fuse.acceleration | 3.0 | 300.0 |"
     assert rows[3].startswith("| /hiros/filtered | ")

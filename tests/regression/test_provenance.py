@@ -22,7 +22,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "out.mcap"
-    process(SAMPLE, out, options=ProcessOptions(keep=()))
+    process(SAMPLE, out, options=ProcessOptions(system="hiros", keep=()))
     return out
 
 
@@ -34,8 +34,9 @@ def test_a_golden_file_keeps_how_it_was_made(output: Path, tmp_path: Path, suffi
     golden = tmp_path / f"golden{suffix}"
     check_output(output, Golden(golden), bless=True)
     other = tmp_path / "other.mcap"
-    config = load_config(overrides=["merge.max_position_delta=0.4", "filter.cutoff=9"])
-    process(SAMPLE, other, config=config, options=ProcessOptions(keep=()))
+    changed = ["merge.max_position_delta=0.4", "filter.cutoff=9"]
+    config = load_config(overrides=changed, system="hiros")
+    process(SAMPLE, other, config=config, options=ProcessOptions(system="hiros", keep=()))
     result = check_output(other, Golden(golden))
     assert [str(d) for d in result.differences[:2]] == [
         "configuration: merge.max_position_delta: was 0.2, is 0.4",
