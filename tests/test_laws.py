@@ -141,7 +141,7 @@ def _is_renamed(one: Frame, other: Frame, new: dict[int, int]) -> bool:
     # What labels are worth is learned from all people, in the order of a message, view by view.
     places = one.positions[rows[0]], other.positions[rows[1]]
     return sorted(ids) == sorted(other.ids.tolist()) and np.allclose(
-        *places, rtol=0, atol=1e-6, equal_nan=True
+        *places, rtol=0, atol=2e-5, equal_nan=True
     )
 
 

@@ -22,7 +22,7 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "out.mcap"
-    process(SAMPLE, out, options=ProcessOptions(system="hiros", keep=()))
+    process(SAMPLE, out, options=ProcessOptions(keep=()))
     return out
 
 
@@ -34,13 +34,12 @@ def test_a_golden_file_keeps_how_it_was_made(output: Path, tmp_path: Path, suffi
     golden = tmp_path / f"golden{suffix}"
     check_output(output, Golden(golden), bless=True)
     other = tmp_path / "other.mcap"
-    changed = ["merge.max_position_delta=0.4", "filter.cutoff=9"]
-    config = load_config(overrides=changed, system="hiros")
-    process(SAMPLE, other, config=config, options=ProcessOptions(system="hiros", keep=()))
+    config = load_config(overrides=["filter.cutoff=9", "fuse.acceleration=300"])
+    process(SAMPLE, other, config=config, options=ProcessOptions(keep=()))
     result = check_output(other, Golden(golden))
     assert [str(d) for d in result.differences[:2]] == [
-        "configuration: merge.max_position_delta: was 0.2, is 0.4",
         "configuration: filter.cutoff: was 4.5, is 9.0",
+        "configuration: fuse.acceleration: was 3.0, is 300.0",
     ]
     assert all(d.where != "configuration" for d in result.differences[2:])
     assert len(result.differences) > 2
@@ -51,7 +50,7 @@ def test_a_golden_log_carries_version_configuration_and_input(output: Path, tmp_
     kept = Provenance.of_log(tmp_path / "golden.mcap")
     assert kept == Provenance.of_log(output)
     assert kept.run["input_sha256"] == hashlib.sha256(SAMPLE.read_bytes()).hexdigest()
-    assert kept.run["system"] == "hiros"
+    assert kept.run["system"] == "fuse"
     assert kept.parameters["track.max_gap"] == "1.5"
     with McapReader(tmp_path / "golden.mcap") as reader:
         assert reader.attachment("hiros/config.toml")
