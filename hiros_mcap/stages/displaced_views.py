@@ -23,7 +23,7 @@ from hiros_mcap.stages.displaced import CAMERA_DISPLACED
 
 LIMIT = 0.035
 """m. Healthy cameras of simulated and real rigs with three cameras or more stay below."""
-CLEARLY = 1.5
+CLEARLY = 1.9
 """Offset over the median of the cameras. One of three that is off by d moves the mean by d / 3, so
 it has twice the offset of the others; with more cameras the ratio is larger."""
 SHARE = 100.0
