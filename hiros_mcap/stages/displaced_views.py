@@ -21,8 +21,9 @@ from hiros_mcap.skeletons import Flags, Floats, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.displaced import CAMERA_DISPLACED
 
-LIMIT = 0.035
-"""m. Healthy cameras of simulated and real rigs with three cameras or more stay below."""
+LIMIT, LIMIT_AHEAD = 0.035, 0.06
+"""m; of a smoother, and of a filter, whose poses and means are less sure. Healthy cameras of
+simulated rigs with three cameras or more mostly stay below."""
 CLEARLY = 1.9
 """Offset over the median of the cameras. One of three that is off by d moves the mean by d / 3, so
 it has twice the offset of the others; with more cameras the ratio is larger."""
@@ -95,7 +96,7 @@ class DisplacedViews:
     def expected(self, views: Sightings) -> Floats:
         """(N,) The same of views that come now, by the views before them."""
         rows = np.array([self._bank.rows.get(p, -1) for p in views.people.tolist()], np.int64)
-        variances = displaced(*self._bank.past)
+        variances = displaced(*self._bank.past, LIMIT_AHEAD)
         if not len(variances):
             return np.zeros(len(rows))
         return np.where(rows >= 0, variances[rows, views.cameras], 0.0)
@@ -175,10 +176,10 @@ def excess_of(views: Sightings, offsets: Floats, n_cameras: int) -> Floats:
     return np.asarray(excess[groups, views.cameras])
 
 
-def displaced(sums: Floats, weights: Floats) -> Floats:
+def displaced(sums: Floats, weights: Floats, limit: float = LIMIT) -> Floats:
     """(G, C) Variance, m2, to be added to the views of each camera in each group; mostly 0.
 
-    ``sums`` (G, C, 3) of offsets, m, and ``weights`` (G, C) of views, 0 = none.
+    ``sums`` (G, C, 3) of offsets, m, ``weights`` (G, C) of views, 0 = none, ``limit`` in m.
     """
     seen = weights > 0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -188,6 +189,6 @@ def displaced(sums: Floats, weights: Floats) -> Floats:
     if not order.size:
         return np.zeros(weights.shape)
     middle = np.take_along_axis(order, np.maximum(count - 1, 0)[:, None] // 2, axis=1)
-    clearly = squares > np.maximum(LIMIT**2, CLEARLY**2 * middle)
+    clearly = squares > np.maximum(limit**2, CLEARLY**2 * middle)
     lost = seen & clearly & (count >= MAJORITY)[:, None]
     return np.where(lost, SHARE * squares, 0.0)

@@ -37,7 +37,7 @@ from hiros_mcap.stages.pose_prior import PoseSpace, estimated, local_frames, mot
 
 _RATE = 15.0  # Hz; a prior needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first prior, and between two
-_LARGEST_STEP = 0.3  # by the prior, in standard deviations
+_LARGEST_STEP = 0.5  # by the prior, in standard deviations
 _POSES = 45  # of 3 s
 _LEFT = 1.0  # s unseen after which the motion is learned anew
 
