@@ -18,7 +18,8 @@ import numpy as np
 
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.filter import FilterParams, filter_frames
+from hiros_mcap.stages.filter import filter_frames
+from hiros_mcap.stages.filter_params import FilterParams
 
 ACTIONS = ("walk", "jog", "throw", "free_dynamic")
 SECONDS, PEOPLE = 8.0, 4

@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterable, Sequence
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.cluster import ClusterParams, cluster
+from hiros_mcap.stages.cluster import cluster
+from hiros_mcap.stages.cluster_params import ClusterParams
 from hiros_mcap.stages.predict import predict
 from hiros_mcap.stages.track import track
 

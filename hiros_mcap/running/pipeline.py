@@ -39,7 +39,6 @@ from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import kept_channels, open_output, unmatched_globs
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.summary import Summary
 from hiros_mcap.systems import LETTERS, Run, Stages, chain_of, sections_of, system
 
@@ -283,6 +282,8 @@ def _calibrate_first(log: Log, run: Run, chain: Sequence[str], clocks: ClockAlig
     wanted = "optimize" in sections_of(run.system) and "optimized" in chain
     if not wanted or run.config.optimize.calibration != "two-pass" or run.limbs.people:
         return
+    from hiros_mcap.stages.limb_calibration import calibrate_limbs
+
     first_pass = replace(run, events=Events(), limbs=LimbTable())
     blocks = clocks.correct(log.blocks())
     for stage in _stages(first_pass, chain[: chain.index("optimized")]).values():

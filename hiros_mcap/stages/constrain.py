@@ -16,13 +16,11 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
     POSITION,
     UNTRACKED,
@@ -32,6 +30,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
+from hiros_mcap.stages.constrain_params import ConstrainParams
 from hiros_mcap.stages.residuals import restated
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
@@ -39,31 +38,6 @@ SURE = 0.005  # m; added to the deviations that weight a length
 OUTLIER = 4.0  # robust standard deviations
 FEWEST = 30  # poses that give a length
 _FORGET = 600.0  # s; somebody who returns has the same body
-
-
-class ConstrainParams(Params):
-    """Parameters of the constraints."""
-
-    window: float = Field(
-        10.0,
-        ge=0,
-        description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
-        "fuse-realtime.",
-    )
-    enough: float = advanced(
-        60.0,
-        ge=0,
-        description="Seconds after which the lengths of a person stay as they are. Detectors see "
-        "other lengths in other poses, so a few seconds in one pose do not give them. Results wait "
-        "for it. In fuse-realtime, which does not wait, 5.",
-    )
-    rigid: bool = advanced(
-        True, description="Keep the distances within head, thorax and pelvis, too."
-    )
-    prior: bool = advanced(
-        True, description="Use the motion of the person in the window as a prior of each pose."
-    )
-    sweeps: int = advanced(20, ge=1, description="Most sweeps of the projection onto the lengths.")
 
 
 def constrain(

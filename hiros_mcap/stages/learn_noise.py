@@ -21,7 +21,7 @@ from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import FusionWork, JointStates, Sightings, Steps
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 from hiros_mcap.stages.fusion_noise import FusionNoise, distances
-from hiros_mcap.stages.merge import MergeParams
+from hiros_mcap.stages.merge_params import MergeParams
 from hiros_mcap.stages.sightings import SightingGatherer, chosen, joined
 
 _STRETCH = 10_000_000_000  # ns

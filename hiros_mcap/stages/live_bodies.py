@@ -26,12 +26,12 @@ from hiros_mcap.stages.constrain import (
     FEWEST,
     OUTLIER,
     SURE,
-    ConstrainParams,
     PairLimbs,
     own_variances,
     remembered,
     surer,
 )
+from hiros_mcap.stages.constrain_params import ConstrainParams
 from hiros_mcap.stages.pose_prior import FEWEST as FEWEST_POSES
 from hiros_mcap.stages.pose_prior import PoseSpace, estimated, local_frames, motion_of
 

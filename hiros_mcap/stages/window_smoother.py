@@ -28,7 +28,7 @@ from hiros_mcap.stages.pose_error import PoseError
 from hiros_mcap.stages.sightings import chosen, joined
 
 if TYPE_CHECKING:
-    from hiros_mcap.stages.fuse import FuseParams
+    from hiros_mcap.stages.fuse_params import FuseParams
 
 _FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
