@@ -21,13 +21,12 @@ from pydantic import Field
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
     POSITION,
     UNTRACKED,
     Floats,
-    Frame,
     Ints,
     SkeletonModel,
     Stamps,
@@ -64,17 +63,6 @@ class ConstrainParams(Params):
         True, description="Use the motion of the person in the window as a prior of each pose."
     )
     sweeps: int = advanced(20, ge=1, description="Most sweeps of the projection onto the lengths.")
-
-
-def constrain(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: ConstrainParams | None = None,
-    events: Events | None = None,
-    limbs: LimbTable | None = None,
-) -> Iterator[Frame]:
-    """Do what :func:`constrain_blocks` does, frame by frame."""
-    return frames_of(constrain_blocks(map(Block.of, frames), model, params, events, limbs))
 
 
 def constrain_blocks(

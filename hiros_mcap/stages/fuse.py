@@ -15,15 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.merge import MergeParams
 
 if TYPE_CHECKING:
@@ -107,17 +107,6 @@ class FuseParams(Params):
     )
 
 
-def fuse(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: FuseParams | None = None,
-    events: Events | None = None,
-    **more: Any,
-) -> Iterator[Frame]:
-    """Do what :func:`fuse_blocks` does, frame by frame."""
-    return frames_of(fuse_blocks(map(Block.of, frames), model, params, events, **more))
-
-
 def fuse_blocks(
     blocks: Iterable[Block],
     model: SkeletonModel,
@@ -135,7 +124,7 @@ def fuse_blocks(
     ----------
     blocks : tracked frames in the fixed frame, roughly in time order.
     model, params : the skeleton; see :class:`FuseParams`.
-    events : counts as :func:`hiros_mcap.stages.merge.merge` does.
+    events : counts as :func:`hiros_mcap.stages.merge.merge_blocks` does.
     merging : how instants are made and sides corrected.
     cameras : source -> (3,) position, m, as far as known.
     noise : of cameras and joints; None = the defaults.

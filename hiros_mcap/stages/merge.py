@@ -26,11 +26,11 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels import merging
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
 from hiros_mcap.stages.unseen import Unseen
@@ -140,19 +140,19 @@ class MergeParams(Params):
     )
 
 
-def merge(
-    frames: Iterable[Frame],
+def merge_blocks(
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: MergeParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
     cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Merge the tracked skeletons of all cameras (section 3.2).
 
     Parameters
     ----------
-    frames : tracked frames in the fixed frame, roughly in time order. Untracked people are left
+    blocks : tracked frames in the fixed frame, roughly in time order. Untracked people are left
         out.
     model : names and hierarchy of the skeleton.
     params : see :class:`MergeParams`.
@@ -167,19 +167,6 @@ def merge(
     One frame per buffer, at the mean time of its messages, people sorted by id. Times never
     decrease: a frame older than the last merged one is counted and left out.
     """
-    blocks = map(Block.of, frames)
-    return frames_of(merge_blocks(blocks, model, params, events, fixed_frame, cameras))
-
-
-def merge_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: MergeParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Block]:
-    """Do what :func:`merge` does, a block at a time."""
     params = params or MergeParams()
     kernel = ViewMerger(model, params)
     merger = InstantMerger(

@@ -15,13 +15,16 @@ from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.constrain import ConstrainParams, constrain, measured_lengths
-from hiros_mcap.stages.fuse import FuseParams, fuse
+from hiros_mcap.stages.constrain import ConstrainParams, constrain_blocks, measured_lengths
+from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.learn_noise import learn_noise
 from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.pose_prior import shrink_noise
 from hiros_mcap.systems import Run, system
+
+fuse = by_frame(fuse_blocks)
+constrain = by_frame(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
