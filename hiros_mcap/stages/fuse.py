@@ -83,18 +83,6 @@ class FuseParams(Params):
         description="Degrees of freedom of the noise (Student's t). With fewer, outliers count "
         "less. 4 to 20 differ by 0 to 4 %.",
     )
-    max_deviation: float = advanced(
-        0.3,
-        gt=0,
-        description="A marker whose standard deviation is larger, m, is left out: it was not seen "
-        "for about a second.",
-    )
-    half_confidence: float = advanced(
-        0.02,
-        gt=0,
-        description="Standard deviation s, m, of a marker with confidence 0.5. The confidence is "
-        "1 / (1 + (s / half_confidence)^2).",
-    )
     pose_angle: float = advanced(
         0.3,
         ge=0,
@@ -134,9 +122,10 @@ def fuse_blocks(
     One frame per instant, with positions, m, velocities, m/s, and their uncertainty. Each is logged
     when its window was complete.
     """
+    from hiros_mcap.stages.pose_error import PoseError
     from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
-    from hiros_mcap.stages.window_smoother import WindowSmoother
+    from hiros_mcap.stages.window_smoother import WindowSmoother, WindowTimes
 
     events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
@@ -147,7 +136,10 @@ def fuse_blocks(
 
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
-    smoother = WindowSmoother(model, params, noise, cameras or {})
+    waiting = WindowTimes(params.window, params.lookahead, params.max_lag)
+    angle = math.radians(params.pose_angle)
+    pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
+    smoother = WindowSmoother(model, waiting, noise, params.freedom, pose_error, cameras or {})
     causal = params.window == 0
     residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
     for block, sightings, names in views.run(blocks, events, fixed_frame):

@@ -83,13 +83,6 @@ class MergeParams(Params):
         description="Link that gives the orientation of the pelvis. Empty: the first link of the "
         "root marker.",
     )
-    max_flip_time: float = advanced(
-        4.0,
-        ge=0,
-        description="If all views suddenly face the other way, the previous direction wins for this"
-        " long, s. Flips of detectors last up to 3 s. The previous direction loses earlier if it "
-        "was confirmed for less than a third of this time.",
-    )
     past_votes: bool = advanced(
         True,
         description="The previous merged pose votes like a camera and breaks ties (published code; "
@@ -178,9 +171,15 @@ def merge_blocks(
 
 
 class ViewMerger:
-    """The compiled merger, with its settings, scratch and what it remembers of people."""
+    """The compiled merger, with its settings, scratch and what it remembers of people.
 
-    def __init__(self, model: SkeletonModel, params: MergeParams) -> None:
+    ``only_orientations``: positions come from elsewhere, as in the fuser. Markers are merged only
+    where they have orientations.
+    """
+
+    def __init__(
+        self, model: SkeletonModel, params: MergeParams, *, only_orientations: bool = False
+    ) -> None:
         symmetry = symmetry_of(model)
         self._slots = model.n_markers, model.n_links
         self._sides = merging.Sides(symmetry.mirror, symmetry.lateral)
@@ -188,7 +187,6 @@ class ViewMerger:
             max_position_delta=params.max_position_delta,
             max_orientation_delta=params.max_orientation_delta,
             max_facing_delta=params.max_facing_delta,
-            max_flip_time=params.max_flip_time,
             confidence_power=params.confidence_power,
             robust_scale=params.robust_scale,
             offset_time=params.offset_time,
@@ -200,6 +198,7 @@ class ViewMerger:
             past_votes=params.past_votes,
             drop_ties=params.ties == "drop",
             compensate_motion=params.compensate_motion,
+            only_orientations=only_orientations,
         )
         self.bank = Bank(merging.MergerPast.empty(*self._slots))
         self.sides_changed = np.zeros(0, np.int64)
