@@ -17,9 +17,6 @@ from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, 
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.constrain import ConstrainParams, constrain_blocks
 from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
-from hiros_mcap.stages.fusion_noise import FusionNoise
-from hiros_mcap.stages.learn_noise import learn_noise
-from hiros_mcap.stages.merge import MergeParams
 from hiros_mcap.stages.pair_lengths import measured_lengths
 from hiros_mcap.stages.pose_prior import shrink_noise
 from hiros_mcap.systems import Run, system
