@@ -109,7 +109,6 @@ def process(
         config, clocks, poses = _align(log, config, options.system, mode, watch)
         run = replace(set_up(log, config, options), to_given=poses.to_given)
         _calibrate_first(log, run, chain, clocks)
-        run = _with_noise(log, run, chain, clocks, watch)
         observer = Observer(chain)
         report = Report(log, run, observer, watch, clocks, poses, unmatched_globs(log, options))
         with open_output(path, log, run, chain, options, moved=poses.replaced) as output:
@@ -289,22 +288,6 @@ def _calibrate_first(log: Log, run: Run, chain: Sequence[str], clocks: ClockAlig
         blocks = stage(blocks)
     table = calibrate_limbs(frames_of(blocks), run.model, run.config.optimize, run.events)
     run.limbs.people.update(table.people)
-
-
-def _with_noise(
-    log: Log, run: Run, chain: Sequence[str], clocks: ClockAlignment, watch: Stopwatch
-) -> Run:
-    """Learn the noise of cameras and joints in a first pass, if a stage wants to know it."""
-    wanted = "fuse" in sections_of(run.system) and "merged" in chain and run.config.fuse.learn
-    if not wanted or run.noise is not None:
-        return run
-    from hiros_mcap.stages.learn_noise import learn_noise
-
-    track = _stages(replace(run, events=Events()), chain)["tracked"]
-    with watch.timing("learn"):
-        blocks = track(clocks.correct(log.blocks()))
-        noise = learn_noise(blocks, run.model, run.config.merge, run.cameras)
-    return replace(run, noise=noise)
 
 
 def stream(

@@ -52,11 +52,6 @@ class FuseParams(Params):
         "result that would be later if it waited for the cameras' next messages has less "
         "look-ahead.",
     )
-    learn: bool = advanced(
-        False,
-        description="Learn the noise of cameras and joints, and how joints move, from the log in a "
-        "first pass. The fixed values below gave smaller errors on simulated and real logs.",
-    )
     follow_noise: bool = advanced(
         False,
         description="Learn on the way which cameras are noisier than others.",
@@ -176,13 +171,13 @@ def fuse_blocks(
 def noise_of(
     model: SkeletonModel,
     params: FuseParams,
-    learned: FusionNoise | None = None,
+    measured: FusionNoise | None = None,
     to_given: Mapping[str, Rigid] | None = None,
 ) -> FusionNoise:
-    """Return what is assumed of cameras and joints, or ``learned``, and how poses were refined."""
+    """Return what is assumed of cameras and joints, or ``measured``, and how poses were refined."""
     from hiros_mcap.stages.fusion_noise import FusionNoise
 
-    noise = learned or FusionNoise.default(
+    noise = measured or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
     return replace(noise, to_given=to_given or {})

@@ -12,10 +12,21 @@ from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import Block, by_frame, frames_of
 from hiros_mcap.kernels import fusing
-from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
-from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.kernels.fusing import (
+    POSE,
+    FusedPoses,
+    FusionWork,
+    JointNoise,
+    JointStates,
+    Sightings,
+    Steps,
+)
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.constrain import ConstrainParams, measured_lengths
+from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.live_bodies import RecentMotion, RunningLengths, constrain_live
+from hiros_mcap.stages.running_noise import RunningNoise
+from hiros_mcap.stages.sightings import chosen
 from hiros_mcap.systems import Run, system
 
 MS = 1_000_000
@@ -169,3 +180,23 @@ def test_lengths_stay_once_they_are_known() -> None:
     poses = np.array([f.positions[f.ids == 0][0] for f in out[60:] if 0 in f.ids])
     lengths = np.linalg.norm(poses[:, links[:, 0]] - poses[:, links[:, 1]], axis=2)
     assert (np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0) < 0.02).all()
+
+
+def test_a_camera_with_twice_the_noise_gets_four_times_the_variance() -> None:
+    rng = np.random.default_rng(3)
+    n = 3600
+    instants, cameras = np.arange(n), np.arange(n) % 2
+    views = Sightings.allocate(n, 1)._replace(
+        instants=instants,
+        people=np.zeros(n, np.int64),
+        cameras=cameras,
+        stamps=10**9 + 16_500_000 * instants,
+        positions=np.sin(instants / 200)[:, None, None]
+        + rng.normal(size=(n, 1, 3)) * np.array([0.004, 0.008])[cameras][:, None, None],
+        confidences=np.full((n, 1), 0.9),
+    )
+    model = SkeletonModel.of(["A"], [])
+    noise = RunningNoise.of(FusionNoise.default(model))
+    for part in np.array_split(instants, 60):
+        noise.variances(chosen(views, part), ["a", "b"], {})
+    assert noise.cameras["b"] / noise.cameras["a"] == pytest.approx(4.0, rel=0.2)
