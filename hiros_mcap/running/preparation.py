@@ -125,9 +125,8 @@ def set_up(
         noise=_given_noise(log, config, options),
         to_given=prepared.poses.to_given,
     )
-    chain = chain_of(options.system, options.stages)
-    _calibrate_first(run, chain, read)
-    return _with_noise(run, chain, read, prepared.watch)
+    _calibrate_first(run, chain_of(options.system, options.stages), read)
+    return run
 
 
 def camera_positions(log: Log) -> dict[str, Floats]:
@@ -230,18 +229,3 @@ def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable
         blocks = stage(blocks)
     table = calibrate_limbs(frames_of(blocks), run.model, run.config.optimize, run.events)
     run.limbs.people.update(table.people)
-
-
-def _with_noise(
-    run: Run, chain: Sequence[str], read: Callable[[], Iterable[Block]], watch: Stopwatch
-) -> Run:
-    """Learn the noise of cameras and joints in a first pass, if a stage wants to know it."""
-    wanted = "fuse" in sections_of(run.system) and "merged" in chain and run.config.fuse.learn
-    if not wanted or run.noise is not None:
-        return run
-    from hiros_mcap.stages.learn_noise import learn_noise
-
-    track = stages_of(replace(run, events=Events()), chain)["tracked"]
-    with watch.timing("learn"):
-        noise = learn_noise(track(read()), run.model, run.config.merge, run.cameras)
-    return replace(run, noise=noise)

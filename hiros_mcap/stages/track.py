@@ -32,7 +32,7 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.kernels.assignment import solve
 from hiros_mcap.kernels.compile import direct
@@ -43,7 +43,6 @@ from hiros_mcap.skeletons import (
     POSITION,
     UNTRACKED,
     Floats,
-    Frame,
     People,
     SkeletonModel,
     Stamps,
@@ -401,18 +400,18 @@ _Message = tuple[Block, int, int]
 """A message that is done: its block, its place there, its log time, ns."""
 
 
-def track(
-    frames: Iterable[Frame],
+def track_blocks(
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: TrackParams | None = None,
     events: Events | None = None,
     cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Give every detection the id of its person (section 3.1.2).
 
     Parameters
     ----------
-    frames : detections of all cameras in the fixed frame, roughly in time order.
+    blocks : detections of all cameras in the fixed frame, roughly in time order.
     model : names and hierarchy of the skeleton.
     params, events : parameters; where counts and events go.
     cameras : source -> (3,) position of the camera in the fixed frame, m. With it, other cameras
@@ -423,17 +422,6 @@ def track(
     The same frames in order of their stamps, with ids (-1 = of nobody who counts) and with the
     tracks' velocities and accelerations where the detector gave none.
     """
-    return frames_of(track_blocks(map(Block.of, frames), model, params, events, cameras))
-
-
-def track_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: TrackParams | None = None,
-    events: Events | None = None,
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Block]:
-    """Do what :func:`track` does, a block at a time."""
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
     order: TimeOrder[Part] = TimeOrder(params.reorder)
