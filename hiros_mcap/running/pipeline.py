@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,9 +24,9 @@ from hiros_mcap.io.detectors.conversion import SkeletonChoice
 from hiros_mcap.io.log import DAMAGED, Log, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
-from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks, given_corrections
+from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import DETECTIONS, Observer
-from hiros_mcap.running.pose_alignment import PoseAlignment, align_poses, find_missing_poses
+from hiros_mcap.running.pose_alignment import align_cameras
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import (
     Calibration,
@@ -106,7 +106,8 @@ def process(
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
         config = with_clocks(config, log, options.extrinsics)
         mode = _calibration(config, options)
-        config, clocks, poses = _align(log, config, options.system, mode, watch)
+        with watch.timing("calibrate"):
+            clocks, poses = align_cameras(log, config, mode, _reorder_of(config, options.system))
         run = replace(set_up(log, config, options), to_given=poses.to_given)
         _calibrate_first(log, run, chain, clocks)
         observer = Observer(chain)
@@ -131,31 +132,6 @@ def process(
         if options.limbs_out:
             run.limbs.save(options.limbs_out)
         return report.summary(None if target is None else str(target))
-
-
-def _align(
-    log: Log, config: Config, name: str, mode: Calibration, watch: Stopwatch
-) -> tuple[Config, ClockAlignment, PoseAlignment]:
-    """Find out how the cameras stand and go, for a run of a system.
-
-    Return the configuration, with clocks that were found together with poses from nothing, the
-    clocks and the poses.
-    """
-    with watch.timing("calibrate"):
-        poses = find_missing_poses(log, mode)
-    if poses is None:
-        with watch.timing("read"):
-            clocks = align_clocks(log, config, _reorder_of(config, name))
-        with watch.timing("calibrate"):
-            poses = align_poses(log, clocks, mode)
-        if not poses.from_nothing:
-            if config.input.clocks != "off":
-                clocks.add_offsets(poses.clock_offsets(given_corrections(log, config)), log)
-            return config, clocks, poses
-    config = _with_found_clocks(config, poses.clocks)
-    with watch.timing("read"):
-        clocks = align_clocks(log, config, _reorder_of(config, name))
-    return config, clocks, poses
 
 
 def _check_limbs(options: ProcessOptions, chain: Sequence[str]) -> None:
@@ -201,7 +177,8 @@ def with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
         return config
     names = {name for camera in log.cameras for name in camera.sources.values()}
     found = {name: s for name, s in read_clocks(extrinsics).items() if name in names}
-    return _with_found_clocks(config, found)
+    clock = ClockParams.model_validate({**found, **config.clock.seconds})
+    return config.model_copy(update={"clock": clock})
 
 
 def _calibration(config: Config, options: ProcessOptions) -> Calibration:
@@ -224,12 +201,6 @@ def follows_poses(config: Config, options: ProcessOptions) -> bool:
     """Whether a run refines the poses as it goes on, by what was seen before."""
     causal = config.input.clocks == "causal" and config.input.poses != "given"
     return causal and options.calibrate != "off"
-
-
-def _with_found_clocks(config: Config, found: Mapping[str, float]) -> Config:
-    """Add clocks that were found with the poses; those of the configuration come first."""
-    clock = ClockParams.model_validate({**found, **config.clock.seconds})
-    return config.model_copy(update={"clock": clock})
 
 
 def set_up(log: Log, config: Config, options: ProcessOptions) -> Run:

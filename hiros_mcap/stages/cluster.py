@@ -20,10 +20,10 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Flags, Frame, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
 
@@ -103,18 +103,18 @@ class ClusterParams(Params):
     )
 
 
-def cluster(
-    frames: Iterable[Frame],
+def cluster_blocks(
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: ClusterParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Merge the tracked skeletons of all cameras (Lee, 2.2.1 and 2.2.2).
 
     Parameters
     ----------
-    frames : tracked frames in the fixed frame, roughly in time order. Untracked people are left
+    blocks : tracked frames in the fixed frame, roughly in time order. Untracked people are left
         out.
     model : the skeleton; the names of its markers tell left from right.
     params : see :class:`ClusterParams`.
@@ -126,17 +126,6 @@ def cluster(
     ------
     One frame per instant, at the mean time of its messages, people sorted by id.
     """
-    return frames_of(cluster_blocks(map(Block.of, frames), model, params, events, fixed_frame))
-
-
-def cluster_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: ClusterParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-) -> Iterator[Block]:
-    """Do what :func:`cluster` does, a block at a time."""
     params = params or ClusterParams()
     kernel = _ClusterKernel(model, params)
     merger = InstantMerger(

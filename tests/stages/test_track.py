@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -35,7 +36,10 @@ from hiros_mcap.skeletons import (
     People,
 )
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.stages.track import TrackParams, track
+from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.track_params import TrackParams
+
+track = by_frame(track_blocks)
 
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
 AT_ONCE = TrackParams(
