@@ -1,4 +1,4 @@
-"""Parameters of ``cluster.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.cluster`."""
 
 from __future__ import annotations
 
@@ -32,16 +32,6 @@ class ClusterParams(Params):
         " joint is farther from the right reference position than its left joint (paper). both: if"
         " the distances of both sides together are smaller after the swap, which is slightly safer"
         " (benchmarks/papers/lee_2022.py).",
-    )
-    medium_confidence: float = advanced(
-        0.5,
-        description="Least confidence of level medium. Detectors with four levels (Azure Kinect) "
-        "give 0, 0.33, 0.66 and 1. A missing confidence is medium.",
-    )
-    low_confidence: float = advanced(
-        0.17,
-        description="Least confidence of level low. A joint below is of level none and never gives "
-        "a reference position.",
     )
     min_neighbours: int = advanced(
         1,

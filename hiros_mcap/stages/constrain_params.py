@@ -1,4 +1,4 @@
-"""Parameters of ``constrain.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.constrain`."""
 
 from __future__ import annotations
 
@@ -29,4 +29,3 @@ class ConstrainParams(Params):
     prior: bool = advanced(
         True, description="Use the motion of the person in the window as a prior of each pose."
     )
-    sweeps: int = advanced(20, ge=1, description="Most sweeps of the projection onto the lengths.")

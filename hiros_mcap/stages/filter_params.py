@@ -1,4 +1,4 @@
-"""Parameters of ``filter.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.filter`."""
 
 from __future__ import annotations
 

@@ -12,30 +12,20 @@ A log of any length is smoothed in overlapping windows. Link orientations are th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.frames import Block
+from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.fuse_params import FuseParams
 from hiros_mcap.stages.merge_params import MergeParams
 
 if TYPE_CHECKING:
     from hiros_mcap.stages.fusion_noise import FusionNoise
-
-
-def fuse(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: FuseParams | None = None,
-    events: Events | None = None,
-    **more: Any,
-) -> Iterator[Frame]:
-    """Do what :func:`fuse_blocks` does, frame by frame."""
-    return frames_of(fuse_blocks(map(Block.of, frames), model, params, events, **more))
 
 
 def fuse_blocks(
@@ -55,7 +45,7 @@ def fuse_blocks(
     ----------
     blocks : tracked frames in the fixed frame, roughly in time order.
     model, params : the skeleton; see :class:`FuseParams`.
-    events : counts as :func:`hiros_mcap.stages.merge.merge` does.
+    events : counts as :func:`hiros_mcap.stages.merge.merge_blocks` does.
     merging : how instants are made and sides corrected.
     cameras : source -> (3,) position, m, as far as known.
     noise : of cameras and joints; None = the defaults.
@@ -65,9 +55,10 @@ def fuse_blocks(
     One frame per instant, with positions, m, velocities, m/s, and their uncertainty. Each is logged
     when its window was complete.
     """
+    from hiros_mcap.stages.pose_error import PoseError
     from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
-    from hiros_mcap.stages.window_smoother import WindowSmoother
+    from hiros_mcap.stages.window_smoother import WindowSmoother, WindowTimes
 
     events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
@@ -78,7 +69,10 @@ def fuse_blocks(
 
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
-    smoother = WindowSmoother(model, params, noise, cameras or {})
+    waiting = WindowTimes(params.window, params.lookahead, params.max_lag)
+    angle = math.radians(params.pose_angle)
+    pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
+    smoother = WindowSmoother(model, waiting, noise, params.freedom, pose_error, cameras or {})
     causal = params.window == 0
     residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
     for block, sightings, names in views.run(blocks, events, fixed_frame):
@@ -96,13 +90,13 @@ def fuse_blocks(
 def noise_of(
     model: SkeletonModel,
     params: FuseParams,
-    learned: FusionNoise | None = None,
+    measured: FusionNoise | None = None,
     to_given: Mapping[str, Rigid] | None = None,
 ) -> FusionNoise:
-    """Return what is assumed of cameras and joints, or ``learned``, and how poses were refined."""
+    """Return what is assumed of cameras and joints, or ``measured``, and how poses were refined."""
     from hiros_mcap.stages.fusion_noise import FusionNoise
 
-    noise = learned or FusionNoise.default(
+    noise = measured or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
     return replace(noise, to_given=to_given or {})

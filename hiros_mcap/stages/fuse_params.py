@@ -1,4 +1,4 @@
-"""Parameters of ``fuse.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.fuse`."""
 
 from __future__ import annotations
 
@@ -31,11 +31,6 @@ class FuseParams(Params):
         "result that would be later if it waited for the cameras' next messages has less "
         "look-ahead.",
     )
-    learn: bool = advanced(
-        False,
-        description="Learn the noise of cameras and joints, and how joints move, from the log in a "
-        "first pass. The fixed values below gave smaller errors on simulated and real logs.",
-    )
     follow_noise: bool = advanced(
         False,
         description="Learn on the way which cameras are noisier than others.",
@@ -61,18 +56,6 @@ class FuseParams(Params):
         gt=0,
         description="Degrees of freedom of the noise (Student's t). With fewer, outliers count "
         "less. 4 to 20 differ by 0 to 4 %.",
-    )
-    max_deviation: float = advanced(
-        0.3,
-        gt=0,
-        description="A marker whose standard deviation is larger, m, is left out: it was not seen "
-        "for about a second.",
-    )
-    half_confidence: float = advanced(
-        0.02,
-        gt=0,
-        description="Standard deviation s, m, of a marker with confidence 0.5. The confidence is "
-        "1 / (1 + (s / half_confidence)^2).",
     )
     pose_angle: float = advanced(
         0.3,

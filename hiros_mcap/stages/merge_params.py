@@ -1,4 +1,4 @@
-"""Parameters of ``merge.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.merge`."""
 
 from __future__ import annotations
 
@@ -56,13 +56,6 @@ class MergeParams(Params):
         "",
         description="Link that gives the orientation of the pelvis. Empty: the first link of the "
         "root marker.",
-    )
-    max_flip_time: float = advanced(
-        4.0,
-        ge=0,
-        description="If all views suddenly face the other way, the previous direction wins for this"
-        " long, s. Flips of detectors last up to 3 s. The previous direction loses earlier if it "
-        "was confirmed for less than a third of this time.",
     )
     past_votes: bool = advanced(
         True,

@@ -1,4 +1,4 @@
-"""Parameters of ``moving_average.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.moving_average`."""
 
 from __future__ import annotations
 

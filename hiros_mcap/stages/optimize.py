@@ -39,37 +39,13 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.kernels.energy import Energy, SolverScratch, exact_weights, minimize, paper_weights
-from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, People, SkeletonModel
+from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.elimination import topology_of
 from hiros_mcap.stages.limb_calibration import Calibration, calibrate_limbs
 from hiros_mcap.stages.optimize_params import OptimizeParams
 
 _UNLIMITED = 1e9  # s; the calibration decides how long frames are held
-
-
-def optimize(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: OptimizeParams = OptimizeParams(),  # noqa: B008 - immutable
-    events: Events | None = None,
-    limbs: LimbTable | None = None,
-) -> Iterator[Frame]:
-    """Give everybody constant limb lengths; order and number of frames stay as they are.
-
-    People without an id, and people whose limbs are not (yet) known, pass through unchanged.
-
-    Parameters
-    ----------
-    frames : in time order, merged or tracked.
-    limbs : lengths known from before. Everybody who is calibrated on the way is added.
-
-    Raises
-    ------
-    ConfigError
-        If ``limbs`` names a link that the model lacks.
-    """
-    return frames_of(optimize_blocks(map(Block.of, frames), model, params, events, limbs))
 
 
 def optimize_blocks(
@@ -79,7 +55,20 @@ def optimize_blocks(
     events: Events | None = None,
     limbs: LimbTable | None = None,
 ) -> Iterator[Block]:
-    """Do what :func:`optimize` does, a block at a time."""
+    """Give everybody constant limb lengths; order and number of frames stay as they are.
+
+    People without an id, and people whose limbs are not (yet) known, pass through unchanged.
+
+    Parameters
+    ----------
+    blocks : in time order, merged or tracked.
+    limbs : lengths known from before. Everybody who is calibrated on the way is added.
+
+    Raises
+    ------
+    ConfigError
+        If ``limbs`` names a link that the model lacks.
+    """
     events = events if events is not None else Events()
     limbs = limbs if limbs is not None else LimbTable()
     if params.calibration == "two-pass":

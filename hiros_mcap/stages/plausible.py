@@ -22,27 +22,15 @@ import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import limb_deviations as kernels
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.plausible_params import PlausibleParams
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""
 _FORGET = 30.0  # s; longest absence after which somebody gets the old id back (track.reidentify)
-
-
-def drop_implausible(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: PlausibleParams | None = None,
-    events: Events | None = None,
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Frame]:
-    """Do what :func:`drop_implausible_blocks` does, frame by frame."""
-    blocks = map(Block.of, frames)
-    return frames_of(drop_implausible_blocks(blocks, model, params, events, cameras))
 
 
 def drop_implausible_blocks(

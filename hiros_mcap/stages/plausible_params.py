@@ -1,4 +1,4 @@
-"""Parameters of ``plausible.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.plausible`."""
 
 from __future__ import annotations
 

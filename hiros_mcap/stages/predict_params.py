@@ -1,4 +1,4 @@
-"""Parameters of ``predict.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of :mod:`hiros_mcap.stages.predict`."""
 
 from __future__ import annotations
 

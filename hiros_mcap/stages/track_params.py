@@ -1,4 +1,4 @@
-"""Parameters of ``track.py``, apart from it: a configuration needs no compiled kernels."""
+"""Parameters of the tracker."""
 
 from __future__ import annotations
 
@@ -110,11 +110,6 @@ class TrackParams(Params):
     min_links: int = advanced(
         0, ge=0, description="A detection with fewer link orientations starts no track."
     )
-    tentative_gap: float = advanced(
-        0.5,
-        gt=0,
-        description="A tentative track is deleted when no camera has seen it for longer, s.",
-    )
     confirm_detections: int = advanced(
         5,
         ge=1,
@@ -138,12 +133,6 @@ class TrackParams(Params):
         description="Largest number of misses per report. Other cameras that look at a track of a "
         "single camera contradict it when they miss it more often.",
     )
-    min_motion: float = advanced(
-        0.3,
-        ge=0,
-        description="A contradicted track still counts once it has moved this far, m, from its "
-        "start. A coat on a stand never does.",
-    )
     horizon: float = advanced(
         0.2,
         gt=0,
@@ -164,17 +153,6 @@ class TrackParams(Params):
     )
     position_noise: float = advanced(
         0.04, gt=0, description="SD, m, of a marker that one camera reports (raw error 57 mm)."
-    )
-    jerk: float = advanced(
-        150.0, gt=0, description="How fast accelerations of markers may change, m/s3/sqrt(Hz)."
-    )
-    orientation_noise: float = advanced(
-        0.15, gt=0, description="SD, rad, of a link that one camera reports."
-    )
-    angular_jerk: float = advanced(
-        500.0,
-        gt=0,
-        description="How fast angular accelerations of links may change, rad/s3/sqrt(Hz).",
     )
     innovation_gate: float = advanced(
         3.0,
