@@ -97,7 +97,7 @@ class NoiseParams(Params):
     """White noise of the detectors, as ``hiros calibrate noise`` writes it; what is given counts.
 
     sigma, power, guessed and the tables joints and cameras; see
-    :class:`hiros_mcap.calibrate.noise_model.NoiseModel`.
+    :class:`hiros_mcap.calibrate.noise.NoiseModel`.
     """
 
     model_config = ConfigDict(extra="allow")

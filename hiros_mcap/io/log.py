@@ -344,11 +344,39 @@ class Log:
         for _, block in self._blocks(spans=spans):
             yield block
 
+    def thin_blocks(
+        self,
+        spans: Sequence[tuple[int, int]],
+        step: int,
+        times: list[Stamps] | None = None,
+        *,
+        fixed: bool,
+    ) -> Iterator[Block]:
+        """Yield some of the detections: in spans of log times, ns, one per interval ``step``, ns.
+
+        Parameters
+        ----------
+        times : gets the times of all messages of the log, for :meth:`times`; None = only the parts
+            of the file in which the spans lie are read.
+        fixed : in the fixed frame; otherwise in the coordinates of the cameras.
+        """
+        if fixed:
+            blocks = self._fixed_blocks(spans, step, times)
+        else:
+            blocks = self._blocks(None, spans, step, times)
+        for _, block in blocks:
+            yield block
+
     def use_poses(self, poses: Mapping[str, TimedPoses], fixed: str) -> None:
         """Replace the poses of some cameras' frames in the frame ``fixed``."""
         self.transforms = self.transforms.with_poses(poses, fixed)
 
-    def times(self) -> dict[str, CameraTimes]:
+    @property
+    def has_plain_times(self) -> bool:
+        """Whether the beginnings of the messages show the cameras and the times."""
+        return all(len(c.sources) == 1 and c.layout.is_published for c in self.cameras)
+
+    def times(self, tables: Sequence[Stamps] = ()) -> dict[str, CameraTimes]:
         """Return when the messages of each camera were stamped and logged, in log order.
 
         A stamp is that of a frame (see :meth:`frames`). Where some messages have people with a
@@ -357,29 +385,34 @@ class Log:
 
         Only the beginning of each message is read, if every channel has one camera. Messages that
         are damaged are left out, and so are those without a time.
+
+        ``tables`` are what :meth:`thin_blocks` has read, if the log has plain times.
         """
-        if any(len(c.sources) != 1 or not c.layout.is_published for c in self.cameras):
+        if not self.has_plain_times:
             rows = ((f.source, f.log_time, f.stamp, 0) for f in self.frames())
             return _times_of(sorted(rows, key=itemgetter(1)))
         names = {c.channel.id: next(iter(c.sources.values())) for c in self.cameras}
         decoder = Decoder(self.model)
         with _named(self.path):
-            tables = map(decoder.read_times, self.reader.batches(names))
-            table = np.concatenate([*tables, np.empty((0, 4), np.int64)])
+            parts = tables or map(decoder.read_times, self.reader.batches(names))
+            table = np.concatenate([*parts, np.empty((0, 4), np.int64)])
         table = table[np.argsort(table[:, 1], kind="stable")]
         return {
             name: _camera_times(table[table[:, 0] == ident, 1:]) for ident, name in names.items()
         }
 
     def _fixed_blocks(
-        self, spans: Sequence[tuple[int, int]] | None = None, step: int = 0
+        self,
+        spans: Sequence[tuple[int, int]] | None = None,
+        step: int = 0,
+        times: list[Stamps] | None = None,
     ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks in the fixed frame, with the topic of each frame."""
         fixed = self.fixed_frame
         mover = Mover(self.transforms, fixed)
         poses = RestPoses(fixed, partial(self.transforms.at_rest, fixed=fixed))
         with _named(self.path):
-            for topics, block in self._blocks(poses, spans, step):
+            for topics, block in self._blocks(poses, spans, step, times):
                 yield topics, mover.move_block(block)
 
     def _blocks(
@@ -387,8 +420,11 @@ class Log:
         poses: RestPoses | None = None,
         spans: Sequence[tuple[int, int]] | None = None,
         step: int = 0,
+        times: list[Stamps] | None = None,
     ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks, with the topic of each frame.
+
+        With ``times``, all messages are read, and their times go there.
 
         A thread reads and decodes, chunk by chunk. Here the messages are put in order, and what
         depends on their order is done: repeats are left out, and every message is accounted for.
@@ -402,10 +438,10 @@ class Log:
             self.use(camera)
         inputs = self._inputs
         decoder = Decoder(self.model, layouts=self._layouts, poses=poses)
-        batches = self.reader.batches(inputs, spans=spans)
+        batches = self.reader.batches(inputs, spans=spans if times is None else None)
         if step:
-            spacing = _Spacing(step, self.cameras)
-            batches = (decoder.spaced(batch, spacing.kept) for batch in batches)
+            spacing = _Spacing(step, self.cameras, None if times is None else spans)
+            batches = spacing.thinned(batches, decoder, times)
         decoded = (d for batch in batches for d in decoder.decode(batch))
         order = LogOrder[Decoded]()
         with _named(self.path):
@@ -469,25 +505,47 @@ class _Spacing:
     Parameters
     ----------
     step : length of an interval, ns. cameras : the channels.
+    spans : log times, ns, outside of which no message is kept; None = all may be.
     """
 
-    def __init__(self, step: int, cameras: Iterable[CameraChannel]) -> None:
-        self._step = step
+    def __init__(
+        self,
+        step: int,
+        cameras: Iterable[CameraChannel],
+        spans: Sequence[tuple[int, int]] | None = None,
+    ) -> None:
+        self._step, self._spans = step, spans
         self._shared = {
             camera.channel.id
             for camera in cameras
             if len(camera.sources) != 1 or camera.channel.topic == f"{OUTPUT_PREFIX}/tracked"
         }
+        self._first: dict[int, int] = {}
         self._last: dict[int, int] = {}
 
-    def kept(self, channel: int, times: Stamps) -> Flags:
+    def thinned(
+        self, batches: Iterable[Batch], decoder: Decoder, times: list[Stamps] | None
+    ) -> Iterator[Batch]:
+        """Yield the batches with the messages that are kept; the times of all go to ``times``."""
+        for batch in batches:
+            thin, table = decoder.spaced(batch, self._kept)
+            if times is not None:
+                times.append(table)
+            yield thin
+
+    def _kept(self, channel: int, times: Stamps, log_times: Stamps) -> Flags:
         """(n,) which of the next messages of a channel are kept, by their times, ns."""
+        inside = np.full(len(times), self._spans is None)
+        for begin, end in self._spans or ():
+            inside |= (begin <= log_times) & (log_times <= end)
         if channel in self._shared:
-            return np.ones(len(times), np.bool_)
-        cells = times // self._step
+            return inside
+        # Intervals count from the first message: a clock that is off gives the same messages.
+        first = self._first.setdefault(channel, int(times[0]) if len(times) else 0)
+        cells = (times - first) // self._step
         before = np.append(self._last.get(channel, -1), cells[:-1])
         self._last[channel] = int(cells[-1]) if len(cells) else -1
-        return np.asarray(cells != before[: len(cells)])
+        return np.asarray(inside & (cells != before[: len(cells)]))
 
 
 def _times_of(rows: Iterable[tuple[str, int, int, int]]) -> dict[str, CameraTimes]:

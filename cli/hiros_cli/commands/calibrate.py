@@ -206,8 +206,7 @@ def noise(
     log.stat()
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
-    from hiros_mcap.calibrate.noise import measure_noise
-    from hiros_mcap.calibrate.noise_model import measure_noise_model
+    from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.io.log import open_log
     from hiros_mcap.stages.associate import associate
     from hiros_mcap.summary import number
