@@ -13,7 +13,6 @@ run has some of them.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,6 +21,7 @@ import numpy as np
 
 from hiros_mcap.config import Config
 from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.io.log import Source
 from hiros_mcap.running.pipeline import open_input, stream
 from hiros_mcap.running.preparation import Prepared, prepare, set_up
 from hiros_mcap.running.process_options import ProcessOptions
@@ -38,9 +38,7 @@ class Recording:
     blocks: Sequence[Block]
 
     @classmethod
-    def read(
-        cls, source: str | os.PathLike[str], config: Config, options: ProcessOptions
-    ) -> Recording:
+    def read(cls, source: Source, config: Config, options: ProcessOptions) -> Recording:
         """Read a log as a run with these settings does.
 
         Raises LogError and ConfigError as :func:`hiros_mcap.running.pipeline.process` does.

@@ -130,7 +130,7 @@ class Faults(NamedTuple):
 def converted(reader: McapReader, selection: Selection) -> McapReader:
     """Return a reader of the same log in SkeletonGroups: itself if it holds nothing else.
 
-    Otherwise ``reader`` is closed. Raises LogError, and ConfigError for a model that is not there.
+    ``reader`` stays open. Raises LogError, and ConfigError for a model that is not there.
     """
     sources = _sources(reader, selection)
     if selection.is_usual and not any(source.is_new for source in sources):
@@ -162,7 +162,6 @@ class ConvertedReader(BagReader):
         self.left_out = {**getattr(source, "left_out", {}), **conversion.left_out}
         self.remarks = tuple(conversion.remarks())
         self.faults = {t: Faults(n, conversion.first[t]) for t, n in conversion.faulty.items()}
-        source.close()
 
     @property
     def has_checksums(self) -> bool:
