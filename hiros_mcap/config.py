@@ -34,7 +34,7 @@ from hiros_mcap.stages.plausible import PlausibleParams
 from hiros_mcap.stages.predict import PredictParams
 from hiros_mcap.stages.sides import SidesParams
 from hiros_mcap.stages.straighten import StraightenParams
-from hiros_mcap.stages.track import TrackParams
+from hiros_mcap.stages.track_params import TrackParams
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""

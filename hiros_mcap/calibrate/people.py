@@ -26,7 +26,7 @@ from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_change, part_of
 from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
 from hiros_mcap.calibrate.camera_result import CameraResult
-from hiros_mcap.calibrate.camera_views import CameraView, camera_views
+from hiros_mcap.calibrate.camera_views import CameraView, Correction, camera_views
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import Found, refine_together
 from hiros_mcap.calibrate.floor import find_floor
@@ -102,14 +102,15 @@ class _Solution(NamedTuple):
     found: Found
 
 
-def calibrate_people(log: Log) -> PeopleCalibration:
+def calibrate_people(log: Log, corrected: Correction | None = None) -> PeopleCalibration:
     """Find the poses and clocks of a log's cameras from the people in it.
 
     The log's transforms are not needed. Where there are some, they place the rig as a whole.
+    ``corrected`` puts right what the times of the messages show of the clocks.
 
     Raises LogError for a log of one camera, of cameras that share a frame, or that move.
     """
-    views = camera_views(log)  # tracklets
+    views = camera_views(log, corrected)  # tracklets
     if len(views) < 2:
         raise LogError("has one camera only; poses need two or more", path=log.path)
     mirror = symmetry_of(log.model).mirror

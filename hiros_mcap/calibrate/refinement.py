@@ -8,7 +8,7 @@ neither may be the same in both.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -64,7 +64,7 @@ LEAST_BLOCKS = 3
 
 
 class RefinedPose(NamedTuple):
-    """What the people tell about the pose of one camera."""
+    """What the people tell about the pose and the clock of one camera."""
 
     verdict: Verdict
     reason: str
@@ -74,7 +74,7 @@ class RefinedPose(NamedTuple):
     pose: Rigid | None = None
     """The better pose; None where the given one stays."""
     clock_s: float = np.nan
-    """s to add to its stamps, against the median of the cameras; NaN if no motion tells it."""
+    """s to add to its stamps, against most of the cameras; NaN if no motion tells it."""
     error_deg: float = np.nan
     """Standard error of the orientation against the other cameras."""
     error_m: float = np.nan
@@ -100,9 +100,13 @@ class Refinement(NamedTuple):
 
 
 def refine_poses(
-    views: Sequence[CameraView], given: Sequence[Rigid], mirror: Ints, anchor: int | None = None
+    views: Sequence[CameraView],
+    given: Sequence[Rigid],
+    mirror: Ints,
+    anchor: int | None = None,
+    movable: Sequence[bool] | None = None,
 ) -> list[RefinedPose]:
-    """Find out whether the people know better poses than the given ones.
+    """Find out whether the people know better poses than the given ones, and how the clocks go.
 
     The rig as a whole stays where the given poses put it. Cameras that see nobody in common with
     others keep their poses, and so do those about which the data leave a doubt.
@@ -111,13 +115,17 @@ def refine_poses(
     ----------
     given : pose of each camera. mirror : (M,) slot of each joint's counterpart.
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
+    movable : of which cameras the pose may change; None = all. The clocks of all may.
     """
+    movable = [True] * len(views) if movable is None else movable
     found = {
         c: RefinedPose("impossible", NO_VIEW if not v.tracks else UNLINKED)
         for c, v in enumerate(views)
     }
     for part in _linked(views, rig_of(given), mirror):
-        found |= _refine_part(part, views, given, mirror, anchor)
+        # The first camera defines the common frame.
+        part = sorted(part, key=lambda c: movable[c])
+        found |= _refine_part(part, views, given, mirror, anchor, movable)
     return [found[c] for c in range(len(views))]
 
 
@@ -146,17 +154,23 @@ def _refine_part(
     given: Sequence[Rigid],
     mirror: Ints,
     anchor: int | None,
+    movable: Sequence[bool],
 ) -> dict[int, RefinedPose]:
     """Refine linked cameras; while one of them does not fit, leave out the worst."""
     found: dict[int, RefinedPose] = {}
     while len(part) > 1:
-        refined = refine_together([views[c] for c in part], [given[c] for c in part], mirror)
+        refined = refine_together(
+            [views[c] for c in part],
+            [given[c] for c in part],
+            mirror,
+            np.array([movable[c] for c in part]),
+        )
         bad = [k for k, each in enumerate(refined.evidence) if not _fits(each)]
         if not bad:
-            known = {k: given[c] for k, c in enumerate(part)}
-            held = part.index(anchor) if anchor in part else None
-            every = _judged(refined, known, held)
-            return found | {c: every[k] for k, c in enumerate(part)}
+            poses, shifts = [given[c] for c in part], [views[c].shift for c in part]
+            kept = [k for k, c in enumerate(part) if c == anchor or not movable[c]]
+            every = _judged(refined, poses, kept, shifts)
+            return found | dict(zip(part, every, strict=True))
         worst = min(bad, key=lambda k: (refined.evidence[k].share, -refined.evidence[k].residual))
         fault = RefinedPose(*judge(refined.evidence[worst], moved=False), fits=False)
         if len(part) == 2:
@@ -172,14 +186,18 @@ def _fits(evidence: Evidence) -> bool:
 
 
 def _judged(
-    refined: Refinement, given: Mapping[int, Rigid], anchor: int | None
-) -> dict[int, RefinedPose]:
-    """Return the poses in the fixed frame, with the verdicts, of cameras that all fit."""
-    known = given if anchor is None else {anchor: given[anchor]}
+    refined: Refinement, given: Sequence[Rigid], kept: Sequence[int], shifts: Sequence[float]
+) -> list[RefinedPose]:
+    """Return the poses in the fixed frame, with the verdicts, of cameras that all fit.
+
+    The poses of the cameras ``kept`` are right.
+    """
+    known = {k: given[k] for k in kept or range(len(given))}
     rig = moved(refined.rig, on_transforms(refined.rig, known))
-    middle = float(np.median(rig.clocks[refined.timed])) if refined.timed.any() else 0.0
+    clocks = rig.clocks + np.array(shifts)
+    usual = float(np.median(clocks[refined.timed])) if refined.timed.any() else 0.0
     better = refined.certainty > CERTAIN
-    found = {}
+    found = []
     for k, evidence in enumerate(refined.evidence):
         turn = from_matrix(rig.rotations[k])
         pose, errors = Rigid(turn, rig.shifts[k]), refined.errors[k]
@@ -190,28 +208,31 @@ def _judged(
         verdict, reason = judge(evidence, moved=better and bool(far))
         if verdict == "impossible":  # too little is known for a pose, but nothing contradicts
             verdict = "doubtful"
-        used = better and verdict in ("good", "improved") and k != anchor
-        found[k] = RefinedPose(
-            verdict,
-            reason,
-            pose=pose if used else None,
-            clock_s=float(rig.clocks[k] - middle) if refined.timed[k] else np.nan,
-            error_deg=float(np.degrees(degrees)),
-            error_m=float(metres),
-            error_s=float(errors[CLOCK]),
-            gain=float(refined.gains[k]),
+        used = better and verdict in ("good", "improved") and k not in kept
+        found.append(
+            RefinedPose(
+                verdict,
+                reason,
+                pose=pose if used else None,
+                clock_s=float(clocks[k] - usual) if refined.timed[k] else np.nan,
+                error_deg=float(np.degrees(degrees)),
+                error_m=float(metres),
+                error_s=float(errors[CLOCK]),
+                gain=float(refined.gains[k]),
+            )
         )
     return found
 
 
 def refine_together(
-    views: Sequence[CameraView], given: Sequence[Rigid], mirror: Ints
+    views: Sequence[CameraView], given: Sequence[Rigid], mirror: Ints, movable: Flags
 ) -> Refinement:
     """Refine the poses of cameras that see the same people, and compare them with the given ones.
 
     Parameters
     ----------
     given : poses that are about right. mirror : (M,) slot of each joint's counterpart.
+    movable : (C,) whether the pose of a camera may change; that of the first one defines the frame.
     """
     start = anchored(rig_of(given))
     instants = instants_of(views, INSTANTS)
@@ -220,6 +241,7 @@ def refine_together(
     instants = instants[::step]
     timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
     free = free_unknowns(len(views), clocks=timed)
+    free[~movable, :CLOCK] = False
     known = seen if step == 1 else None
     rig, points = refine(views, start, instants, mirror, free=free, gates=GATES_M, points=known)
     residuals = residuals_of(points, rig)
@@ -266,6 +288,8 @@ def _certainty(
     points: Points, residuals: RigResiduals, rig: Rig, given: Rig, free: Flags, mirror: Ints
 ) -> float:
     """Return by how many standard errors the loss is smaller on what was held out."""
+    if not free[:, :CLOCK].any():
+        return 0.0
     scale = CAUCHY * float(np.nanmedian(residuals.distances))
     differences = _held_out(points, scale, rig, given, free, mirror)
     blocks = np.unique(np.floor(points.seconds / BLOCK_S), return_inverse=True)[1]

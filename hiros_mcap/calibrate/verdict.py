@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["good", "improved", "doubtful", "impossible"]
+SURE = ("good", "improved")
+"""Verdicts on what can be used."""
 
 LEAST_SHARE = 0.85
 """Of the skeletons that two cameras share, so many fit if their poses are right."""

@@ -7,7 +7,7 @@ poses (:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from hiros_mcap.calibrate.camera_change import (
     located,
     part_of,
 )
-from hiros_mcap.calibrate.camera_views import CameraView, view_of
+from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
 from hiros_mcap.calibrate.refinement import (
     RefinedPose,
@@ -29,6 +29,7 @@ from hiros_mcap.calibrate.refinement import (
     refine_together,
 )
 from hiros_mcap.calibrate.sampling import CELL_S, Rig
+from hiros_mcap.calibrate.verdict import SURE
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.fixed_cameras import (
@@ -36,6 +37,7 @@ from hiros_mcap.running.fixed_cameras import (
     STRETCHES,
     FixedCamera,
     read_sightings,
+    seen_by,
     stretches,
 )
 from hiros_mcap.skeletons import Ints
@@ -48,7 +50,6 @@ LEAST_M = 0.03
 NARROW_S = 0.5
 """If nobody was seen in the read parts of the log for longer around the change, more is read."""
 LOOK_S = 10.0
-SURE = ("good", "improved")
 LOOKS = 6
 """Each look narrows the gap to a third or less."""
 
@@ -94,8 +95,11 @@ def split_moved(log: Log, clocks: ClockAlignment, posed: PosedViews) -> PosedVie
     if not left:
         return posed
     seen = read_sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
-    views = [view_of(c.name, c.frame, seen.get(c.name, []), mirror) for c in posed.cameras]
-    splitter = _Splitter(log, clocks, mirror)
+    views = [
+        seen_by(camera, seen.get(camera.name, []), mirror, view.shift)
+        for camera, view in zip(posed.cameras, posed.views, strict=True)
+    ]
+    splitter = _Splitter(log, clocks, mirror, {view.name: view.shift for view in views})
     result = PosedViews(posed.cameras, views, posed.found)
     tried: set[str] = set()
     while left:
@@ -124,9 +128,11 @@ def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
 class _Splitter:
     """Splits the views of cameras that were moved in a log."""
 
-    def __init__(self, log: Log, clocks: ClockAlignment, mirror: Ints) -> None:
+    def __init__(
+        self, log: Log, clocks: ClockAlignment, mirror: Ints, shifts: Mapping[str, float]
+    ) -> None:
         self._log, self._clocks, self._mirror = log, clocks, mirror
-        self._fixed, self._times = log.fixed_frame, log.times()
+        self._fixed, self._shifts = log.fixed_frame, shifts
 
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
@@ -138,7 +144,7 @@ class _Splitter:
         change = find_change(pair, None, self._mirror)
         if change is None or change.metres < LEAST_M:
             return posed
-        change = self._narrowed(change, posed.cameras[partner], posed.cameras[c])
+        change = self._narrowed(change, posed, (partner, c))
         parts = self._refined(posed, c, partner, change)
         if parts is None:
             return posed
@@ -147,21 +153,27 @@ class _Splitter:
         return replace(parts, moves=(*posed.moves, move))
 
     def _narrowed(
-        self, change: CameraChange, partner: FixedCamera, camera: FixedCamera
+        self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]
     ) -> CameraChange:
         """Look into the log where it was not read yet, until the time of the change is known."""
         for _ in range(LOOKS):
             if change.end - change.begin < NARROW_S:
                 break
-            ends = [self._first_message(partner.name, s)[1] for s in (change.begin, change.end)]
+            name = posed.cameras[pair[0]].name
+            ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
             seen = read_sightings(
                 self._log, self._clocks, stretches(ends[0], ends[1], LOOK_S, STRETCHES)
             )
-            pair = [
-                view_of(one.name, one.frame, seen.get(one.name, []), self._mirror)
-                for one in (partner, camera)
+            views = [
+                seen_by(
+                    posed.cameras[k],
+                    seen.get(posed.cameras[k].name, []),
+                    self._mirror,
+                    posed.views[k].shift,
+                )
+                for k in pair
             ]
-            nearer = located(pair, change.early, change.late, self._mirror, better=1.0)
+            nearer = located(views, change.early, change.late, self._mirror, better=1.0)
             if nearer is None:
                 break
             begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)
@@ -185,7 +197,7 @@ class _Splitter:
         some = [views[k] for k in sound], [given[k] for k in sound]
         given[new] = self._placed(*some, sound.index(new))
         anchor = next((k for k, one in enumerate(cameras) if one.frame == self._fixed), None)
-        found = refine_poses(views, given, self._mirror, anchor)
+        found = refine_poses(views, given, self._mirror, anchor, [c.movable for c in cameras])
         if not all(one.fits and one.verdict in SURE for one in found[c : c + 2]):
             return None
         found[new] = found[new]._replace(verdict="improved", pose=found[new].pose or given[new])
@@ -193,7 +205,7 @@ class _Splitter:
 
     def _placed(self, views: Sequence[CameraView], given: Sequence[Rigid], new: int) -> Rigid:
         """Return the refined pose of one camera; the others' given poses place the rig."""
-        refined = refine_together(views, given, self._mirror)
+        refined = refine_together(views, given, self._mirror, np.ones(len(views), np.bool_))
         known = {k: pose for k, pose in enumerate(given) if k != new}
         rig = moved(refined.rig, on_transforms(refined.rig, known))
         return Rigid(from_matrix(rig.rotations[new]), rig.shifts[new])
@@ -203,12 +215,10 @@ class _Splitter:
 
         Seconds count from the start of the log.
         """
-        times = self._times[name]
-        stamps = times.stamps
-        if name in self._clocks.corrections:
-            stamps = self._clocks.corrections[name].apply(stamps, times.log_times)
-        k = int(np.argmax(stamps >= self._log.span[0] + round(1e9 * seconds)))
-        return int(stamps[k]), int(times.log_times[k])
+        times = self._clocks.corrected_times(name)
+        since = self._log.span[0] + round(1e9 * (seconds - self._shifts[name]))
+        k = int(np.argmax(times.stamps >= since))
+        return int(times.stamps[k]), int(times.log_times[k])
 
 
 def _partner(posed: PosedViews, c: int) -> int | None:

@@ -6,7 +6,7 @@ recording that is scored against itself. :func:`prepare` is the order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +18,8 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.io.log import Log
-from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks, given_corrections
-from hiros_mcap.running.pose_alignment import PoseAlignment, align_poses, find_missing_poses
+from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
 from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -37,7 +37,7 @@ class Prepared:
 
     log: Log
     config: Config
-    """With the clocks that belong to the poses."""
+    """With the clocks of a file with poses."""
     options: ProcessOptions
     clocks: ClockAlignment
     poses: PoseAlignment
@@ -64,27 +64,12 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
     ConfigError
         A parameter names a camera that is not there, or contradicts ``--calibrate require``.
     """
-    mode = _calibration(log, config, options)
     # Clocks of a file with poses; the user's own come first.
-    config = _with_clocks(config, _clocks_of_file(log, options.extrinsics))
-    # Poses of a log without transforms, together with its clocks.
+    config = _with_clocks(config, log, options.extrinsics)
+    # Clocks and poses together: by the times of all messages, and by the people.
+    mode, reorder = _calibration(log, config, options), _reorder_of(config, options.system)
     with watch.timing("calibrate"):
-        poses = find_missing_poses(log, mode)
-    clocks = ClockAlignment()
-    if poses is None:
-        # Clocks, by the times of all messages and by the people.
-        with watch.timing("read"):
-            clocks = align_clocks(log, config, _reorder_of(config, options.system))
-        # Better poses, or poses and clocks from nothing where the given ones are wrong.
-        with watch.timing("calibrate"):
-            poses = align_poses(log, clocks, mode)
-    if poses.from_nothing:
-        config = _with_clocks(config, poses.clocks)
-        with watch.timing("read"):
-            clocks = align_clocks(log, config, _reorder_of(config, options.system))
-    elif config.input.clocks != "off":
-        # What the better poses show of the clocks.
-        clocks.add_offsets(poses.clock_offsets(given_corrections(log, config)), log)
+        clocks, poses = align_cameras(log, config, mode, reorder)
     return Prepared(log, config, options, clocks, poses, watch)
 
 
@@ -171,17 +156,12 @@ def _follows_poses(config: Config, options: ProcessOptions) -> bool:
     return causal and options.calibrate != "off"
 
 
-def _clocks_of_file(log: Log, extrinsics: Path | None) -> dict[str, float]:
-    """Camera -> s to add to its stamps, from a file with poses."""
-    names = {name for camera in log.cameras for name in camera.sources.values()}
-    clocks = read_clocks(extrinsics) if extrinsics is not None else {}
-    return {name: seconds for name, seconds in clocks.items() if name in names}
-
-
-def _with_clocks(config: Config, clocks: Mapping[str, float]) -> Config:
-    """Add clocks to the configuration, whose own come first."""
-    if not clocks:
+def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
+    """Add the clocks of a file with poses to the configuration, whose own come first."""
+    if extrinsics is None:
         return config
+    names = {name for camera in log.cameras for name in camera.sources.values()}
+    clocks = {name: s for name, s in read_clocks(extrinsics).items() if name in names}
     clock = ClockParams.model_validate({**clocks, **config.clock.seconds})
     return config.model_copy(update={"clock": clock})
 

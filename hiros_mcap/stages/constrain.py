@@ -26,7 +26,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
-from hiros_mcap.stages.pair_lengths import AllPoses, Measured, PairLimbs, RunningLengths
+from hiros_mcap.stages.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.residuals import restated
 
@@ -116,7 +116,7 @@ class _Body:
     first: int
     last: int = 0
     """When the person was first and last seen, ns."""
-    measured: Measured | None = None
+    measured: MeasuredLengths | None = None
     """None = not since the last pose."""
     known: bool = False
     """Whether the lengths stay as they are."""
@@ -165,7 +165,7 @@ class _Bodies:
             return AllPoses(self._pairs)
         return RunningLengths(self._pairs, self._mirror)
 
-    def _result(self, body: _Body) -> Measured:
+    def _result(self, body: _Body) -> MeasuredLengths:
         """Return the lengths of a body, measured anew if there are new poses."""
         if body.measured is None:
             body.measured = body.meter.result()

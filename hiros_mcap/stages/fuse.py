@@ -120,7 +120,7 @@ def fuse_blocks(
     from hiros_mcap.stages.pose_error import PoseError
     from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
-    from hiros_mcap.stages.window_smoother import Waiting, WindowSmoother
+    from hiros_mcap.stages.window_smoother import WindowSmoother, WindowTimes
 
     events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
@@ -131,7 +131,7 @@ def fuse_blocks(
 
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
-    waiting = Waiting(params.window, params.lookahead, params.max_lag)
+    waiting = WindowTimes(params.window, params.lookahead, params.max_lag)
     angle = math.radians(params.pose_angle)
     pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
     smoother = WindowSmoother(model, waiting, noise, params.freedom, pose_error, cameras or {})

@@ -18,7 +18,7 @@ _OUTLIER = 4.0  # robust standard deviations
 _FEWEST = 30  # poses that give a length
 
 
-class Measured(NamedTuple):
+class MeasuredLengths(NamedTuple):
     """The K distances of one person."""
 
     lengths: Floats
@@ -35,7 +35,7 @@ def without_noise(squares: Floats, varied: Floats, stated: Floats) -> Floats:
     The variance of the noise is that ``stated``, m2, and at most that by which the distance itself
     ``varied``: an overstated one would shorten.
     """
-    return np.sqrt(np.maximum(squares - 3 * np.minimum(stated, varied), 0.0))
+    return np.asarray(np.sqrt(np.maximum(squares - 3 * np.minimum(stated, varied), 0.0)))
 
 
 def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
@@ -83,11 +83,11 @@ class AllPoses:
         self._poses.append(positions)
         self._variances.append(variances)
 
-    def result(self) -> Measured:
+    def result(self) -> MeasuredLengths:
         """Return what the poses so far show."""
         poses, variances = np.concatenate(self._poses), np.concatenate(self._variances)
         lengths = np.nan_to_num(measured_lengths(poses, variances, self._pairs))
-        return Measured(lengths, *_deviations(poses, self._pairs))
+        return MeasuredLengths(lengths, *_deviations(poses, self._pairs))
 
 
 class RunningLengths:
@@ -131,7 +131,7 @@ class RunningLengths:
         self._means += gain * (values - self._means)
         self._counts += known
 
-    def result(self) -> Measured:
+    def result(self) -> MeasuredLengths:
         """Return what the poses so far show."""
         square, _, distance, stated = self._means
         varied = np.maximum(square - distance**2, 0.0)
@@ -139,7 +139,7 @@ class RunningLengths:
         weight, other = self._weight, self._other
         both = np.maximum(weight + weight[other], 1e-12)
         lengths = np.sqrt((weight * squares + weight[other] * squares[other]) / both)
-        return Measured(lengths, np.sqrt(varied), self._counts)
+        return MeasuredLengths(lengths, np.sqrt(varied), self._counts)
 
 
 class PairLimbs:
@@ -170,7 +170,7 @@ class PairLimbs:
                 out[place] = length
         return out
 
-    def keep(self, person: int, measured: Measured) -> None:
+    def keep(self, person: int, measured: MeasuredLengths) -> None:
         """Put what was measured into the table, unless the person's lengths were given."""
         if person in self._given:
             return

@@ -48,7 +48,7 @@ class _Window(NamedTuple):
     """(K,) at which time, ns."""
 
 
-class WaitingViews(NamedTuple):
+class WindowTimes(NamedTuple):
     """How long results wait, s; see FuseParams."""
 
     window: float
@@ -69,7 +69,7 @@ class WindowSmoother:
     def __init__(
         self,
         model: SkeletonModel,
-        waiting: WaitingViews,
+        waiting: WindowTimes,
         noise: FusionNoise,
         freedom: float,
         pose_error: PoseError,

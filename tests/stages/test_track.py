@@ -36,7 +36,8 @@ from hiros_mcap.skeletons import (
     People,
 )
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.stages.track import TrackParams, track_blocks
+from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.track_params import TrackParams
 
 track = by_frame(track_blocks)
 
