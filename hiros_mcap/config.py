@@ -330,7 +330,6 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "lee-a2": {"track": _AS_PUBLISHED, "cluster": {"method": "average"}},
     "lee-a3": {"track": _AS_PUBLISHED, "cluster": {"previous_helps": False}},
     "lee-a4": {"track": _AS_PUBLISHED},
-    "lee-a5": {"track": _AS_PUBLISHED},
 }
 """Systems that are another one with other parameters -> what they change."""
 

@@ -466,6 +466,18 @@ def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:
     }
 
 
+def rounded(values: Floats, precision: Precision) -> Floats:
+    """Return numbers as :class:`Encoder` writes them."""
+    if precision == "full":
+        return values
+    words = np.ascontiguousarray(values, np.float64).view(np.uint64)
+    sign, unit = np.uint64(1 << 63), np.uint64(1 << _DROPPED)
+    half, kept = unit >> np.uint64(1), ~(unit - np.uint64(1))
+    magnitude = ((words & ~sign) + half) & kept
+    near = (magnitude | (words & sign)).view(np.float64)
+    return np.where(np.isfinite(near), near, values)
+
+
 class Encoder:
     """Turns Frames of one model into messages.
 

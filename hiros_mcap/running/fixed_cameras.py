@@ -103,7 +103,7 @@ def read_sightings(
     start, end = log.span
     seen: dict[str, list[Sighting]] = {}
     latest: dict[str, int] = {}
-    for block in clocks.correct(block for _, block in log.blocks_by_topic(spans)):
+    for block in clocks.correct(block for _, block in log.read(spans=spans)):
         chosen = []
         for stamp, source, log_time, (_, i) in block.messages():
             inside = any(begin <= log_time <= until for begin, until in spans)

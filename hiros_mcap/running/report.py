@@ -33,7 +33,7 @@ from hiros_mcap.summary import (
 )
 from hiros_mcap.systems import Run, sections_of
 
-_IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
+_IN_TABLES = {"flip", "outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
 _LARGEST_LOSS = 0.05
 _REMEDIES = {

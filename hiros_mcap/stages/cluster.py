@@ -39,6 +39,10 @@ _ALIASES = {"spine_naval": "spine_navel", "spinebase": "pelvis", "spinemid": "sp
 _TOO_NEAR = ("eye", "ear", "mouth", "clavicle", "collar")
 """Pairs so near to each other that a camera's error could pass for a swap."""
 
+_MEDIUM, _LOW = 0.5, 0.17
+"""Least confidences of these levels; below low, a joint never gives a reference position. Detectors
+with four levels (Azure Kinect) give 0, 0.33, 0.66 and 1. A missing confidence is medium."""
+
 
 class ClusterParams(Params):
     """Parameters of Lee's merger."""
@@ -63,16 +67,6 @@ class ClusterParams(Params):
         " joint is farther from the right reference position than its left joint (paper). both: if"
         " the distances of both sides together are smaller after the swap, which is slightly safer"
         " (benchmarks/papers/lee_2022.py).",
-    )
-    medium_confidence: float = advanced(
-        0.5,
-        description="Least confidence of level medium. Detectors with four levels (Azure Kinect) "
-        "give 0, 0.33, 0.66 and 1. A missing confidence is medium.",
-    )
-    low_confidence: float = advanced(
-        0.17,
-        description="Least confidence of level low. A joint below is of level none and never gives "
-        "a reference position.",
     )
     min_neighbours: int = advanced(
         1,
@@ -170,8 +164,8 @@ class _ClusterKernel:
         used = lee_joints(model) if params.joints == "lee16" else every
         self._joints = clustering.Joints(pairs_of(model), np.ascontiguousarray(model.links), used)
         self._settings = clustering.ClusterSettings(
-            medium_confidence=params.medium_confidence,
-            low_confidence=params.low_confidence,
+            medium_confidence=_MEDIUM,
+            low_confidence=_LOW,
             radius=params.radius if params.method == "dbscan" else 0.0,
             min_neighbours=params.min_neighbours,
             memory=round(params.memory * 1e9) if params.previous_helps else -1,

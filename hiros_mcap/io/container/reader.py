@@ -124,13 +124,13 @@ class McapReader:
 
     Parameters
     ----------
-    path : the file.
+    path : the file, which may be open.
     memory : bytes that reading may take, about. Chunks that overlap so much in time that they would
         take more are decompressed several times.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, memory: int = MEMORY) -> None:
-        self._file = LogFile(path)
+    def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
+        self._file = path if isinstance(path, LogFile) else LogFile(path)
         self._memory = memory
         self.path = self._file.path
         self.cpu_s = 0.0
