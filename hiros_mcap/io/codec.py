@@ -27,7 +27,16 @@ from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
-from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, Flags, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import (
+    BOX,
+    ORIENTATION,
+    STATE,
+    Flags,
+    Floats,
+    Frame,
+    People,
+    SkeletonModel,
+)
 
 _FAULTS = {
     cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
