@@ -108,9 +108,14 @@ def leave_one_out(
 
 
 def leave_each_out(
-    recording: Recording, config: Config, options: ProcessOptions
+    recording: Recording,
+    config: Config,
+    options: ProcessOptions,
+    everybody: Sequence[Frame] | None = None,
 ) -> tuple[SelfScores, list[Distances]]:
     """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
+
+    ``everybody`` is the result of all cameras, if it is there already.
 
     Raises ConfigError for fewer than two cameras' channels.
     """
@@ -121,7 +126,8 @@ def leave_each_out(
         path = recording.prepared.log.path
         raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
     model = recording.model
-    everybody = _fused(recording, config, options, frames_of)
+    if everybody is None:
+        everybody = _fused(recording, config, options, frames_of)
     cameras, distances = [], []
     for topic, frames in frames_of.items():
         others = _fused(recording, config, options, frames_of.keys() - {topic})
