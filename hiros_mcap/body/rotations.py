@@ -13,6 +13,8 @@ import numpy as np
 from hiros_mcap.skeletons import Floats
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Turns axes with z up into those of OpenSim and animation programs, y up: (x, z, -y)."""
 
 
 def multiply(a_xyzw: Floats, b_xyzw: Floats) -> Floats:

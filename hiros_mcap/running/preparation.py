@@ -24,7 +24,6 @@ from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
 
 if TYPE_CHECKING:
@@ -203,6 +202,8 @@ def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable
     wanted = "optimize" in sections_of(run.system) and "optimized" in chain
     if not wanted or run.config.optimize.calibration != "two-pass" or run.limbs.people:
         return
+    from hiros_mcap.stages.limb_calibration import calibrate_limbs
+
     first_pass = replace(run, events=Events(), limbs=LimbTable())
     blocks = read()
     for stage in stages_of(first_pass, chain[: chain.index("optimized")]).values():
