@@ -27,7 +27,16 @@ from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
-from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, Flags, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import (
+    BOX,
+    ORIENTATION,
+    STATE,
+    Flags,
+    Floats,
+    Frame,
+    People,
+    SkeletonModel,
+)
 
 _FAULTS = {
     cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
@@ -465,6 +474,18 @@ def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:
         i: {kind: n for kind, n in zip(cleaning.KINDS, counts[i].tolist(), strict=True) if n}
         for i in np.flatnonzero(counts.any(axis=1)).tolist()
     }
+
+
+def rounded(values: Floats, precision: Precision) -> Floats:
+    """Return numbers as :class:`Encoder` writes them."""
+    if precision == "full":
+        return values
+    words = np.ascontiguousarray(values, np.float64).view(np.uint64)
+    sign, unit = np.uint64(1 << 63), np.uint64(1 << _DROPPED)
+    half, kept = unit >> np.uint64(1), ~(unit - np.uint64(1))
+    magnitude = ((words & ~sign) + half) & kept
+    near = (magnitude | (words & sign)).view(np.float64)
+    return np.where(np.isfinite(near), near, values)
 
 
 class Encoder:

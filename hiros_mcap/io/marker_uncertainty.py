@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from hiros_mcap.io.cdr_writer import HEADER, TIME_SIZE, CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.ros_messages import open_messages
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
@@ -51,13 +52,26 @@ def _head(frame_id: str, names: tuple[str, ...], markers: tuple[int, ...]) -> by
     return out.finish()[len(HEADER) + TIME_SIZE :]
 
 
-def read_uncertainty(path: str | os.PathLike[str]) -> Deviations:
+def deviations_of(frames: Iterable[Frame], model: SkeletonModel) -> Deviations:
+    """Return the standard deviations that the frames of a stage carry."""
+    return {
+        (frame.stamp, person): dict(zip(model.marker_ids, row, strict=True))
+        for frame in frames
+        if frame.uncertainty is not None
+        for person, row in zip(
+            frame.ids.tolist(), frame.uncertainty.deviations.tolist(), strict=True
+        )
+    }
+
+
+def read_uncertainty(source: str | os.PathLike[str] | McapReader) -> Deviations:
     """Read the standard deviations of a result; empty if it states none.
 
     Raises LogError if the log cannot be read.
     """
     found: dict[tuple[int, int], Mapping[int, float]] = {}
-    with open_messages(Path(path)) as messages:
+    log = source if isinstance(source, McapReader) else Path(source)
+    with open_messages(log) as messages:
         if UNCERTAINTY_TOPIC not in messages.types:
             return found
         for message in messages.read({UNCERTAINTY_TOPIC}):

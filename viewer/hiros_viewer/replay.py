@@ -374,7 +374,7 @@ def in_time_order(
     """
     kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
     names, waiting, thinner = describe(log).names, Gatherer(), Thinner(step)
-    for topics, block in log.blocks_by_topic(spans, step):
+    for topics, block in log.read(spans=spans, step=step):
         shown = thinner.chosen(list(zip(topics, block.sources, strict=True)), block.stamps)
         channels = [
             (kinds[topic], names.get(source, source) if kinds[topic] == DETECTIONS else "")
