@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.table import Table
 
 from hiros_cli.run_report import listing, page, period
-from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.summary import number
 
 GAUGES = {

@@ -7,7 +7,6 @@ from itertools import combinations
 
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import Landmarks, lag_candidates, signatures_of
-from hiros_mcap.calibrate.evidence import anchored
 from hiros_mcap.calibrate.pair_pose import PairFit, best_lag
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.skeletons import Floats, Ints
@@ -94,6 +93,6 @@ def coarse_clocks(
         candidates = lag_candidates(signatures[a], signatures[b])
         tried = [0.0, lags[b] - lags[a], *(-one.seconds for one in candidates)]
         pair = [views[a], views[b]]
-        fits[a, b] = [best_lag(pair, anchored(rig.select([a, b])), tried, mirror)]
+        fits[a, b] = [best_lag(pair, rig.select([a, b]).anchored(), tried, mirror)]
     tree, cameras = spanning_tree(fits, list(range(len(views))))
     return chained(tree, fits, cameras, len(views)).clocks

@@ -230,7 +230,6 @@ def _refined(pair: Sequence[CameraView], start: PairFit, instants: Floats, mirro
 
 
 def _alike(one: Rig, other: Rig) -> bool:
-    turn = one.rotations[1] @ other.rotations[1].T
-    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
-    far = np.linalg.norm(one.shifts[1] - other.shifts[1])
-    return bool(angle < SAME_DEG and far < SAME_M and abs(one.clocks[1] - other.clocks[1]) < SAME_S)
+    metres, degrees = one.pose(1).apart(other.pose(1))
+    lag = abs(one.clocks[1] - other.clocks[1])
+    return bool(degrees < SAME_DEG and metres < SAME_M and lag < SAME_S)

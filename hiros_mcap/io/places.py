@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io import remote
-from hiros_mcap.outputs import Kind, check_outputs, may_replace, remove_abandoned, write_text
+from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, remove_abandoned, write_text
 
 
 def place_of(folder: str) -> Place:
@@ -131,7 +131,7 @@ class RemotePlace(Place):
                 raise LogError("is an input; choose another output", path=address)
             if force or not present.get(name):
                 continue
-            if not may_replace(remote.read(address, 1024), kind):
+            if not may_replace(remote.read(address, HEAD), kind):
                 fault = "exists and was not written by hiros; --force overwrites it"
                 raise LogError(fault, path=address)
 

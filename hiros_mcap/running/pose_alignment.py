@@ -20,8 +20,10 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.camera_graph import coarse_clocks
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
-from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses, rig_of
+from hiros_mcap.calibrate.refinement import refine_poses
+from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
@@ -40,7 +42,7 @@ from hiros_mcap.running.fixed_cameras import (
     seen_by,
     stretches,
 )
-from hiros_mcap.running.moved_cameras import Move, PosedViews, distance_of, split_moved
+from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.summary import PoseSummary
 
@@ -168,7 +170,7 @@ def _refined_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseA
         camera._replace(movable=camera.movable and mode != "off")
         for camera in fixed_cameras(log, faults)
     )
-    posed = PosedViews([], [], [])
+    posed = PosedViews([], [], [], [])
     if len(cameras) > 1:
         posed = _refined(log, best_sightings(log, clocks), cameras, clocks.lags)
     if mode == "off":
@@ -195,7 +197,7 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     ``start`` is that of the log, ns. ``faults`` say why the poses of some cannot be compared.
     """
     pairs = list(zip(posed.cameras, posed.found, strict=True))
-    summaries = [summary_of(camera, one) for camera, one in pairs]
+    summaries = [summary_of(one, used=_is_better(one)) for one in posed.found]
     names = [camera.name for camera in posed.cameras]
     for move in posed.moves:
         k, seconds = names.index(move.camera), (move.log_time - start) / 1e9
@@ -217,22 +219,27 @@ def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
     """Frame -> poses other than the log's, by the log times from which on they hold."""
     since = {move.camera: move.log_time for move in posed.moves}
     poses: dict[str, dict[int, Rigid]] = {}
-    for camera, one in zip(posed.cameras, posed.found, strict=True):
+    for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True)):
         if camera.name in since:
             time = since[camera.name] if camera.frame in poses else 0
-            poses.setdefault(camera.frame, {})[time] = one.pose or camera.pose
-        elif one.pose is not None:
-            poses[camera.frame] = {0: one.pose}
+            poses.setdefault(camera.frame, {})[time] = placed(posed, k)
+        elif _is_better(one):
+            poses[camera.frame] = {0: placed(posed, k)}
     return poses
+
+
+def _is_better(camera: CalibratedCamera) -> bool:
+    """Whether the people gave the camera a pose in place of the log's."""
+    return not math.isnan(camera.moved_mm)
 
 
 def _to_given(posed: PosedViews) -> dict[str, Rigid]:
     """Camera -> what takes its people back to the log's pose, without those with two poses."""
     twice = {move.camera for move in posed.moves}
     return {
-        camera.name: camera.pose @ one.pose.inverse()
-        for camera, one in zip(posed.cameras, posed.found, strict=True)
-        if one.pose is not None and camera.name not in twice
+        camera.name: camera.pose @ placed(posed, k).inverse()
+        for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True))
+        if _is_better(one) and camera.name not in twice
     }
 
 
@@ -249,13 +256,11 @@ def pose_faults(log: Log) -> list[str]:
     seen = read_sightings(log, ClockAlignment(), parts)
     posed = _refined(log, seen, cameras, {})
     named = []
-    for camera, one in zip(cameras, posed.found, strict=True):
-        moved = summary_of(camera, one)
+    for one in posed.found:
         if not one.fits:
-            named.append(f"{camera.name}: {one.reason}")
-        elif moved.moved_deg > WRONG_DEG or moved.moved_mm > WRONG_MM:
-            off = f"{moved.moved_deg:.1f} degrees, {moved.moved_mm / 10.0:.0f} cm"
-            named.append(f"{camera.name}: {off}")
+            named.append(f"{one.name}: {one.reason}")
+        elif one.moved_deg > WRONG_DEG or one.moved_mm > WRONG_MM:
+            named.append(f"{one.name}: {one.moved_deg:.1f} degrees, {one.moved_mm / 10.0:.0f} cm")
     if not named:
         return []
     return [
@@ -296,13 +301,13 @@ def _refined(
             for camera, shift in zip(cameras, shifts, strict=True)
         ]
         found = refine_poses(views, poses, mirror, anchor, [c.movable for c in cameras])
-        return PosedViews(list(cameras), views, found)
+        return PosedViews(list(cameras), views, *found)
 
     posed = refined([0.0] * len(cameras))
     hints = [lags.get(camera.name, 0.0) for camera in cameras]
     if _fitting(posed) == len(cameras) and np.ptp(hints) < _DELAY_S:
         return posed
-    shifts = coarse_clocks(posed.views, rig_of(poses), hints, landmarks_of(log.model), mirror)
+    shifts = coarse_clocks(posed.views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
     again = refined(shifts.tolist()) if shifts.any() else posed
     return again if _fitting(again) >= _fitting(posed) else posed
 
@@ -312,7 +317,7 @@ def _fitting(posed: PosedViews) -> int:
     return sum(one.fits and one.reason != UNLINKED for one in posed.found)
 
 
-def _contradicted(cameras: Sequence[FixedCamera], found: Sequence[RefinedPose]) -> bool:
+def _contradicted(cameras: Sequence[FixedCamera], found: Sequence[CalibratedCamera]) -> bool:
     """Whether the people do not fit the given poses, or nobody has measured these."""
     coincide = any(same_place({camera.name: camera.pose for camera in cameras}))
     return any(not one.fits or (coincide and one.verdict == "impossible") for one in found)
@@ -333,22 +338,7 @@ def _from_nothing(log: Log, clocks: ClockAlignment, error: LogError | None) -> P
         if camera.pose is not None:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
     log.use_poses(poses, found.fixed_frame)
-    cameras = [
-        PoseSummary(
-            name=camera.name,
-            verdict=camera.verdict,
-            used=True,
-            moved_mm=camera.moved_mm,
-            moved_deg=camera.moved_deg,
-            clock_ms=1000.0 * camera.clock_s,
-            error_mm=camera.error_mm,
-            error_deg=camera.error_deg,
-            error_ms=camera.error_ms,
-            since_s=camera.since_s,
-            until_s=camera.until_s,
-        )
-        for camera in found.cameras
-    ]
+    cameras = [summary_of(camera, used=True) for camera in found.cameras]
     return PoseAlignment(cameras, from_nothing=True, moves=tuple(_moves_of(found)))
 
 
@@ -356,8 +346,7 @@ def _moves_of(found: PeopleCalibration) -> Iterator[Move]:
     """Yield how cameras were moved."""
     for before, after in pairwise(found.cameras):
         if before.name == after.name and before.pose is not None and after.pose is not None:
-            metres, degrees = distance_of(before.pose, after.pose)
-            yield Move(after.name, after.since, after.since, metres, degrees)
+            yield Move(after.name, after.since, after.since, *before.pose.apart(after.pose))
 
 
 def _not_found(error: LogError | None, reason: str) -> str:
@@ -365,20 +354,19 @@ def _not_found(error: LogError | None, reason: str) -> str:
     return f"{first}. The people do not tell them: {reason}"
 
 
-def summary_of(camera: FixedCamera, found: RefinedPose) -> PoseSummary:
+def summary_of(camera: CalibratedCamera, *, used: bool) -> PoseSummary:
     """Return what a user should know of one camera."""
-    degrees = metres = math.nan
-    if found.pose is not None:
-        metres, degrees = distance_of(found.pose, camera.pose)
     return PoseSummary(
         name=camera.name,
-        verdict=found.verdict,
-        reason=found.reason,
-        used=found.pose is not None,
-        moved_mm=1000.0 * metres,
-        moved_deg=degrees,
-        clock_ms=1000.0 * found.clock_s,
-        error_mm=1000.0 * found.error_m,
-        error_deg=found.error_deg,
-        error_ms=1000.0 * found.error_s,
+        verdict=camera.verdict,
+        reason=camera.reason,
+        used=used,
+        moved_mm=camera.moved_mm,
+        moved_deg=camera.moved_deg,
+        clock_ms=1000.0 * camera.clock_s,
+        error_mm=camera.error_mm,
+        error_deg=camera.error_deg,
+        error_ms=camera.error_ms,
+        since_s=camera.since_s,
+        until_s=camera.until_s,
     )

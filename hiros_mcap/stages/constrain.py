@@ -18,14 +18,22 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, join
-from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
+from hiros_mcap.skeletons import (
+    POSITION,
+    STATE,
+    UNTRACKED,
+    Flags,
+    Floats,
+    Ints,
+    SkeletonModel,
+    Stamps,
+)
+from hiros_mcap.stages.constrain_params import ConstrainParams
 from hiros_mcap.stages.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.residuals import restated
@@ -34,30 +42,6 @@ UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
 _SWEEPS, _TOLERANCE = 20, 1e-3
 """Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
-
-
-class ConstrainParams(Params):
-    """Parameters of the constraints."""
-
-    window: float = Field(
-        10.0,
-        ge=0,
-        description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
-        "fuse-realtime.",
-    )
-    enough: float = advanced(
-        60.0,
-        ge=0,
-        description="Seconds after which the lengths of a person stay as they are. Detectors see "
-        "other lengths in other poses, so a few seconds in one pose do not give them. Results wait "
-        "for it. In fuse-realtime, which does not wait, 5.",
-    )
-    rigid: bool = advanced(
-        True, description="Keep the distances within head, thorax and pelvis, too."
-    )
-    prior: bool = advanced(
-        True, description="Use the motion of the person in the window as a prior of each pose."
-    )
 
 
 def constrain_blocks(
@@ -89,22 +73,53 @@ def constrain_blocks(
     params = params or ConstrainParams()
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
-    waiting: deque[Block] = deque()
+    waiting: deque[_Waiting] = deque()
     held: list[Part] = []
     for block in blocks:
         for i, stamp in enumerate(block.stamps.tolist()):
             held.append((block, i))
             first = held[0][0].stamps[held[0][1]]
             if stamp - first >= params.window * 1e9:
-                waiting.append(bodies.measured(held))
+                waiting.append(_Waiting(bodies.measured(held)))
                 held = []
-                while waiting and bodies.can_correct(waiting[0], stamp):
-                    yield bodies.corrected(waiting.popleft(), block.log_times[i])
+                while waiting and bodies.can_correct(waiting[0].block, stamp):
+                    yield bodies.corrected(waiting.popleft().whole(), block.log_times[i])
+                if waiting:
+                    waiting[-1].pack()
     if held:
-        waiting.append(bodies.measured(held))
+        waiting.append(_Waiting(bodies.measured(held)))
     bodies.end_of_log()
-    for window in waiting:
-        yield bodies.corrected(window, waiting[-1].log_times[-1])
+    end = waiting[-1].block.log_times[-1] if waiting else 0
+    while waiting:
+        yield bodies.corrected(waiting.popleft().whole(), end)
+
+
+class _Waiting:
+    """A window that waits for lengths. Packed, it has only the columns that hold numbers."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self._used: list[Flags] = []
+
+    def pack(self) -> None:
+        """Leave out the columns of markers and links that are NaN everywhere."""
+        states = self.block.people.markers, self.block.people.links
+        self._used = [~np.isnan(each).all(axis=(0, 1)) for each in states]
+        self._put(*[each[:, :, used] for each, used in zip(states, self._used, strict=True)])
+
+    def whole(self) -> Block:
+        """Return the block with all columns."""
+        if self._used:
+            packed = self.block.people.markers, self.block.people.links
+            whole = [np.full((*each.shape[:2], STATE), np.nan) for each in packed]
+            for each, used, some in zip(whole, self._used, packed, strict=True):
+                each[:, :, used] = some
+            self._put(*whole)
+        return self.block
+
+    def _put(self, markers: Floats, links: Floats) -> None:
+        people = self.block.people._replace(markers=markers, links=links)
+        self.block = replace(self.block, people=people)
 
 
 @dataclass
