@@ -77,7 +77,7 @@ def open_output(
         return
     with (
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
-        digest_of(log.path) as digest,
+        digest_of(Path(log.path)) as digest,
     ):
         copier = _file_copier(log, writer, options, moved=moved)
         yield LogOutput(writer, copier, log, run, chain, options, digest.result, moved=moved)

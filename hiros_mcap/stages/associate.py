@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 
@@ -37,7 +37,7 @@ class AssociateParams(Params):
     acceleration: float = advanced(
         3.0, gt=0, description="SD per axis, m/s2, of a person's acceleration over 1/30 s."
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         1.5,
         gt=0,
         description="Time, s, without a detection after which a track ends (not in the paper).",
@@ -51,7 +51,7 @@ class AssociateParams(Params):
         description="An unmatched detection starts no track if it is this near, m, to another "
         "track. Detectors may report a person twice (not in the paper).",
     )
-    reorder: float = advanced(
+    reorder: Seconds = advanced(
         1.0,
         ge=0,
         description="Longest time, s, that a message waits for older messages of slower cameras.",

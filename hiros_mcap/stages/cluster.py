@@ -22,7 +22,7 @@ from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.kernels.averaging import Buffers, Views
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import Flags, Frame, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
@@ -85,7 +85,7 @@ class ClusterParams(Params):
     previous_helps: bool = advanced(
         True, description="Add the previous position to the candidates: 1-frame smoothing (2.2.2)."
     )
-    memory: float = advanced(
+    memory: Seconds = advanced(
         0.1,
         gt=0,
         description="Longest time, s, for which a merged position serves as the previous one; three"
@@ -101,7 +101,7 @@ class ClusterParams(Params):
         ge=0,
         description="Number of messages in a merged instant; 0 = the number of known cameras.",
     )
-    max_delta_time: float = advanced(
+    max_delta_time: Seconds = advanced(
         0.07,
         gt=0,
         description="Longest time, s, between the oldest and the newest message of a merged "

@@ -22,7 +22,7 @@ from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, frames_of, join
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import (
     POSITION,
     UNTRACKED,
@@ -44,13 +44,13 @@ _FORGET = 600.0  # s; somebody who returns has the same body
 class ConstrainParams(Params):
     """Parameters of the constraints."""
 
-    window: float = Field(
+    window: Seconds = Field(
         10.0,
         ge=0,
         description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
         "fuse-realtime.",
     )
-    enough: float = advanced(
+    enough: Seconds = advanced(
         60.0,
         ge=0,
         description="Seconds after which the lengths of a person stay as they are. Detectors see "

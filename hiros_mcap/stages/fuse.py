@@ -22,7 +22,7 @@ from pydantic import Field
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.merge import MergeParams
 
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 class FuseParams(Params):
     """Parameters of the fuser."""
 
-    lookahead: float = Field(
+    lookahead: Seconds = Field(
         3.0,
         ge=0,
         description="How far into the future each estimate looks at least, s. A camera's offset "
         "wanders over some seconds, so less is worse. 0.1 costs about 1 % of accuracy.",
     )
-    window: float = advanced(
+    window: Seconds = advanced(
         10.0,
         ge=0,
         description="Seconds that are smoothed at once. Results do not depend on it as long as the "
@@ -74,7 +74,7 @@ class FuseParams(Params):
         description="Standard deviation of the slow offset of a camera, per joint, m. 0 = cameras "
         "have none; then the error is larger and its estimate far too small.",
     )
-    offset_time: float = advanced(
+    offset_time: Seconds = advanced(
         1.7, gt=0, description="Time constant, s, with which such an offset wanders."
     )
     freedom: float = advanced(

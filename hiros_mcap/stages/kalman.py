@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 
@@ -36,7 +36,7 @@ class KalmanParams(Params):
         "tunes it by hand and gives no number. This value has the least error on simulated walks "
         "and gestures.",
     )
-    step: float = advanced(
+    step: Seconds = advanced(
         0.0,
         ge=0,
         description="Predict in whole steps of this length, s (paper: 0.033). 0 = predict exactly "
@@ -72,13 +72,13 @@ class KalmanParams(Params):
         description="Adds (range_noise x distance^2)^2 to sigma_r^2, with the distance from the "
         "camera in m; in 1/m. OpenPTrack has 0.0026.",
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         1.0,
         gt=0,
         description="Time, s, without a detection after which the filter of a person restarts (not "
         "in the paper).",
     )
-    hold: float = advanced(
+    hold: Seconds = advanced(
         0.2,
         ge=0,
         description="Time, s, for which an undetected person stays in the output; at most max_gap.",

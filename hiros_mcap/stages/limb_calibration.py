@@ -27,7 +27,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.optimizing import measure_lengths
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import Flags, Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 
@@ -53,7 +53,7 @@ class CalibrationParams(Params):
         description="Number of a person's frames in one calibration (section 3.3.1; 100 in the "
         "published code).",
     )
-    lookahead: float = Field(
+    lookahead: Seconds = Field(
         10.0,
         ge=0.0,
         description="Time, s, that a person's first frames are held. They then get the calibrated "

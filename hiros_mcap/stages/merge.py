@@ -29,7 +29,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.kernels import merging
 from hiros_mcap.kernels.averaging import Buffers, Views
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
@@ -45,7 +45,7 @@ class MergeParams(Params):
         "way. relabel: its left and right are swapped if this brings it near the others, otherwise "
         "it is dropped. drop: it is dropped (paper).",
     )
-    max_delta_time: float = Field(
+    max_delta_time: Seconds = Field(
         0.07,
         gt=0,
         description="Longest time, s, between the oldest and the newest message of a buffer (second"
@@ -83,7 +83,7 @@ class MergeParams(Params):
         description="Link that gives the orientation of the pelvis. Empty: the first link of the "
         "root marker.",
     )
-    max_flip_time: float = advanced(
+    max_flip_time: Seconds = advanced(
         4.0,
         ge=0,
         description="If all views suddenly face the other way, the previous direction wins for this"
@@ -115,7 +115,7 @@ class MergeParams(Params):
         description="A view this far from the mean, m, counts half, and a farther view counts less "
         "(Cauchy weights on top of eq 12); <= 0 = plain eq 12.",
     )
-    offset_time: float = advanced(
+    offset_time: Seconds = advanced(
         5.0,
         ge=0,
         description="Time constant, s, of the learned offset between each camera and the others, "

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 
@@ -19,7 +19,7 @@ class MovingAverageParams(Params):
     window: int = advanced(
         5, ge=1, description="Number of detections in the average (as in OpenPTrack's MAF)."
     )
-    lifetime: float = advanced(
+    lifetime: Seconds = advanced(
         0.6, gt=0, description="Time, s, after which a detection no longer counts."
     )
 

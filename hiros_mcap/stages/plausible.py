@@ -25,7 +25,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels import limb_deviations as kernels
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 
@@ -50,13 +50,13 @@ class PlausibleParams(Params):
         "deviations of these, up to which it keeps its confidence. Beyond, the confidence falls "
         "with the square. With 3, below 1 % of the markers of simulated logs lose some.",
     )
-    enough: float = advanced(
+    enough: Seconds = advanced(
         5.0,
         ge=0,
         description="Seconds that a person must have been seen before lengths are compared. A few "
         "seconds in one pose do not show how much they vary.",
     )
-    patience: float = advanced(
+    patience: Seconds = advanced(
         1.0,
         ge=0,
         description="Longest time, s, for which all detections of a person are left out. After "

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 
@@ -45,7 +45,7 @@ class PredictParams(Params):
         "corrected: the position corrected by the frame itself, which has less error and is as "
         "smooth.",
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         0.5,
         gt=0,
         description="Time, s, without data after which the filter of a person or joint restarts.",

@@ -37,7 +37,7 @@ from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.kernels.assignment import solve
 from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import mean_distances
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 from hiros_mcap.skeletons import (
     ORIENTATION,
     POSITION,
@@ -86,7 +86,7 @@ class TrackParams(Params):
         "3.1.2). Views of one person differ by 0.05 to 0.35 m. The published code works with 0.8 "
         "m, which also matches a neighbour.",
     )
-    max_gap: float = Field(
+    max_gap: Seconds = Field(
         1.5,
         gt=0,
         description="t_m, s: a track is deleted when no camera has seen the person for longer "
@@ -95,20 +95,20 @@ class TrackParams(Params):
     min_marker_confidence: float = Field(
         0.0, ge=0, le=1, description="Markers and links with lower confidence count as absent."
     )
-    reorder: float = Field(
+    reorder: Seconds = Field(
         1.0,
         ge=0,
         description="Longest time, s, that a message waits for older messages of slower cameras. "
         "Messages that arrive later are still tracked, at their own time. Recorders stall for up "
         "to a second; 0.1 suits a live system.",
     )
-    lookahead: float = Field(
+    lookahead: Seconds = Field(
         1.0,
         ge=0,
         description="Time, s, that a message with a tentative track is held. The person then has "
         "the id from the first detection on. 0 = a live system without delay.",
     )
-    reidentify: float = Field(
+    reidentify: Seconds = Field(
         30.0,
         ge=0,
         description="Longest absence, s, after which a person may get the old id back. Limb "
@@ -179,7 +179,7 @@ class TrackParams(Params):
     min_links: int = advanced(
         0, ge=0, description="A detection with fewer link orientations starts no track."
     )
-    tentative_gap: float = advanced(
+    tentative_gap: Seconds = advanced(
         0.5,
         gt=0,
         description="A tentative track is deleted when no camera has seen it for longer, s.",
@@ -189,13 +189,13 @@ class TrackParams(Params):
         ge=1,
         description="Number of detections that confirm a track, if two cameras or more report it.",
     )
-    confirm_seconds: float = advanced(
+    confirm_seconds: Seconds = advanced(
         0.5,
         ge=0,
         description="Time, s, after which a track of a single camera is confirmed, unless other "
         "cameras contradict it.",
     )
-    confirm_alone: float = advanced(
+    confirm_alone: Seconds = advanced(
         1.0,
         ge=0,
         description="The same for a body that stands still where none of the other cameras looks. "
@@ -213,13 +213,13 @@ class TrackParams(Params):
         description="A contradicted track still counts once it has moved this far, m, from its "
         "start. A coat on a stand never does.",
     )
-    horizon: float = advanced(
+    horizon: Seconds = advanced(
         0.2,
         gt=0,
         description="Time, s, for which eq 7 predicts constant velocity. After that velocities "
         "fade.",
     )
-    fade: float = advanced(
+    fade: Seconds = advanced(
         0.3,
         ge=0,
         description="Time constant, s, with which velocities fade beyond the horizon. 0 = a track "
