@@ -21,20 +21,20 @@ from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.outside import parse, read_toml
 from hiros_mcap.params import Params, advanced, explain, is_advanced
-from hiros_mcap.stages.associate import AssociateParams
-from hiros_mcap.stages.cluster import ClusterParams
-from hiros_mcap.stages.constrain import ConstrainParams
-from hiros_mcap.stages.filter import FilterParams
-from hiros_mcap.stages.fuse import FuseParams
-from hiros_mcap.stages.kalman import KalmanParams
-from hiros_mcap.stages.merge import MergeParams
-from hiros_mcap.stages.moving_average import MovingAverageParams
-from hiros_mcap.stages.optimize import OptimizeParams
-from hiros_mcap.stages.plausible import PlausibleParams
-from hiros_mcap.stages.predict import PredictParams
-from hiros_mcap.stages.sides import SidesParams
-from hiros_mcap.stages.straighten import StraightenParams
-from hiros_mcap.stages.track import TrackParams
+from hiros_mcap.stages.associate_params import AssociateParams
+from hiros_mcap.stages.cluster_params import ClusterParams
+from hiros_mcap.stages.constrain_params import ConstrainParams
+from hiros_mcap.stages.filter_params import FilterParams
+from hiros_mcap.stages.fuse_params import FuseParams
+from hiros_mcap.stages.kalman_params import KalmanParams
+from hiros_mcap.stages.merge_params import MergeParams
+from hiros_mcap.stages.moving_average_params import MovingAverageParams
+from hiros_mcap.stages.optimize_params import OptimizeParams
+from hiros_mcap.stages.plausible_params import PlausibleParams
+from hiros_mcap.stages.predict_params import PredictParams
+from hiros_mcap.stages.sides_params import SidesParams
+from hiros_mcap.stages.straighten_params import StraightenParams
+from hiros_mcap.stages.track_params import TrackParams
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
@@ -329,7 +329,6 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "lee-a2": {"track": _AS_PUBLISHED, "cluster": {"method": "average"}},
     "lee-a3": {"track": _AS_PUBLISHED, "cluster": {"previous_helps": False}},
     "lee-a4": {"track": _AS_PUBLISHED},
-    "lee-a5": {"track": _AS_PUBLISHED},
 }
 """Systems that are another one with other parameters -> what they change."""
 

@@ -34,7 +34,13 @@ BAG_MARK = "# hiros rosbag2 metadata\n"
 LIMBS_MARK = "# hiros limb lengths\n"
 CAMERAS_MARK = "# hiros cameras\n"
 
-_HEAD = 1024  # bytes, within which every mark lies
+EXPORT_MARK = "written by hiros"
+BVH_START = "HIERARCHY \t "
+"""BVH has no comments; blanks at the end of its first line mean nothing."""
+CSV_START, JSONL_START = "person,time (s),", '{"person": '
+
+HEAD = 1 << 16
+"""Bytes at the start of a file within which every mark lies, but that of Parquet at its end."""
 _MCAP = b"\x89MCAP0\r\n"
 
 
@@ -111,9 +117,9 @@ def _single_files(
 
 
 def _reason(kind: Kind) -> str:
-    """Return why an existing file is not replaced. A foreign format never shows who wrote it."""
-    article = "an" if kind == "HTML page" else "a"
-    return "exists" if kind == "export" else f"exists and is not {article} {kind} of hiros"
+    """Return why an existing file is not replaced."""
+    article = "an" if kind in ("HTML page", "export") else "a"
+    return f"exists and is not {article} {kind} of hiros"
 
 
 def _files(path: Path) -> list[Path]:
@@ -142,11 +148,13 @@ def _may_replace(path: Path, kind: Kind) -> bool:
     if not path.exists():
         return True
     with path.open("rb") as file:
-        return may_replace(file.read(_HEAD), kind)
+        head = file.read(HEAD)
+        file.seek(-min(HEAD, path.stat().st_size), os.SEEK_END)
+        return may_replace(head + file.read(), kind)
 
 
 def may_replace(head: bytes, kind: Kind) -> bool:
-    """Whether a file that begins so is empty, or of this kind and by hiros."""
+    """Whether a file that begins (and ends) so is empty, or of this kind and by hiros."""
     return not head or _IS_OURS[kind](head)
 
 
@@ -171,8 +179,10 @@ _IS_OURS: Mapping[Kind, Callable[[bytes], bool]] = {
     "rosbag2 folder": lambda head: False,
     "rosbag2 metadata": lambda head: head.startswith(BAG_MARK.encode()),
     "table of logs": lambda head: head.startswith(TABLE_MARK.encode()),
-    # Most formats have no place for a mark, so nobody knows who wrote the file.
-    "export": lambda head: False,
+    "export": lambda head: (
+        head.startswith(tuple(map(str.encode, (CSV_START, JSONL_START, BVH_START))))
+        or EXPORT_MARK.encode() in head
+    ),
 }
 
 
@@ -188,7 +198,7 @@ def create_locked(path: Path) -> int:
 
     Raises OSError.
     """
-    _remove_abandoned(path.parent)
+    remove_abandoned(path.parent)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     while True:
         # Mode 0666 less the umask, as for any file that a program makes.
@@ -213,7 +223,8 @@ def _lock(descriptor: int) -> bool | None:
     return True
 
 
-def _remove_abandoned(folder: Path) -> None:
+def remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files of processes that were killed."""
     if os.name != "posix":  # no locks
         return
     for path in folder.glob(".hiros-*.tmp"):

@@ -179,8 +179,8 @@ def _pelvis_angles(pelvis: Floats, up: int) -> Columns:
     }
 
 
-def _zxy(proximal: Floats, distal: Floats) -> tuple[Floats, Floats, Floats]:
-    """Angles z, x, y of a segment in another one: R = Rz Rx Ry."""
+def zxy(proximal: Floats, distal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Angles z, x, y, rad, of a segment (T, 3, 3) in another one: R = Rz Rx Ry."""
     r = np.swapaxes(proximal, -1, -2) @ distal
     return (
         np.arctan2(-r[:, 0, 1], r[:, 1, 1]),
@@ -190,7 +190,7 @@ def _zxy(proximal: Floats, distal: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _trunk_angles(pelvis: Floats, thorax: Floats) -> Columns:
-    extension, side_bend, rotation = _zxy(pelvis, thorax)
+    extension, side_bend, rotation = zxy(pelvis, thorax)
     return {
         "trunk flexion": -extension,
         "trunk side bend": side_bend,
@@ -204,7 +204,7 @@ def _neck_angles(at: Finder, body: Segments) -> Columns:
     return {
         "neck flexion": np.arctan2(x, y),
         "neck side bend": np.arcsin(np.clip(z, -1, 1)),
-        "neck rotation": _zxy(body["thorax"], body["head"])[2],
+        "neck rotation": zxy(body["thorax"], body["head"])[2],
     }
 
 
@@ -228,7 +228,7 @@ def _leg_angles(at: Finder, body: Segments, side: str) -> Columns:
 def _knee_angles(body: Segments, side: str) -> Columns:
     """Abduction and rotation of a knee, where links show them."""
     thigh, shank = body[f"{side} thigh"], body[f"{side} shank"]
-    _, adduction, rotation = _zxy(thigh, shank)
+    _, adduction, rotation = zxy(thigh, shank)
     return {
         f"{side} knee abduction": -_sign(side) * adduction,
         f"{side} knee rotation": _sign(side) * rotation,
@@ -265,7 +265,7 @@ def _arm_angles(body: Segments, side: str) -> Columns:
 
 def _pronation(body: Segments, side: str) -> Columns:
     """Rotation of the forearm, where its link shows it."""
-    rotation = _zxy(body[f"{side} upper arm"], body[f"{side} forearm"])[2]
+    rotation = zxy(body[f"{side} upper arm"], body[f"{side} forearm"])[2]
     return {f"{side} elbow pronation": _sign(side) * rotation}
 
 
@@ -292,7 +292,7 @@ def _swing(proximal: Floats, axis: Floats, sign: float) -> tuple[Floats, Floats]
 
 def _twist(proximal: Floats, limb: Floats, sign: float) -> Floats:
     """Axial rotation of a limb, positive inwards: the angle c of Rz(a) Rx(b) Ry(c)."""
-    return sign * _zxy(proximal, limb)[2]
+    return sign * zxy(proximal, limb)[2]
 
 
 def _untwisted_z(proximal: Floats, axis: Floats) -> Floats:

@@ -13,6 +13,8 @@ import numpy as np
 from hiros_mcap.skeletons import Floats
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Turns axes with z up into those of OpenSim and animation programs, y up: (x, z, -y)."""
 
 
 def multiply(a_xyzw: Floats, b_xyzw: Floats) -> Floats:
@@ -130,6 +132,11 @@ class Rigid(NamedTuple):
         """Return the transform that undoes this one."""
         back = conjugate(self.xyzw)
         return Rigid(back, -rotate(back, self.translation))
+
+    def apart(self, other: Rigid) -> tuple[float, float]:
+        """Return how far another transform is from this one, m and degrees."""
+        metres = float(np.linalg.norm(self.translation - other.translation))
+        return metres, float(np.degrees(angle(self.xyzw, other.xyzw)))
 
     def towards(self, other: Rigid, share: float) -> Rigid:
         """Return the transform between this one (share 0) and another (share 1)."""

@@ -61,13 +61,21 @@ Finder = Callable[..., Floats]
 
 
 def finder(model: SkeletonModel, positions: Floats) -> Finder:
-    """Look up markers (T, M, 3) by the names that detectors use."""
+    """Look up markers (T, M, 3) by the names that detectors use.
+
+    Without a marker at the neck or the pelvis, it is the middle of the shoulders or hips.
+    """
     slots = {split_side(name): slot for slot, name in enumerate(model.marker_names)}
     absent = np.full((len(positions), 3), np.nan)
 
     def at(*names: str, side: str = "") -> Floats:
         slot = next((slots[name, side] for name in names if (name, side) in slots), None)
-        return absent if slot is None else np.asarray(positions[:, slot])
+        if slot is not None:
+            return np.asarray(positions[:, slot])
+        for part, ours in (("shoulder", NECK), ("hip", _PELVIS)):
+            if set(names) & {*ours}:
+                return (at(part, side="left") + at(part, side="right")) / 2
+        return absent
 
     return at
 

@@ -6,10 +6,13 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiros_mcap.skeletons import Floats
 
 HEADER = b"\0\1\0\0"  # CDR, little endian
+TIME_SIZE = 8
+"""Bytes of a Time."""
 
 
 class CdrWriter:
@@ -25,6 +28,10 @@ class CdrWriter:
     def _put(self, form: str, size: int, *values: float) -> None:
         self._body += bytes(-len(self._body) % size)
         self._body += struct.pack(f"<{len(values)}{form}", *values)
+
+    def raw(self, data: bytes) -> None:
+        """Write bytes that another writer made at the same place."""
+        self._body += data
 
     def byte(self, value: int) -> None:
         """Write a uint8 or a bool."""
@@ -52,16 +59,20 @@ class CdrWriter:
             self._body += bytes(-len(self._body) % 8)
             self._body += np.ascontiguousarray(values, "<f8").tobytes()
 
+    def words(self, values: NDArray[np.uint32]) -> None:
+        """Write all numbers of an array of four bytes each, without a length."""
+        self._put("I", 4)
+        self._body += np.ascontiguousarray(values, "<u4").tobytes()
+
     def sequence(self, values: Floats) -> None:
         """Write a sequence of float64."""
         self.uint32(values.size)
         self.array(values)
 
-    def numbers(self, form: str, values: Sequence[float]) -> None:
-        """Write a sequence of numbers of four bytes: int32 (i), uint32 (I) or float32 (f)."""
+    def int32s(self, values: Sequence[int]) -> None:
+        """Write a sequence of int32."""
         self.uint32(len(values))
-        if values:
-            self._put(form, 4, *values)
+        self._put("i", 4, *values)
 
     def string(self, text: str) -> None:
         """Write a string."""

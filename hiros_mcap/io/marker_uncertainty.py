@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.io.cdr_writer import CdrWriter
+from hiros_mcap.io.cdr_writer import HEADER, TIME_SIZE, CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.ros_messages import open_messages
 from hiros_mcap.skeletons import Frame, SkeletonModel
@@ -25,19 +26,29 @@ Deviations = Mapping[tuple[int, int], Mapping[int, float]]
 def uncertainty_message(frame: Frame, model: SkeletonModel) -> bytes:
     """Return a SkeletonGroupUncertainty in CDR; of nobody if the frame has no uncertainty."""
     known = frame.uncertainty
+    names = tuple(known.names) if known else ()
     out = CdrWriter()
-    out.header(frame.stamp, frame.frame_id)
-    out.strings(known.names if known else ())
-    out.numbers("i", model.marker_ids)
+    out.time(frame.stamp)
+    out.raw(_head(frame.frame_id, names, tuple(model.marker_ids)))
     out.uint32(frame.n_people if known else 0)
     if known:
-        cameras = (known.cameras & _CAMERAS).tolist()
-        rows = zip(frame.ids.tolist(), known.deviations.tolist(), cameras, strict=True)
-        for person, deviations, seen in rows:
-            out.int32(person)
-            out.numbers("f", deviations)
-            out.numbers("I", seen)
+        n = known.deviations.shape[1]
+        people = np.full((frame.n_people, 3 + 2 * n), n, "<u4")  # id, n, deviations, n, cameras
+        people[:, 0] = frame.ids.astype("<i4").view("<u4")
+        people[:, 2 : 2 + n] = known.deviations.astype("<f4").view("<u4")
+        people[:, 3 + n :] = known.cameras & _CAMERAS
+        out.words(people)
     return out.finish()
+
+
+@lru_cache(maxsize=8)
+def _head(frame_id: str, names: tuple[str, ...], markers: tuple[int, ...]) -> bytes:
+    """Bytes between the time and the people: those of all messages of a log."""
+    out = CdrWriter()
+    out.header(0, frame_id)
+    out.strings(names)
+    out.int32s(markers)
+    return out.finish()[len(HEADER) + TIME_SIZE :]
 
 
 def read_uncertainty(path: str | os.PathLike[str]) -> Deviations:

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,6 +30,7 @@ from hiros_mcap.io.bags import kind_of
 from hiros_mcap.io.channels import OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log, open_reader, span_of
+from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, read_uncertainty
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 if TYPE_CHECKING:
@@ -53,6 +55,8 @@ class Motion:
     """(T, L, 4) x y z w of the links; None if the channel has none."""
     axes: LinkAxes = field(default_factory=dict)
     """How the segments lie in their links, measured on the whole motion."""
+    deviations: Floats | None = None
+    """(T, M) m, standard deviations along each axis; None if the result states none."""
 
     def __repr__(self) -> str:
         if not len(self.times):
@@ -68,24 +72,36 @@ class Motion:
     def between(self, start: float, end: float) -> Motion:
         """Return the instants from ``start`` to ``end``, s from the log's first skeleton."""
         inside = (self.times >= start) & (self.times <= end)
+        turns, sd = self.orientations, self.deviations
         return replace(
             self,
             times=self.times[inside],
             positions=self.positions[inside],
             confidences=self.confidences[inside],
-            orientations=None if self.orientations is None else self.orientations[inside],
+            orientations=None if turns is None else turns[inside],
+            deviations=None if sd is None else sd[inside],
         )
 
     def at(self, times: Floats) -> Motion:
         """Interpolate by cubic splines to ``times``, s; NaN in pauses longer than GAP_S."""
-        turns = self.orientations
+        turns, sd = self.orientations, self.deviations
         return replace(
             self,
             times=times,
             positions=_interpolated_all(times, self.times, self.positions),
-            confidences=_interpolated_all(times, self.times, self.confidences),
+            confidences=np.clip(_interpolated_all(times, self.times, self.confidences), 0, 1),
             orientations=None if turns is None else _interpolated_turns(times, self.times, turns),
+            deviations=None if sd is None else np.abs(_interpolated_all(times, self.times, sd)),
         )
+
+    def trusted(self, least: float) -> Motion:
+        """Return a gap for each marker whose confidence is below ``least``, and for its links.
+
+        A marker without a confidence stays.
+        """
+        positions = self.positions.copy()
+        positions[self.confidences < least] = np.nan
+        return replace(self, positions=positions)
 
 
 def _interpolated_all(times: Floats, known_times: Floats, values: Floats) -> Floats:
@@ -231,6 +247,16 @@ def _part(start: float, end: float) -> str:
     return f" from {start:g} s on" if np.isfinite(start) else ""
 
 
+def safe_name(name: str) -> str:
+    r"""Return a name that is one cell of a table: no control characters, no formula.
+
+    >>> safe_name("=HEAD\tX")
+    '_HEAD_X'
+    """
+    plain = "".join(c if c.isprintable() else "_" for c in name)
+    return re.sub(r"^[=+\-@]", "_", plain)
+
+
 def grid(times: Floats, rate: float) -> Floats:
     """Return times at a fixed rate from the first to the last of ``times``, s."""
     return np.asarray(times[0] + np.arange(int((times[-1] - times[0]) * rate + 1e-6) + 1) / rate)
@@ -265,6 +291,7 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         model = log.model
     if own.detections == 0 and frames:
         start = frames[0].stamp  # results are logged later than the data that they belong to
+    known = read_uncertainty(path) if chosen == UNCERTAIN_TOPIC else {}
     rows: dict[int, list[_Instant]] = {}
     for frame in frames:
         for k, person in frame.tracked():
@@ -273,6 +300,7 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
                 frame.positions[k],
                 frame.marker_confidences[k],
                 frame.orientations[k],
+                _deviations(model, known.get((frame.stamp, person), {})),
             )
             rows.setdefault(person, []).append(row)
     motions = {person: _motion(person, rows[person], start, model) for person in sorted(rows)}
@@ -348,15 +376,24 @@ class _Instant(NamedTuple):
     positions: Floats
     confidences: Floats
     orientations: Floats
+    deviations: Floats
+
+
+def _deviations(model: SkeletonModel, known: Mapping[int, float]) -> Floats:
+    """(M,) of one person at one instant, m; NaN where absent."""
+    return np.array([known.get(marker, np.nan) for marker in model.marker_ids])
 
 
 def _motion(person: int, rows: Sequence[_Instant], start: int, model: SkeletonModel) -> Motion:
-    stamps, positions, confidences, turns = (np.stack(column) for column in zip(*rows, strict=True))
+    columns = (np.stack(column) for column in zip(*rows, strict=True))
+    stamps, positions, confidences, turns, deviations = columns
     seconds: Floats = (stamps.astype(np.int64) - start) / 1e9
+    motion = Motion(person, seconds, positions, confidences)
+    if not np.isnan(deviations).all():
+        motion = replace(motion, deviations=deviations)
     if np.isnan(turns).all():
-        return Motion(person, seconds, positions, confidences)
-    axes = link_axes(model, positions, turns)
-    return Motion(person, seconds, positions, confidences, turns, axes)
+        return motion
+    return replace(motion, orientations=turns, axes=link_axes(model, positions, turns))
 
 
 def _stacked(rows: Sequence[Floats], columns: int) -> Floats:

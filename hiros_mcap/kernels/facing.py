@@ -64,7 +64,8 @@ _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
 _TOES_LABEL = 0.2, 0.5  # agreement of toes: labels say nothing; they say all that labels can
-_TOES_FOLLOW = 0.45, 0.5  # lines say nothing of turns; they do (0.5 = nothing is known yet)
+_TOES_FAST = 0.45, 0.5  # lines show no fast turn; they show it (0.5 = nothing is known yet)
+_TOES_SLOW = 0.45, 0.7  # the same of slow turns: a fifth of them counts while nothing is known
 _TOES_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
 _SURE = 0.5  # length of the mean direction of a belief that overrules labels
 _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
@@ -166,7 +167,7 @@ class FacingPast(NamedTuple):
     trunk_stamps: Stamps
     """(S,) time of the last view that showed it, ns."""
     lines: Floats
-    """(S,) angle of the line through shoulders and hips in the axes, rad; NaN = not known."""
+    """(S, 2) see body_axes.follow_line; NaN = not known."""
     starts: Stamps
     belief_starts: Stamps
     """(S,) as Looks.starts: of the last view; of the current cell."""
@@ -179,7 +180,7 @@ class FacingPast(NamedTuple):
         return cls(
             n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
             np.zeros((0, VIEWS, 2 + CUES * 2)), n, cells, np.zeros((0, CELLS, 4)), n,
-            np.zeros((0, 3, 3)), np.zeros((0, 3)), n, np.zeros(0), n, n,
+            np.zeros((0, 3, 3)), np.zeros((0, 3)), n, np.zeros((0, 2)), n, n,
         )  # fmt: skip
 
 
@@ -241,7 +242,7 @@ class Facings(NamedTuple):
 
 MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2, J2)
 _LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2, F3, I1, F1)
-_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1, F3, F2, I1, F1, I1, I1)
+_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1, F3, F2, I1, F2, I1, I1)
 _TABLES = named_tuple(FacingTables, F2, F2, F2, F1)
 _FACINGS = named_tuple(Facings, F2, B1, F1, F1)
 
@@ -399,8 +400,9 @@ def _line_reliability(width: float, usual: float) -> float:
 
 @inlined
 def _follow_body(
-    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int, trust: float
-) -> tuple[float, float]:
+    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int,
+    agreement: Floats,
+) -> tuple[float, float]:  # fmt: skip
     """Bring a person's axes to a view; return the line through shoulders and hips in them, m."""
     axes = past.axes[row]
     seconds = 1e-9 * max(stamp - past.trunk_stamps[row], 0) if past.starts[row] > 0 else np.inf
@@ -417,7 +419,9 @@ def _follow_body(
         return np.nan, np.nan
     _learn_width(width, past, row)
     reliable = _line_reliability(width, past.widths[row])
-    past.lines[row], turn = follow_line(past.lines[row], math.atan2(y, x), reliable, trust, axes)
+    toes = _toes(agreement)
+    trust = ramp(toes, *_TOES_SLOW), ramp(toes, *_TOES_FAST)
+    turn = follow_line(past.lines[row], math.atan2(y, x), reliable, seconds, trust, axes)
     cosine, sine = math.cos(turn), math.sin(turn)
     return cosine * x + sine * y, cosine * y - sine * x
 
@@ -429,8 +433,7 @@ def _measure(
 ) -> None:  # fmt: skip
     """Measure what view ``i`` shows in the person's axes, and learn from it."""
     positions, row = people.markers[view], looks.rows[i]
-    trust = ramp(_toes(tables.agreement), *_TOES_FOLLOW)
-    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, trust)
+    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, tables.agreement)
     width = math.sqrt(x * x + y * y)
     looks.widths[i], looks.facing[i, 0], looks.facing[i, 1] = width, -y / width, x / width
     looks.starts[i] = past.starts[row]

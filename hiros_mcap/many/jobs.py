@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from hiros_mcap.config import Config
-from hiros_mcap.defaults import DEFAULT_SYSTEM
+from hiros_mcap.defaults import DEFAULT_SYSTEM, LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
@@ -221,6 +221,7 @@ class ExportJob:
     start: float = float("-inf")
     end: float = float("inf")
     marker_set: str = ""
+    least_confidence: float = LEAST_CONFIDENCE
 
     command: ClassVar[str] = "export"
     kind: ClassVar[Kind] = "export"
@@ -236,7 +237,7 @@ class ExportJob:
         result, what = result.select(self.person, self.start, self.end, self.rate), self.what
         if self.marker_set:
             result, what = renamed(result, load_marker_set(self.marker_set, result.model)), "joints"
-        files = tuple(export(result, target, what))
+        files = tuple(export(result, target, what, self.least_confidence))
         return Finding({"people": len(result.people), "files": len(files)}, files=files)
 
 

@@ -13,18 +13,16 @@ a single person; here the tracker's people are merged one by one.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels.averaging import Buffers, Views
-from hiros_mcap.params import Params, Seconds, advanced
-from hiros_mcap.skeletons import Flags, Frame, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.cluster_params import ClusterParams
 from hiros_mcap.stages.instants import InstantMerger
 
 LEE_JOINTS = (
@@ -39,88 +37,23 @@ _ALIASES = {"spine_naval": "spine_navel", "spinebase": "pelvis", "spinemid": "sp
 _TOO_NEAR = ("eye", "ear", "mouth", "clavicle", "collar")
 """Pairs so near to each other that a camera's error could pass for a swap."""
 
-
-class ClusterParams(Params):
-    """Parameters of Lee's merger."""
-
-    method: Literal["dbscan", "average"] = Field(
-        "dbscan",
-        description="dbscan: average the largest cluster. average: average all candidates (variants"
-        " A1 and A2).",
-    )
-    radius: float = Field(
-        0.1,
-        gt=0,
-        description="Search radius of DBSCAN, m. 0.1 is the best of the paper's 5, 10, 15 and 20 "
-        "cm.",
-    )
-    joints: Literal["all", "lee16"] = advanced(
-        "all", description="All joints of the log, or the 16 that the paper merges (2.2.1)."
-    )
-    rearrange: Literal["off", "right", "both"] = advanced(
-        "right",
-        description="When a camera's left and right joints are swapped (2.2.1). right: if its right"
-        " joint is farther from the right reference position than its left joint (paper). both: if"
-        " the distances of both sides together are smaller after the swap, which is slightly safer"
-        " (benchmarks/papers/lee_2022.py).",
-    )
-    medium_confidence: float = advanced(
-        0.5,
-        description="Least confidence of level medium. Detectors with four levels (Azure Kinect) "
-        "give 0, 0.33, 0.66 and 1. A missing confidence is medium.",
-    )
-    low_confidence: float = advanced(
-        0.17,
-        description="Least confidence of level low. A joint below is of level none and never gives "
-        "a reference position.",
-    )
-    min_neighbours: int = advanced(
-        1,
-        ge=1,
-        description="N_c of algorithm 1, including the point. With 1 (paper), nothing is noise.",
-    )
-    reference_helps: bool = advanced(
-        True, description="Add the reference position to the candidates (2.2.2)."
-    )
-    previous_helps: bool = advanced(
-        True, description="Add the previous position to the candidates: 1-frame smoothing (2.2.2)."
-    )
-    memory: Seconds = advanced(
-        0.1,
-        gt=0,
-        description="Longest time, s, for which a merged position serves as the previous one; three"
-        " frames at 30 Hz. After that, a joint may have moved farther than the radius.",
-    )
-    compensate_motion: bool = advanced(
-        True,
-        description="Move views to the merged time with their velocities. The paper's cameras are "
-        "synchronised by wire; those of a log often are not.",
-    )
-    cameras: int = advanced(
-        0,
-        ge=0,
-        description="Number of messages in a merged instant; 0 = the number of known cameras.",
-    )
-    max_delta_time: Seconds = advanced(
-        0.07,
-        gt=0,
-        description="Longest time, s, between the oldest and the newest message of a merged "
-        "instant.",
-    )
+_MEDIUM, _LOW = 0.5, 0.17
+"""Least confidences of these levels; below low, a joint never gives a reference position. Detectors
+with four levels (Azure Kinect) give 0, 0.33, 0.66 and 1. A missing confidence is medium."""
 
 
-def cluster(
-    frames: Iterable[Frame],
+def cluster_blocks(
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: ClusterParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Merge the tracked skeletons of all cameras (Lee, 2.2.1 and 2.2.2).
 
     Parameters
     ----------
-    frames : tracked frames in the fixed frame, roughly in time order. Untracked people are left
+    blocks : tracked frames in the fixed frame, roughly in time order. Untracked people are left
         out.
     model : the skeleton; the names of its markers tell left from right.
     params : see :class:`ClusterParams`.
@@ -132,17 +65,6 @@ def cluster(
     ------
     One frame per instant, at the mean time of its messages, people sorted by id.
     """
-    return frames_of(cluster_blocks(map(Block.of, frames), model, params, events, fixed_frame))
-
-
-def cluster_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: ClusterParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-) -> Iterator[Block]:
-    """Do what :func:`cluster` does, a block at a time."""
     params = params or ClusterParams()
     kernel = _ClusterKernel(model, params)
     merger = InstantMerger(
@@ -181,8 +103,8 @@ class _ClusterKernel:
         used = lee_joints(model) if params.joints == "lee16" else every
         self._joints = clustering.Joints(pairs_of(model), np.ascontiguousarray(model.links), used)
         self._settings = clustering.ClusterSettings(
-            medium_confidence=params.medium_confidence,
-            low_confidence=params.low_confidence,
+            medium_confidence=_MEDIUM,
+            low_confidence=_LOW,
             radius=params.radius if params.method == "dbscan" else 0.0,
             min_neighbours=params.min_neighbours,
             memory=round(params.memory * 1e9) if params.previous_helps else -1,

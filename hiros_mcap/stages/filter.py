@@ -13,20 +13,19 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from statistics import median
-from typing import Literal, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.kernels import state_space
 from hiros_mcap.kernels.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
-from hiros_mcap.params import Params, Seconds, advanced
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
+from hiros_mcap.stages.filter_params import FilterParams
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
@@ -44,96 +43,6 @@ _SLOTS = 32
 """Slots of the rings at first: enough for a batch and the default look-ahead at 30 Hz."""
 
 
-class FilterParams(Params):
-    """How the trajectories of markers and links are smoothed."""
-
-    method: Literal["state_space", "butterworth"] = Field(
-        "state_space",
-        description="state_space: Kalman filter of integrated white noise; no lag on steady motion."
-        " Without look-ahead it amplifies motion below two thirds of the cut-off by up to 13 % "
-        "(order 2) or 26 % (order 3). butterworth: maximally flat, any order; lags unless it looks "
-        "ahead.",
-    )
-    cutoff: float = Field(
-        4.5,
-        gt=0,
-        description="Frequency, Hz, at which the whole filter (with look-ahead) is at -3 dB. For "
-        "human motion with the noise of merged cameras, the error is least at 4 to 5 Hz "
-        "(benchmarks/bench_filter.py). Winter 2009 gives 6 to 10 Hz for marker-based capture.",
-    )
-    lookahead: float = Field(
-        0.3,
-        ge=0,
-        le=60,
-        description="How far into the future each estimate looks, s. 0 = strictly causal. At order "
-        "2 or 3, more than 1 / cutoff changes nothing; a higher order rings for longer.",
-    )
-    order: int = advanced(
-        2,
-        ge=1,
-        le=10,
-        description="Order of the filter. state_space: 2 = constant velocity, 3 = constant "
-        "acceleration (sharper, with a better acceleration). butterworth: any.",
-    )
-    bridge: Seconds = advanced(
-        0.2,
-        ge=0,
-        description="Longest gap, s, of a marker or link that is filled, with half of its last "
-        "confidence. A gap stays empty if the look-ahead shows that it is longer.",
-    )
-    max_gap: Seconds = advanced(
-        1.0,
-        gt=0,
-        description="Time, s, without data after which the filter of a person, marker or link "
-        "restarts.",
-    )
-    keep_lengths: bool = advanced(
-        True,
-        description="Give each link its mean length in the input. Smoothing each joint separately "
-        "shortens limbs that swing.",
-    )
-    length_time: Seconds = advanced(
-        2.0,
-        gt=0,
-        description="Time constant, s, of the mean length of a link. A longer time is slightly "
-        "better if no earlier stage corrects the lengths, but follows a new calibration more "
-        "slowly.",
-    )
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.method == "state_space" and self.order not in (2, 3):
-            raise ValueError("order of a state-space filter must be 2 or 3")
-        return self
-
-
-def filter_frames(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: FilterParams = FilterParams(),  # noqa: B008 - immutable
-    events: Events | None = None,
-) -> Iterator[Frame]:
-    """Filter marker positions and link orientations; fill in velocities and accelerations.
-
-    Parameters
-    ----------
-    frames : tracked, merged or optimized frames, stamps in ns not decreasing. A person is known
-        by source and id. Untracked people (-1) pass through unchanged.
-    model : the skeleton; its links are the limbs whose lengths are kept.
-    params : see :class:`FilterParams`.
-    events : counts "filter: time not increasing" (a person passed unchanged) and "filter: cut-off
-        lowered" (the frames come too slowly for the chosen one).
-
-    Yields
-    ------
-    The same frames in the same order: poses in m and unit quaternions, velocities in m/s and
-    rad/s, accelerations in m/s2 and rad/s2, all in the fixed frame. ``log_time`` is that of the
-    first frame at or beyond stamp + lookahead, or of the last frame before a gap longer than
-    ``max_gap`` or the end.
-    """
-    return frames_of(filter_blocks(map(Block.of, frames), model, params, events))
-
-
 def filter_blocks(
     blocks: Iterable[Block],
     model: SkeletonModel,
@@ -142,10 +51,25 @@ def filter_blocks(
     *,
     keep_positions: bool = False,
 ) -> Iterator[Block]:
-    """Do what :func:`filter_frames` does, a block at a time.
+    """Filter marker positions and link orientations; fill in velocities and accelerations.
 
+    Parameters
+    ----------
+    blocks : tracked, merged or optimized frames, stamps in ns not decreasing. A person is known
+        by source and id. Untracked people (-1) pass through unchanged.
+    model : the skeleton; its links are the limbs whose lengths are kept.
+    params : see :class:`FilterParams`.
+    events : counts "filter: time not increasing" (a person passed unchanged) and "filter: cut-off
+        lowered" (the frames come too slowly for the chosen one).
     keep_positions : leave markers where they are, because an earlier stage has smoothed them.
-    Their velocities and accelerations, and the links, are filtered.
+        Their velocities and accelerations, and the links, are filtered.
+
+    Yields
+    ------
+    The same frames in the same order: poses in m and unit quaternions, velocities in m/s and
+    rad/s, accelerations in m/s2 and rad/s2, all in the fixed frame. ``log_time`` is that of the
+    first frame at or beyond stamp + lookahead, or of the last frame before a gap longer than
+    ``max_gap`` or the end.
     """
     events = Events() if events is None else events
     skeletons = _SkeletonFilter(model, params, events, keep_positions=keep_positions)

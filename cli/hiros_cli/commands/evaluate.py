@@ -123,7 +123,7 @@ def evaluate(
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    from hiros_cli.compiling import prepare, run_roots
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
@@ -141,7 +141,7 @@ def evaluate(
         log = one_log(context, logs[0])
         check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
     system = chosen_system(system, preset)
-    prepare(quiet=quiet or json, roots=run_roots(system) if is_many else ())
+    prepare(quiet=quiet or json, everything=is_many)
 
     from hiros_mcap.config import load_config
     from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of

@@ -10,6 +10,7 @@ import typer
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
 from hiros_cli.options import MANY, Cluster, Force, Jobs, Json, Quiet, Table
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 
 
@@ -83,6 +84,15 @@ def export(
             "the joint centres of that OpenSim model. Default: our names.",
         ),
     ] = "",
+    least_confidence: Annotated[
+        float,
+        typer.Option(
+            metavar="0..1",
+            min=0,
+            max=1,
+            help="Markers below this confidence are gaps: nobody saw them. 0 writes them all.",
+        ),
+    ] = LEAST_CONFIDENCE,
     jobs: Jobs = None,
     cluster: Cluster = None,
     csv: Table = None,
@@ -91,7 +101,7 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
-    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs, print_json
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
@@ -106,9 +116,10 @@ def export(
     if is_many:
         from hiros_mcap.many.jobs import ExportJob
 
-        prepare(quiet=quiet, roots=RUN)
+        prepare(quiet=quiet, everything=True)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
-        job = ExportJob(suffix, what, person, channel, rate, start, end, names)
+        part = (what, person, channel, rate, start, end)
+        job = ExportJob(suffix, *part, names, least_confidence)
         raise typer.Exit(run(job, many))
     many.refuse_alone()
     log = one_log(context, logs[0])
@@ -120,7 +131,7 @@ def export(
         result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
     targets = files_of(target, result.people)
     check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
-    written = write(result, target, what)
+    written = write(result, target, what, least_confidence)
     if json:
         print_json("export", {"log": logs[0], "files": list(map(str, written))})
     for path in () if quiet or json else written:

@@ -46,12 +46,12 @@ def info(
     It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
     version, the system and the changed parameters.
     """
-    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import warn
 
     many = ManyLogs(logs, "", jobs, cluster, csv, force, json, quiet)
     if many.wanted:
-        prepare(quiet=json or quiet, roots=RUN)
+        prepare(quiet=json or quiet, everything=True)
         from hiros_mcap.many.jobs import InfoJob
 
         side = extrinsics and extrinsics.absolute()

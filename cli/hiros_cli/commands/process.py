@@ -251,7 +251,7 @@ def process(
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    from hiros_cli.compiling import prepare, run_roots
+    from hiros_cli.compiling import importing, prepare
     from hiros_cli.progress import bar
     from hiros_mcap.io.remote import is_remote
 
@@ -284,13 +284,13 @@ def process(
         shortcuts["--unit"] = {"input": {"unit": unit}}
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
-    prepare(quiet=quiet, roots=run_roots(system))
-
-    if output is None and not live:
-        _refuse_result(source)
-    from hiros_mcap.config import load_config
-    from hiros_mcap.running.pipeline import ProcessOptions
-    from hiros_mcap.running.pipeline import process as run
+    with importing():
+        prepare(quiet=quiet, everything=True)
+        if output is None and not live:
+            _refuse_result(source)
+        from hiros_mcap.config import load_config
+        from hiros_mcap.running.pipeline import ProcessOptions
+        from hiros_mcap.running.pipeline import process as run
 
     _check_assignments(system, assignments or ())
     _check_effects(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Y_UP
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.export.biomechanics import only, y_up
+from hiros_mcap.io.export.biomechanics import only
+from hiros_mcap.io.export.rajagopal import bridged
+from hiros_mcap.io.export.tables import write_lines
+from hiros_mcap.outputs import BVH_START
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 if TYPE_CHECKING:
@@ -18,7 +23,7 @@ Tree = dict[int, list[int]]
 """Marker slot -> slots of its children."""
 
 
-def write_bvh(result: Result, target: Path, parts: tuple[str, ...]) -> None:
+def write_bvh(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     """Write one person as a hierarchy of joints with constant offsets, cm, y up.
 
     A joint's rotation brings the offsets of its children to where the markers are: exactly where
@@ -27,9 +32,9 @@ def write_bvh(result: Result, target: Path, parts: tuple[str, ...]) -> None:
     """
     motion = only(result)
     root, tree = tree_of(result.model)
-    points = _without_gaps(100 * y_up(motion.positions), [root, *_descendants(tree, root)])
+    points = _without_gaps(100 * motion.positions @ Y_UP.T, [root, *_descendants(tree, root)])
     rest = _rest_offsets(points, tree)
-    lines = ["HIERARCHY"]
+    lines = [BVH_START]
     order: list[int] = []
     _declare(lines, order, result.model, tree, rest, root)
     rotations = _rotations(points, tree, rest, root)
@@ -39,7 +44,7 @@ def write_bvh(result: Result, target: Path, parts: tuple[str, ...]) -> None:
         [points[:, root], *(_zxy_degrees(rotations[slot]) for slot in inner)], axis=1
     )
     lines += [" ".join(f"{value:.5f}" for value in row) for row in numbers.tolist()]
-    target.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return write_lines(target, lines)
 
 
 def tree_of(model: SkeletonModel) -> tuple[int, Tree]:
@@ -67,13 +72,12 @@ def _without_gaps(points: Floats, needed: list[int]) -> Floats:
 
     Raises ConfigError if a marker is never there.
     """
-    filled, frames = points.copy(), np.arange(len(points))
+    filled = points.copy()
     for slot in needed:
-        known = ~np.isnan(points[:, slot, 0])
-        if not known.any():
+        if np.isnan(points[:, slot, 0]).all():
             raise ConfigError("BVH needs every marker of the skeleton at least once")
         for axis in range(3):
-            filled[:, slot, axis] = np.interp(frames, frames[known], points[known, slot, axis])
+            filled[:, slot, axis] = bridged(points[:, slot, axis])
     return filled
 
 
@@ -153,7 +157,7 @@ def _declare(
     if not children:
         lines += [f"{pad}End Site", f"{pad}{{", f"{pad}  {offset}", f"{pad}}}"]
         return
-    name = model.marker_names[slot].replace(" ", "_")
+    name = re.sub(r"[\s{}]", "_", model.marker_names[slot])
     lines += [f"{pad}{kind} {name}", f"{pad}{{", f"{pad}  {offset}"]
     n = 3 + 3 * (not depth)
     lines.append(f"{pad}  CHANNELS {n} {place}Zrotation Xrotation Yrotation")

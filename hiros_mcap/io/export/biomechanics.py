@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
+import logging
+import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Y_UP
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.export.rajagopal import NEEDS, PELVIS, bridged, coordinates
+from hiros_mcap.io.export.tables import write_lines
+from hiros_mcap.io.result import safe_name
+from hiros_mcap.outputs import EXPORT_MARK
 from hiros_mcap.skeletons import Floats
 
 if TYPE_CHECKING:
     from hiros_mcap.io.result import Motion, Result
 
-# OpenSim's coordinates (Rajagopal 2016) by our angles, with the factor between their signs.
-_COORDINATES = {
-    "pelvis_tilt": ("pelvis tilt", -1),
-    "pelvis_list": ("pelvis obliquity", 1),
-    "pelvis_rotation": ("pelvis rotation", 1),
-    "lumbar_extension": ("trunk flexion", -1),
-    "lumbar_bending": ("trunk side bend", 1),
-    "lumbar_rotation": ("trunk rotation", 1),
-    **{
-        f"{name}_{side[0]}": (f"{side} {angle}", factor)
-        for side in ("right", "left")
-        for name, angle, factor in (
-            ("hip_flexion", "hip flexion", 1),
-            ("hip_adduction", "hip abduction", -1),
-            ("hip_rotation", "hip rotation", 1),
-            ("knee_angle", "knee flexion", 1),
-            ("ankle_angle", "ankle dorsiflexion", 1),
-            ("arm_flex", "shoulder flexion", 1),
-            ("arm_add", "shoulder abduction", -1),
-            ("arm_rot", "shoulder rotation", 1),
-            ("elbow_flex", "elbow flexion", 1),
-        )
-    },
-}
-
-
-def y_up(positions: Floats) -> Floats:
-    """Coordinates with z up as OpenSim and animation programs have them, y up: (x, z, -y)."""
-    return np.asarray(positions[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0]))
+_log = logging.getLogger(__name__)
 
 
 def only(result: Result) -> Motion:
@@ -49,14 +30,14 @@ def only(result: Result) -> Motion:
     return motion
 
 
-def write_trc(result: Result, target: Path, parts: tuple[str, ...]) -> None:
+def write_trc(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     """Write one person's markers, mm, y up; an empty cell is a gap."""
     motion = only(result)
     names = result.model.marker_names
     rate, n = round(motion.rate, 6), len(motion.times)
     axes = "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1))
     head = [
-        f"PathFileType\t4\t(X/Y/Z)\t{result.path.stem}.trc",
+        f"PathFileType\t4\t(X/Y/Z)\t{safe_name(result.path.name)}\t{EXPORT_MARK}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame"
         "\tOrigNumFrames",
         f"{rate:g}\t{rate:g}\t{n}\t{len(names)}\tmm\t{rate:g}\t1\t{n}",
@@ -64,59 +45,74 @@ def write_trc(result: Result, target: Path, parts: tuple[str, ...]) -> None:
         f"\t\t{axes}",
         "",
     ]
-    points = 1000 * y_up(motion.positions).reshape(n, -1)
+    points = 1000 * (motion.positions @ Y_UP.T).reshape(n, -1)
+    # OpenSim counts a row's cells by the tabs behind them.
     rows = [
-        "\t".join([str(k), f"{time:.6f}", *(_cell(value) for value in row)])
+        "\t".join([str(k), f"{time:.6f}", *(_cell(value) for value in row), ""])
         for k, (time, row) in enumerate(zip(motion.times.tolist(), points.tolist(), strict=True), 1)
     ]
-    target.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    return write_lines(target, [*head, *rows])
 
 
 def _cell(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.4f}"
 
 
-def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> None:
-    """Write one person's angles as coordinates of OpenSim's Rajagopal model, degrees and m.
+def write_mot(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+    """Write one person's pose as coordinates of OpenSim's Rajagopal model, degrees and m.
 
-    Axial rotations that markers do not show are 0, since OpenSim reads no gaps.
+    Gaps are bridged, since OpenSim reads none. Coordinates that are never known are left out, with
+    a warning.
+
+    Raises ConfigError if the pose of the pelvis is never known.
     """
     motion = only(result)
-    angles = result.angles()
-    columns = {n: f * angles[a].to_numpy() for n, (a, f) in _COORDINATES.items()}
-    pelvis = y_up(_pelvis(result, motion))
-    columns |= {f"pelvis_t{axis}": pelvis[:, k] for k, axis in enumerate("xyz")}
-    numbers = np.nan_to_num(np.stack([motion.times, *columns.values()], axis=-1))
+    columns = coordinates(result.model, motion)
+    absent = {name for name, column in columns.items() if np.isnan(column).all()}
+    lacking = [
+        f"{', '.join(group)} need {joints}"
+        for group, joints in NEEDS.items()
+        if any(name.removesuffix("_l").removesuffix("_r") in group for name in absent)
+    ]
+    if absent & {*PELVIS}:
+        raise ConfigError(f"{result.path}: MOT has no pelvis: {lacking[0]}")
+    if lacking:
+        _log.warning(
+            "%s: left out %s: %s",
+            safe_name(result.path.name),
+            ", ".join(sorted(absent)),
+            "; ".join(lacking),
+        )
+    known = {name: bridged(column) for name, column in columns.items() if name not in absent}
+    numbers = np.stack([motion.times, *known.values()], axis=-1)
     head = [
-        result.path.stem,
+        safe_name(result.path.name),
+        EXPORT_MARK,
         "version=1",
         f"nRows={len(numbers)}",
         f"nColumns={numbers.shape[1]}",
         "inDegrees=yes",
         "endheader",
-        "\t".join(["time", *columns]),
+        "\t".join(["time", *known]),
     ]
     rows = ["\t".join(f"{value:.6f}" for value in row) for row in numbers.tolist()]
-    target.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    return write_lines(target, [*head, *rows])
 
 
-def _pelvis(result: Result, motion: Motion) -> Floats:
-    """(T, 3) the root of the skeleton: the first marker that no link leads to, m."""
-    children = set(result.model.link_children)
-    root = next((m for m in range(result.model.n_markers) if m not in children), 0)
-    return motion.positions[:, root]
+def write_c3d(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+    """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1.
 
-
-def write_c3d(result: Result, target: Path, parts: tuple[str, ...]) -> None:
-    """Write everybody's markers, mm, and angles, degrees, z up; a gap has the residual -1."""
+    An angle is the x of a point that POINT:ANGLES names.
+    """
     import ezc3d
 
     motions = result.motions
     rate = next(iter(motions.values())).rate
     first = min(m.times[0] for m in motions.values())
     last = max(m.times[-1] for m in motions.values())
-    n = round((last - first) * rate) + 1
+    n: int = round((last - first) * rate) + 1
     labels: list[str] = []
+    angle_labels: list[str] = []
     columns: list[Floats] = []
     for person, motion in motions.items():
         places = np.round((motion.times - first) * rate).astype(int)
@@ -126,7 +122,8 @@ def write_c3d(result: Result, target: Path, parts: tuple[str, ...]) -> None:
             columns += _placed(1000 * motion.positions, places, n)
         if "angles" in parts:
             angles = result.select(person).angles()
-            labels += [f"{before}{name}" for name in angles.columns]
+            names = [f"{before}{name}" for name in angles.columns]
+            labels, angle_labels = [*labels, *names], [*angle_labels, *names]
             values = np.zeros((*angles.shape, 3))
             values[:, :, 0] = angles.to_numpy()
             columns += _placed(values, places, n)
@@ -136,11 +133,31 @@ def write_c3d(result: Result, target: Path, parts: tuple[str, ...]) -> None:
     file["parameters"]["POINT"]["RATE"]["value"] = [rate]
     file["parameters"]["POINT"]["LABELS"]["value"] = labels
     file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file.add_parameter("MANUFACTURER", "SOFTWARE", [EXPORT_MARK])
+    if angle_labels:
+        file.add_parameter("POINT", "ANGLES", angle_labels)
+        file.add_parameter("POINT", "ANGLE_UNITS", ["deg"])
     file["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
     file["data"]["meta_points"]["residuals"] = np.where(gaps, -1.0, 0.0)[None]
-    written = target.with_suffix(".c3d")  # ezc3d appends it to any other name
-    file.write(str(written))
-    written.replace(target)
+    # ezc3d appends .c3d to any other name, and does not see a full disk.
+    with TemporaryDirectory() as folder:
+        written = Path(folder) / "written.c3d"
+        file.write(str(written))
+        shutil.copyfile(written, target)
+    return n
+
+
+def read_c3d(path: Path) -> int:
+    """Return the number of frames that a C3D file holds completely."""
+    import ezc3d
+
+    file = ezc3d.c3d(str(path))
+    point = file["parameters"]["POINT"]
+    header = 512 * (int(point["DATA_START"]["value"][0]) - 1)
+    # x, y, z and the residual, float32.
+    frame = 16 * int(point["USED"]["value"][0])
+    n = int(file["data"]["points"].shape[-1])
+    return n if path.stat().st_size >= header + n * frame else 0
 
 
 def _placed(values: Floats, places: Floats, n: int) -> list[Floats]:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.errors import ConfigError
+from hiros_mcap.defaults import LEAST_CONFIDENCE
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.export import animation, biomechanics, tables
+from hiros_mcap.io.result import safe_name
 from hiros_mcap.outputs import replacing
 
 if TYPE_CHECKING:
@@ -26,8 +28,10 @@ class ExportFormat:
 
     text: str
     """What it is, for a list."""
-    write: Callable[[Result, Path, tuple[str, ...]], None]
-    """Writes the parts "joints" and "angles" of a result."""
+    write: Callable[[Result, Path, tuple[str, ...]], int]
+    """Writes the parts "joints" and "angles" of a result, and returns how much."""
+    read: Callable[[Path], int] = tables.read_lines
+    """Returns how much of that a file holds."""
     parts: tuple[str, ...] = ("joints", "angles")
     """What it can hold; the first is the default."""
     one_person: bool = False
@@ -39,27 +43,38 @@ class ExportFormat:
 FORMATS: dict[str, ExportFormat] = {
     ".csv": ExportFormat("table, a row per person and time", tables.write_csv),
     ".parquet": ExportFormat(
-        "the same table for pandas, polars, R and DuckDB", tables.write_parquet
+        "the same table for pandas, polars, R and DuckDB",
+        tables.write_parquet,
+        tables.read_parquet,
     ),
     ".jsonl": ExportFormat("one JSON object per person and time", tables.write_jsonl),
-    ".npz": ExportFormat("numpy arrays", tables.write_npz),
+    ".npz": ExportFormat("numpy arrays", tables.write_npz, tables.read_npz),
     ".trc": ExportFormat(
-        "markers for OpenSim (mm, y up)", biomechanics.write_trc, ("joints",), True
+        "markers for OpenSim (mm, y up)",
+        biomechanics.write_trc,
+        parts=("joints",),
+        one_person=True,
+        steady=True,
     ),
     ".mot": ExportFormat(
-        "joint angles for OpenSim (degrees)", biomechanics.write_mot, ("angles",), True
+        "coordinates of OpenSim's Rajagopal model (degrees, m)",
+        biomechanics.write_mot,
+        parts=("angles",),
+        one_person=True,
+        steady=True,
     ),
     ".c3d": ExportFormat(
         "markers and angles for motion capture programs (mm, z up)",
         biomechanics.write_c3d,
+        biomechanics.read_c3d,
         steady=True,
     ),
     ".bvh": ExportFormat(
         "a moving skeleton for Blender and games (cm, y up)",
         animation.write_bvh,
-        ("joints",),
-        True,
-        True,
+        parts=("joints",),
+        one_person=True,
+        steady=True,
     ),
 }
 """Suffix -> kind of file."""
@@ -76,7 +91,12 @@ def format_of(target: Path) -> ExportFormat:
     return found
 
 
-def export(result: Result, target: str | os.PathLike[str], what: str = "") -> list[Path]:
+def export(
+    result: Result,
+    target: str | os.PathLike[str],
+    what: str = "",
+    least_confidence: float = LEAST_CONFIDENCE,
+) -> list[Path]:
     """Write a result in the format of the target's suffix.
 
     A format for one person gets a file per person, ``NAME.0.trc``, unless there is just one.
@@ -85,7 +105,7 @@ def export(result: Result, target: str | os.PathLike[str], what: str = "") -> li
     Parameters
     ----------
     result : what to write. target : the file. what : "joints", "angles" or "both"; "" is
-        whatever the format holds.
+        whatever the format holds. least_confidence : markers below it are gaps; 0 writes them all.
 
     Returns
     -------
@@ -96,7 +116,7 @@ def export(result: Result, target: str | os.PathLike[str], what: str = "") -> li
     ConfigError
         The format does not exist or cannot hold this, or nobody is in the result.
     LogError
-        A file cannot be written.
+        A file cannot be written, or does not hold what was written.
     """
     target = Path(target)
     kind = format_of(target)
@@ -108,14 +128,33 @@ def export(result: Result, target: str | os.PathLike[str], what: str = "") -> li
         raise ConfigError(f"{target}: {target.suffix} holds no {lacking[0]}")
     if not result.motions:
         raise ConfigError(f"{result.path}: {result.channel} holds no people")
+    result = _prepared(result, least_confidence)
     if kind.steady:
         result = steady(result)
     targets = files_of(target, result.people)
     each = [result] if len(targets) == 1 else [result.select(p) for p in result.people]
     for one, path in zip(each, targets, strict=True):
         with replacing(path) as temporary:
-            kind.write(one, temporary, parts)
+            # Its header names the file itself.
+            written = kind.write(replace(one, path=path), temporary, parts)
+            if _readable(kind, temporary) != written:
+                raise LogError("cannot be written: the file was cut", path=path)
     return targets
+
+
+def _readable(kind: ExportFormat, path: Path) -> int:
+    """Return how much a file holds; -1 if its own reader fails."""
+    try:
+        return kind.read(path)
+    except Exception:  # noqa: BLE001 - a reader of another project, on a file that may be cut
+        return -1
+
+
+def _prepared(result: Result, least_confidence: float) -> Result:
+    """Return a result with gaps where it is uncertain, and marker names that fit into a cell."""
+    names = tuple(map(safe_name, result.model.marker_names))
+    motions = {person: m.trusted(least_confidence) for person, m in result.motions.items()}
+    return replace(result, model=replace(result.model, marker_names=names), motions=motions)
 
 
 def files_of(target: Path, people: tuple[int, ...]) -> list[Path]:

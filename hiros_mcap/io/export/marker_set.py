@@ -90,6 +90,7 @@ def renamed(result: Result, names: Mapping[str, str]) -> Result:
             motion,
             positions=motion.positions[:, slots],
             confidences=motion.confidences[:, slots],
+            deviations=None if motion.deviations is None else motion.deviations[:, slots],
             orientations=None,
             axes={},
         )

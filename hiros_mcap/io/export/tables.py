@@ -3,62 +3,104 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hiros_mcap.outputs import EXPORT_MARK
+from hiros_mcap.skeletons import Floats
+
 if TYPE_CHECKING:
     import pandas as pd
 
-    from hiros_mcap.io.result import Result
+    from hiros_mcap.io.result import Motion, Result
 
 
 def table(result: Result, parts: tuple[str, ...]) -> pd.DataFrame:
-    """Return joints and angles side by side, with flat column names that carry their units."""
+    """Return joints and angles side by side, with flat column names that carry their units.
+
+    Behind the joints follow their confidences, 0 to 1, and if the result states them, their
+    standard deviations along an axis.
+    """
     import pandas as pd
 
     found = []
     if "joints" in parts:
-        joints = result.joints()
         names = result.model.marker_names
+        joints = result.joints()
+        index = joints.index
         joints.columns = pd.Index([f"{name} {axis} (m)" for name in names for axis in "xyz"])
         found.append(joints)
+        for values, text in _certainties(result):
+            found.append(pd.DataFrame(values, index, [f"{name} {text}" for name in names]))
     if "angles" in parts:
         angles = result.angles()
         found.append(angles.rename(columns=lambda name: f"{name} (deg)"))
     return pd.concat(found, axis=1).rename_axis(index=["person", "time (s)"])
 
 
-def write_csv(result: Result, target: Path, parts: tuple[str, ...]) -> None:
+def _certainties(result: Result) -> list[tuple[Floats, str]]:
+    """(T, M) of everybody, and what it is."""
+    motions = result.motions.values()
+    found = [(np.concatenate([m.confidences for m in motions]), "confidence")]
+    if any(m.deviations is not None for m in motions):
+        found.append((np.concatenate([deviations_of(m) for m in motions]), "SD (m)"))
+    return found
+
+
+def deviations_of(motion: Motion) -> Floats:
+    """(T, M) standard deviations of a motion, m; NaN if it states none."""
+    absent = np.full_like(motion.confidences, np.nan)
+    return absent if motion.deviations is None else motion.deviations
+
+
+def write_csv(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     """Write a table with a header line; an empty cell is a gap."""
-    table(result, parts).round(6).to_csv(target)
+    rows = table(result, parts).round(6)
+    rows.to_csv(target, lineterminator="\n")
+    return len(rows) + 1
 
 
-def write_parquet(result: Result, target: Path, parts: tuple[str, ...]) -> None:
+def write_parquet(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     """Write the table of :func:`write_csv` at full precision."""
-    table(result, parts).reset_index().to_parquet(target, index=False)
+    rows = table(result, parts).reset_index()
+    rows.attrs["hiros"] = EXPORT_MARK  # pandas stores them as metadata of the file
+    rows.to_parquet(target, index=False)
+    return len(rows)
 
 
-def write_jsonl(result: Result, target: Path, parts: tuple[str, ...]) -> None:
+def read_parquet(path: Path) -> int:
+    """Return the number of rows."""
+    import pyarrow.parquet
+
+    return int(pyarrow.parquet.read_table(path).num_rows)
+
+
+def write_jsonl(result: Result, target: Path, parts: tuple[str, ...]) -> int:
     """Write one object per person and time; null is a gap."""
-    joints, angles = result.joints(), result.angles()
-    with target.open("w", encoding="utf-8") as file:
-        for k, (person, time) in enumerate(joints.index):
-            row: dict[str, Any] = {"person": int(person), "time": round(float(time), 6)}
+    names, lines = result.model.marker_names, []
+    angles = result.angles()
+    for person, motion in result.motions.items():
+        degrees, deviations = angles.loc[[person]].to_numpy(), deviations_of(motion)
+        for k, time in enumerate(motion.times.tolist()):
+            row: dict[str, Any] = {"person": int(person), "time": round(time, 6)}
             if "joints" in parts:
-                points = joints.to_numpy()[k].reshape(-1, 3)
-                names = result.model.marker_names
-                row["joints"] = {n: _numbers(p) for n, p in zip(names, points, strict=True)}
+                row["joints"] = dict(zip(names, map(_numbers, motion.positions[k]), strict=True))
+                row["confidences"] = _named(names, motion.confidences[k])
+                if motion.deviations is not None:
+                    row["deviations"] = _named(names, deviations[k])
             if "angles" in parts:
-                degrees = _numbers(angles.to_numpy()[k])
-                row["angles"] = dict(zip(angles.columns, degrees, strict=True))
-            file.write(json.dumps(row) + "\n")
+                row["angles"] = _named(angles.columns, degrees[k])
+            lines.append(json.dumps(row))
+    return write_lines(target, lines)
 
 
-def write_npz(result: Result, target: Path, parts: tuple[str, ...]) -> None:
-    """Write ``person_<id>_times``, ``..._positions`` and ``..._angles`` with the names of both."""
-    arrays: dict[str, Any] = {"markers": np.array(result.model.marker_names)}
+def write_npz(result: Result, target: Path, parts: tuple[str, ...]) -> int:
+    """Write ``person_<id>_times``, ``..._positions`` and so on, with the names of the columns."""
+    arrays: dict[str, Any] = {EXPORT_MARK: [], "markers": np.array(result.model.marker_names)}
     angles = result.angles() if "angles" in parts else None
     if angles is not None:
         arrays["angles"] = np.array(angles.columns, dtype=str)
@@ -66,11 +108,36 @@ def write_npz(result: Result, target: Path, parts: tuple[str, ...]) -> None:
         arrays[f"person_{person}_times"] = motion.times
         if "joints" in parts:
             arrays[f"person_{person}_positions"] = motion.positions
+            arrays[f"person_{person}_confidences"] = motion.confidences
+            if motion.deviations is not None:
+                arrays[f"person_{person}_deviations"] = motion.deviations
         if angles is not None:
-            arrays[f"person_{person}_angles"] = angles.loc[person].to_numpy()
+            arrays[f"person_{person}_angles"] = angles.loc[[person]].to_numpy()
     with target.open("wb") as file:  # a name would get the suffix .npz once more
         np.savez_compressed(file, **arrays)
+    return len(arrays)
 
 
-def _numbers(values: Any) -> list[float | None]:
-    return [None if np.isnan(v) else round(float(v), 6) for v in values]
+def read_npz(path: Path) -> int:
+    """Return the number of arrays, after reading each."""
+    with path.open("rb") as file, np.load(file) as arrays:
+        return len([arrays[name] for name in arrays.files])
+
+
+def write_lines(target: Path, lines: Sequence[str]) -> int:
+    """Write lines of text, and return how many."""
+    target.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    return len(lines)
+
+
+def read_lines(path: Path) -> int:
+    """Return the number of whole lines of text."""
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+def _named(names: Iterable[str], values: Floats) -> dict[str, float | None]:
+    return dict(zip(names, _numbers(values), strict=True))
+
+
+def _numbers(values: Floats) -> list[float | None]:
+    return [None if math.isnan(v) else round(v, 6) for v in values.tolist()]
