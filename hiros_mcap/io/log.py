@@ -948,7 +948,7 @@ def _coincide(frames: Sequence[str]) -> str:
 
 
 @contextmanager
-def _named(path: Path, topic: str | None = None) -> Iterator[None]:
+def _named(path: Path | str, topic: str | None = None) -> Iterator[None]:
     """Give the LogErrors of a block the name of the file."""
     try:
         yield

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class AssociateParams(Params):
@@ -25,7 +25,7 @@ class AssociateParams(Params):
     acceleration: float = advanced(
         3.0, gt=0, description="SD per axis, m/s2, of a person's acceleration over 1/30 s."
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         1.5,
         gt=0,
         description="Time, s, without a detection after which a track ends (not in the paper).",
@@ -39,7 +39,7 @@ class AssociateParams(Params):
         description="An unmatched detection starts no track if it is this near, m, to another "
         "track. Detectors may report a person twice (not in the paper).",
     )
-    reorder: float = advanced(
+    reorder: Seconds = advanced(
         1.0,
         ge=0,
         description="Longest time, s, that a message waits for older messages of slower cameras.",

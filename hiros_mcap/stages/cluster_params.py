@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class ClusterParams(Params):
@@ -44,7 +44,7 @@ class ClusterParams(Params):
     previous_helps: bool = advanced(
         True, description="Add the previous position to the candidates: 1-frame smoothing (2.2.2)."
     )
-    memory: float = advanced(
+    memory: Seconds = advanced(
         0.1,
         gt=0,
         description="Longest time, s, for which a merged position serves as the previous one; three"
@@ -60,7 +60,7 @@ class ClusterParams(Params):
         ge=0,
         description="Number of messages in a merged instant; 0 = the number of known cameras.",
     )
-    max_delta_time: float = advanced(
+    max_delta_time: Seconds = advanced(
         0.07,
         gt=0,
         description="Longest time, s, between the oldest and the newest message of a merged "

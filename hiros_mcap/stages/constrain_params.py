@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class ConstrainParams(Params):
     """Parameters of the constraints."""
 
-    window: float = Field(
+    window: Seconds = Field(
         10.0,
         ge=0,
         description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
         "fuse-realtime.",
     )
-    enough: float = advanced(
+    enough: Seconds = advanced(
         60.0,
         ge=0,
         description="Seconds after which the lengths of a person stay as they are. Detectors see "

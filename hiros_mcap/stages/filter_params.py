@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class FilterParams(Params):
@@ -29,6 +29,7 @@ class FilterParams(Params):
     lookahead: float = Field(
         0.3,
         ge=0,
+        le=60,
         description="How far into the future each estimate looks, s. 0 = strictly causal. At order "
         "2 or 3, more than 1 / cutoff changes nothing; a higher order rings for longer.",
     )
@@ -39,13 +40,13 @@ class FilterParams(Params):
         description="Order of the filter. state_space: 2 = constant velocity, 3 = constant "
         "acceleration (sharper, with a better acceleration). butterworth: any.",
     )
-    bridge: float = advanced(
+    bridge: Seconds = advanced(
         0.2,
         ge=0,
         description="Longest gap, s, of a marker or link that is filled, with half of its last "
         "confidence. A gap stays empty if the look-ahead shows that it is longer.",
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         1.0,
         gt=0,
         description="Time, s, without data after which the filter of a person, marker or link "
@@ -56,7 +57,7 @@ class FilterParams(Params):
         description="Give each link its mean length in the input. Smoothing each joint separately "
         "shortens limbs that swing.",
     )
-    length_time: float = advanced(
+    length_time: Seconds = advanced(
         2.0,
         gt=0,
         description="Time constant, s, of the mean length of a link. A longer time is slightly "

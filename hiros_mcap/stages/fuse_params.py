@@ -6,19 +6,19 @@ import math
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class FuseParams(Params):
     """Parameters of the fuser."""
 
-    lookahead: float = Field(
+    lookahead: Seconds = Field(
         3.0,
         ge=0,
         description="How far into the future each estimate looks at least, s. A camera's offset "
         "wanders over some seconds, so less is worse. 0.1 costs about 1 % of accuracy.",
     )
-    window: float = advanced(
+    window: Seconds = advanced(
         10.0,
         ge=0,
         description="Seconds that are smoothed at once. Results do not depend on it as long as the "
@@ -48,7 +48,7 @@ class FuseParams(Params):
         description="Standard deviation of the slow offset of a camera, per joint, m. 0 = cameras "
         "have none; then the error is larger and its estimate far too small.",
     )
-    offset_time: float = advanced(
+    offset_time: Seconds = advanced(
         1.7, gt=0, description="Time constant, s, with which such an offset wanders."
     )
     freedom: float = advanced(

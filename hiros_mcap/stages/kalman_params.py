@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class KalmanParams(Params):
@@ -23,7 +23,7 @@ class KalmanParams(Params):
         "tunes it by hand and gives no number. This value has the least error on simulated walks "
         "and gestures.",
     )
-    step: float = advanced(
+    step: Seconds = advanced(
         0.0,
         ge=0,
         description="Predict in whole steps of this length, s (paper: 0.033). 0 = predict exactly "
@@ -59,13 +59,13 @@ class KalmanParams(Params):
         description="Adds (range_noise x distance^2)^2 to sigma_r^2, with the distance from the "
         "camera in m; in 1/m. OpenPTrack has 0.0026.",
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         1.0,
         gt=0,
         description="Time, s, without a detection after which the filter of a person restarts (not "
         "in the paper).",
     )
-    hold: float = advanced(
+    hold: Seconds = advanced(
         0.2,
         ge=0,
         description="Time, s, for which an undetected person stays in the output; at most max_gap.",

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class MergeParams(Params):
@@ -19,7 +19,7 @@ class MergeParams(Params):
         "way. relabel: its left and right are swapped if this brings it near the others, otherwise "
         "it is dropped. drop: it is dropped (paper).",
     )
-    max_delta_time: float = Field(
+    max_delta_time: Seconds = Field(
         0.07,
         gt=0,
         description="Longest time, s, between the oldest and the newest message of a buffer (second"
@@ -82,7 +82,7 @@ class MergeParams(Params):
         description="A view this far from the mean, m, counts half, and a farther view counts less "
         "(Cauchy weights on top of eq 12); <= 0 = plain eq 12.",
     )
-    offset_time: float = advanced(
+    offset_time: Seconds = advanced(
         5.0,
         ge=0,
         description="Time constant, s, of the learned offset between each camera and the others, "

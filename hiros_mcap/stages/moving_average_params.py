@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class MovingAverageParams(Params):
@@ -11,6 +11,6 @@ class MovingAverageParams(Params):
     window: int = advanced(
         5, ge=1, description="Number of detections in the average (as in OpenPTrack's MAF)."
     )
-    lifetime: float = advanced(
+    lifetime: Seconds = advanced(
         0.6, gt=0, description="Time, s, after which a detection no longer counts."
     )

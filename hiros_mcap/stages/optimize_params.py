@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class CalibrationParams(Params):
@@ -24,7 +24,7 @@ class CalibrationParams(Params):
         description="Number of a person's frames in one calibration (section 3.3.1; 100 in the "
         "published code).",
     )
-    lookahead: float = Field(
+    lookahead: Seconds = Field(
         10.0,
         ge=0.0,
         description="Time, s, that a person's first frames are held. They then get the calibrated "

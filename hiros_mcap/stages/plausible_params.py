@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class PlausibleParams(Params):
@@ -23,13 +23,13 @@ class PlausibleParams(Params):
         "deviations of these, up to which it keeps its confidence. Beyond, the confidence falls "
         "with the square. With 3, below 1 % of the markers of simulated logs lose some.",
     )
-    enough: float = advanced(
+    enough: Seconds = advanced(
         5.0,
         ge=0,
         description="Seconds that a person must have been seen before lengths are compared. A few "
         "seconds in one pose do not show how much they vary.",
     )
-    patience: float = advanced(
+    patience: Seconds = advanced(
         1.0,
         ge=0,
         description="Longest time, s, for which all detections of a person are left out. After "

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class PredictParams(Params):
@@ -29,7 +29,7 @@ class PredictParams(Params):
         "corrected: the position corrected by the frame itself, which has less error and is as "
         "smooth.",
     )
-    max_gap: float = advanced(
+    max_gap: Seconds = advanced(
         0.5,
         gt=0,
         description="Time, s, without data after which the filter of a person or joint restarts.",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,11 +14,10 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.events import Event
+from hiros_mcap.io.attachments import stored_events, stored_report
 from hiros_mcap.io.channels import (
-    EVENTS_ATTACHMENT,
     OUTPUT_PREFIX,
-    REPORT_ATTACHMENT,
     TRUTH_PREFIX,
 )
 from hiros_mcap.io.log import CameraChannel, Log, open_log
@@ -316,8 +314,9 @@ def describe(log: Log) -> Source:
             later.update({names[source]: moved for source in camera.sources.values() if moved})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     topics = tuple(dict.fromkeys(camera.channel.topic for camera in log.cameras))
-    report = {names.get(c["name"], c["name"]): c for c in _report(log).get("cameras", ())}
-    events = _events(log)
+    cameras = stored_report(log.reader).cameras
+    report = {names.get(camera.name, camera.name): camera.model_dump() for camera in cameras}
+    events = stored_events(log.reader)
     return Source(log.model, poses, names, stages, events, log.span[0], topics, report, later)
 
 
@@ -342,23 +341,6 @@ def kind_of(topic: str) -> str:
         return "truth"
     stage = topic.removeprefix(f"{OUTPUT_PREFIX}/")
     return stage if stage != topic and stage in STAGES else DETECTIONS
-
-
-def _report(log: Log) -> Mapping[str, Any]:
-    """Return the summary of the run that made the result; nothing if there is none."""
-    try:
-        return dict(json.loads(log.reader.attachment(REPORT_ATTACHMENT) or b"{}"))
-    except (ValueError, TypeError):
-        fault = f"attachment {REPORT_ATTACHMENT} is damaged"
-        raise LogError(fault, path=log.path) from None
-
-
-def _events(log: Log) -> tuple[Event, ...]:
-    try:
-        return tuple(events_from_json((log.reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()))
-    except (ValueError, TypeError):
-        fault = f"attachment {EVENTS_ATTACHMENT} is damaged"
-        raise LogError(fault, path=log.path) from None
 
 
 def in_time_order(

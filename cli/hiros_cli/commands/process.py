@@ -234,7 +234,8 @@ def process(
         typer.Option(
             metavar="GIB",
             min=0.25,
-            help="Memory for a log whose chunks overlap in time, GiB.",
+            help="Memory for a log whose chunks overlap in time, GiB; a message of a server may "
+            "take a 16th.",
             rich_help_panel=INPUT,
         ),
     ] = 1.0,

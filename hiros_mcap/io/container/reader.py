@@ -16,6 +16,7 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -132,7 +133,7 @@ class McapReader:
     def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
         self._file = path if isinstance(path, LogFile) else LogFile(path)
         self._memory = memory
-        self.path = self._file.path
+        self.path: Path | str = self._file.path
         self.cpu_s = 0.0
         """CPU time, s, of the threads that read ahead."""
         try:

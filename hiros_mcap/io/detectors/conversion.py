@@ -157,7 +157,7 @@ class ConvertedReader(BagReader):
     def __init__(self, source: McapReader, conversion: _Conversion) -> None:
         self._checksums = source.has_checksums
         self._recovery = getattr(source, "recovery", None)
-        self._open_converted(source.path, conversion.write, source.memory)
+        self._open_converted(Path(source.path), conversion.write, source.memory)
         self.left_out = {**getattr(source, "left_out", {}), **conversion.left_out}
         self.remarks = tuple(conversion.remarks())
         self.faults = {t: Faults(n, conversion.first[t]) for t, n in conversion.faulty.items()}
