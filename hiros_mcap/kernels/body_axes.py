@@ -168,8 +168,8 @@ def follow_line(
 
     Parameters
     ----------
-    line : (2,) the line's angle in the axes so far, rad, and its rate, rad/s; NaN = not known;
-        changed.
+    line : (3,) the line's angle in the axes so far, rad, its rate, rad/s, and the sum of the
+        angles by which the axes were turned, rad; NaN = not known; changed.
     angle : of this view's line, rad, modulo half a turn.
     reliable : from 0 to 1, how well this view shows the line.
     seconds : since the last view.
@@ -181,7 +181,7 @@ def follow_line(
     The angle by which the axes were turned, rad.
     """
     if math.isnan(line[0]) or math.isnan(axes[0, 0]):
-        line[0], line[1] = angle, 0.0
+        line[0], line[1], line[2] = angle, 0.0, 0.0
         return 0.0
     change = angle - line[0]
     change -= math.pi * math.floor(change / math.pi + 0.5)
@@ -196,6 +196,7 @@ def follow_line(
         a, b = axes[0, c], axes[1, c]
         axes[0, c], axes[1, c] = cosine * a + sine * b, cosine * b - sine * a
     line[0] += change - turn
+    line[2] += turn
     return turn
 
 

@@ -218,6 +218,18 @@ def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing() -> None:
     assert np.isnan(result.links).all() and not np.isnan(honest.links).all()
 
 
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_labels_that_go_round_with_a_person_are_honest(params: SidesParams) -> None:
+    """Whatever toes have shown before: no trunk is turned any more."""
+
+    def go_round(frame: Frame, camera: int, t: float) -> Frame:
+        angle = 240 * min(max(t - SLAVED - 0.5, 0), 3) + (80 if camera == 0 and t > 8 else 0)
+        return turned(slaved(frame, camera, t), angle)
+
+    frames = views(8.2, go_round)
+    assert all(map(same_markers, decided(frames, params)[-12:], frames[-12:]))
+
+
 def test_the_first_view_keeps_its_labels() -> None:
     """Nothing but that view speaks of the facing."""
     frames = [turned_toes(frame) for frame in views(0.1, cameras=1)]
@@ -348,7 +360,7 @@ def test_a_spin_exchanges_nothing(params: SidesParams) -> None:
 
 def turned_axes(speed: float, trust: tuple[float, float]) -> float:
     """Degrees by which the axes turn in a second with a line of that speed, degrees/s."""
-    line, axes, total = np.full(2, np.nan), np.eye(3), 0.0
+    line, axes, total = np.full(3, np.nan), np.eye(3), 0.0
     for k in range(31):
         angle = np.radians(speed) * k * PERIOD - total
         total += follow_line(line, angle, 1.0, PERIOD, trust, axes)
