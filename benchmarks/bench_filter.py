@@ -16,9 +16,12 @@ from itertools import product
 
 import numpy as np
 
+from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.filter import FilterParams, filter_frames
+from hiros_mcap.stages.filter import FilterParams, filter_blocks
+
+filter_frames = by_frame(filter_blocks)
 
 ACTIONS = ("walk", "jog", "throw", "free_dynamic")
 SECONDS, PEOPLE = 8.0, 4

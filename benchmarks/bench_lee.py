@@ -12,11 +12,15 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
+from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.cluster import ClusterParams, cluster
+from hiros_mcap.stages.cluster import ClusterParams, cluster_blocks
 from hiros_mcap.stages.predict import predict
-from hiros_mcap.stages.track import track
+from hiros_mcap.stages.track import track_blocks
+
+track = by_frame(track_blocks)
+cluster = by_frame(cluster_blocks)
 
 SECONDS, RUNS = 5.0, 7
 AVERAGE = ClusterParams(rearrange="off", method="average")

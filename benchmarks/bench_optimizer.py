@@ -12,9 +12,12 @@ import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
-from hiros_mcap.stages.optimize import OptimizeParams, optimize
+from hiros_mcap.stages.optimize import OptimizeParams, optimize_blocks
+
+optimize = by_frame(optimize_blocks)
 
 MARKERS, FRAMES, NOISE = 32, 450, 0.012
 PARENTS = [0, 1, 2, 2, 4, 5, 6, 7, 8, 7, 2, 11, 12, 13, 14, 15, 14, 0, 18, 19, 20, 0, 22, 23, 24, 3]

@@ -33,7 +33,6 @@ FUSE: Mapping[str, tuple[str, ...]] = {
     "a look-ahead of 0.1 s": ("fuse.lookahead=0.1", "fuse.window=0"),
     "no rigid groups": ("constrain.rigid=false",),
     "no prior": ("constrain.prior=false",),
-    "noise learned": ("fuse.learn=true",),
 }
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.events import Events
 from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import camera_positions
+from hiros_mcap.running.preparation import camera_positions
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, Stamps

@@ -34,7 +34,7 @@ from hiros_mcap.stages.plausible import PlausibleParams
 from hiros_mcap.stages.predict import PredictParams
 from hiros_mcap.stages.sides import SidesParams
 from hiros_mcap.stages.straighten import StraightenParams
-from hiros_mcap.stages.track import TrackParams
+from hiros_mcap.stages.track_params import TrackParams
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
@@ -330,7 +330,6 @@ SYSTEM_DEFAULTS: Mapping[str, Table] = {
     "lee-a2": {"track": _AS_PUBLISHED, "cluster": {"method": "average"}},
     "lee-a3": {"track": _AS_PUBLISHED, "cluster": {"previous_helps": False}},
     "lee-a4": {"track": _AS_PUBLISHED},
-    "lee-a5": {"track": _AS_PUBLISHED},
 }
 """Systems that are another one with other parameters -> what they change."""
 

@@ -29,6 +29,7 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "low confidence": ("detection", "ignored: confidence below track.min_skeleton_confidence"),
     "no markers": ("detection", "ignored: no marker that is confident enough"),
     "not confirmed": ("detection", "ignored: seen too briefly or by too few cameras"),
+    "optimizer outlier": ("marker", "replaced by the optimizer: a limb had a wrong length"),
     "optimizer not converged": ("skeleton", "not fully optimized: the solver did not converge"),
     "predict: time not increasing": ("skeleton", "not filtered: its time did not increase"),
     "distorted": ("detection", "ignored: limbs of a wrong length, and somebody else in front"),
@@ -49,7 +50,7 @@ def counted(kind: str, n: int) -> str:
     return f"{quantity(n, noun)} {what}"
 
 
-_WARNING_WORDS = "lost", "doubted", "rejected", "clock", "moved", "displaced", "mirror"
+_WARNING_WORDS = "lost", "withdrawn", "rejected", "clock", "moved", "displaced", "mirror"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Concatenate, ParamSpec
 
 import numpy as np
 
@@ -98,6 +99,8 @@ class Block:
             yield self.frame(i)
 
 
+P = ParamSpec("P")
+
 Part = tuple[Block, int]
 """A frame of a block."""
 
@@ -157,11 +160,13 @@ def frames_of(blocks: Iterable[Block]) -> Iterator[Frame]:
         yield from block.frames()
 
 
-def by_frame(stage: BlockStage) -> Stage:
+def by_frame(
+    stage: Callable[Concatenate[Iterable[Block], P], Iterator[Block]],
+) -> Callable[Concatenate[Iterable[Frame], P], Iterator[Frame]]:
     """Make a stage of frames of a stage of blocks; nothing comes out later than it can."""
 
-    def run(frames: Iterable[Frame]) -> Iterator[Frame]:
-        yield from frames_of(stage(map(Block.of, frames)))
+    def run(frames: Iterable[Frame], /, *args: P.args, **parameters: P.kwargs) -> Iterator[Frame]:
+        yield from frames_of(stage(map(Block.of, frames), *args, **parameters))
 
     return run
 

@@ -198,7 +198,7 @@ def create_locked(path: Path) -> int:
 
     Raises OSError.
     """
-    _remove_abandoned(path.parent)
+    remove_abandoned(path.parent)
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     while True:
         # Mode 0666 less the umask, as for any file that a program makes.
@@ -223,7 +223,8 @@ def _lock(descriptor: int) -> bool | None:
     return True
 
 
-def _remove_abandoned(folder: Path) -> None:
+def remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files of processes that were killed."""
     if os.name != "posix":  # no locks
         return
     for path in folder.glob(".hiros-*.tmp"):

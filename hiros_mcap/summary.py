@@ -33,6 +33,8 @@ class ClockFault:
     """Whether the results are free of it."""
     messages: int = 0
     """Messages that were late."""
+    reason: str = ""
+    """Why the stamps stay, if they do."""
 
     @property
     def size(self) -> str:

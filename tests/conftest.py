@@ -12,6 +12,16 @@ import pytest
 SAMPLES = Path(__file__).parent.parent / "sample_data"
 
 
+def pytest_configure() -> None:
+    """Ignore what the parent ignores (nohup, a background job) by a handler, not by SIG_IGN.
+
+    Programs that tests start and stop would inherit SIG_IGN.
+    """
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(name) is signal.SIG_IGN:
+            signal.signal(name, lambda *_: None)
+
+
 @pytest.fixture(autouse=True)
 def _signals() -> Iterator[None]:
     """Give pytest its signal handlers back after a command was run in its process."""

@@ -19,9 +19,12 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.merge import MergeParams, merge
-from hiros_mcap.stages.track import track, track_blocks
+from hiros_mcap.stages.merge import MergeParams, merge_blocks
+from hiros_mcap.stages.track import track_blocks
 from hiros_mcap.systems import SYSTEMS, Run, Stages, chain_of
+
+track = by_frame(track_blocks)
+merge = by_frame(merge_blocks)
 
 TURN, SHIFT = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]), np.array([3.0, -1.0, 0.5])
 # Some systems tell people apart on the floor: for them, z stays vertical.

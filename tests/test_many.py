@@ -6,6 +6,10 @@ import csv
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -246,10 +250,70 @@ def keep(source: Path, target: Path, prefix: str) -> None:
         writer.commit()
 
 
-@pytest.mark.parametrize("text", ["{}", "[1]", "no", '{"schema": "hiros.manifest", "version": 9}'])
+HEAD = '{"schema": "hiros.manifest", "version": 1, "command": "process", "logs": '
+DAMAGED = ["{}", "[1]", "no", HEAD.replace("1", "9") + "[]}", HEAD + '[{"log": 1}]}', "[" * 200_000]
+
+
+@pytest.mark.parametrize("text", DAMAGED)
 def test_a_damaged_manifest_is_one_line(text: str, walking: Path, tmp_path: Path) -> None:
     (tmp_path / "hiros-process.json").write_text(text)
     assert process(walking, tmp_path) == 2
+
+
+@pytest.mark.parametrize("name", ["../evil/mine", "/tmp/mine", "..", "a/b", ""])
+def test_a_manifest_does_not_choose_where_results_go(
+    name: str, walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    process(walking, out)
+    manifest = out / "hiros-process.json"
+    data = json.loads(manifest.read_text())
+    data["logs"][0] |= {"name": name, "verdict": "failed"}
+    manifest.write_text(json.dumps(data))
+    before = sorted(tmp_path.rglob("*"))
+    assert process(walking, out) == 2
+    assert "is not a manifest of this version" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_foreign_file_that_a_manifest_names_is_kept(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process(walking, out)
+    result, manifest = out / "one_person_walking.hiros.mcap", out / "hiros-process.json"
+    data = json.loads(manifest.read_text())
+    data["logs"][0] |= {"files": {result.name: 4}, "configuration": ""}
+    manifest.write_text(json.dumps(data))
+    result.write_text("mine")
+    assert process(walking, out) == 2
+    assert result.read_text() == "mine"
+
+
+def test_what_cannot_be_read_in_a_folder_is_named(
+    walking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    shutil.copy(walking, folder)
+    (folder / "lost.mcap").symlink_to(tmp_path / "nowhere.mcap")
+    os.mkfifo(folder / "pipe.mcap")
+    assert process(folder, tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert "lost.mcap: No such file or directory" in error
+    assert "pipe.mcap: is a device or a pipe, not a file of a log" in error
+    verdicts = {name: one["verdict"] for name, one in records_of(tmp_path / "out").items()}
+    assert verdicts == {"one_person_walking": "done", "lost": "failed", "pipe": "failed"}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs process groups")
+def test_ctrl_c_leaves_no_part_of_a_result(recordings: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "hiros_cli", "process", str(recordings), "-o", str(out)]
+    with subprocess.Popen([*command, "--jobs", "2", "-q"], start_new_session=True) as hiros:
+        while hiros.poll() is None and not list(out.glob(".hiros-*.tmp")):
+            time.sleep(0.001)
+        os.killpg(hiros.pid, signal.SIGINT)
+    assert hiros.returncode == 128 + signal.SIGINT
+    assert not list(out.glob(".*"))
 
 
 def test_what_is_for_one_log_is_refused(

@@ -174,6 +174,22 @@ def test_a_copy_needs_room(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
+def test_a_copy_that_is_cut_off_is_no_log(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = type(store).open
+
+    def cut(self: Any, path: str, *args: Any, **settings: Any) -> Any:
+        file = opened(self, path, *args, **settings)
+        monkeypatch.setattr(file, "size", file.size + 1)
+        return file
+
+    monkeypatch.setattr(type(store), "open", cut)
+    with (
+        pytest.raises(LogError, match=r"is cut off: \d+ of \d+ bytes came"),
+        remote.local_copy("s3://lab/in/mon/walk.mcap"),
+    ):
+        pass
+
+
 def test_results_cannot_go_to_a_web_server(
     walking: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

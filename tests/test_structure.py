@@ -1,4 +1,4 @@
-"""The shape of the code: layers, names, circles and the number of parameters."""
+"""The shape of the code: layers, sizes, names, circles and the number of parameters."""
 
 from __future__ import annotations
 
@@ -25,6 +25,31 @@ MODULES = {
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 LIBRARY = [name for name in MODULES if name.startswith("hiros_mcap")]
 FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef
+UPWARDS = {
+    ("hiros_mcap.io.overview", "hiros_mcap.config"),
+    ("hiros_mcap.io.overview", "hiros_mcap.systems"),
+    ("hiros_mcap.many.cluster_runner", "hiros_mcap"),
+    ("hiros_mcap.summary", "hiros_mcap"),
+}
+"""Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
+CEILINGS = {
+    "hiros_cli": 4300,
+    "hiros_viewer": 4500,
+    "hiros_mcap": 2300,
+    "body": 1800,
+    "calibrate": 5400,
+    "evaluate": 3000,
+    "io": 11400,
+    "kernels": 10100,
+    "many": 1200,
+    "regression": 1700,
+    "running": 3000,
+    "simulate": 2900,
+    "stages": 7800,
+    "systems": 400,
+    "hiros_schemas": 400,
+}
+"""Most lines of each folder; "hiros_mcap" are the modules that are in none."""
 
 
 def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
@@ -46,6 +71,43 @@ def imported(tree: ast.AST) -> Iterator[str]:
                 yield full if full in MODULES else node.module
         else:
             yield from imported(node)
+
+
+def layer_of(name: str) -> str:
+    """The row of the list of layers in which a module belongs."""
+    package, _, rest = name.partition(".")
+    return rest.partition(".")[0] or package if package == "hiros_mcap" else package
+
+
+def layers() -> list[str]:
+    """The rows of CONTRIBUTING.md, from above."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    part = text.partition("## The layers")[2].partition("\n## ")[0]
+    rows = re.findall(r"^ {4,}(\S+?)/?  ", part, re.MULTILINE)
+    return [row.rpartition("/")[2].removesuffix(".py") for row in rows]
+
+
+def test_imports_go_down_the_list_of_layers() -> None:
+    order = {name: k for k, name in enumerate(layers())}
+    assert {layer_of(name) for name in MODULES} == set(order)
+    upwards = {
+        (name, other)
+        for name in MODULES
+        for other in imported(TREES[name])
+        if other in MODULES and order[layer_of(name)] > order[layer_of(other)]
+    }
+    assert upwards == UPWARDS
+
+
+def test_no_folder_grows_above_its_ceiling() -> None:
+    sizes: Counter[str] = Counter()
+    for name, path in MODULES.items():
+        folder = layer_of(name)
+        in_none = folder not in CEILINGS or path.parent == ROOT / "hiros_mcap"
+        lines = path.read_text(encoding="utf-8").count("\n")
+        sizes["hiros_mcap" if in_none else folder] += lines
+    assert sizes.keys() == CEILINGS.keys()
+    assert {name: n for name, n in sizes.items() if n > CEILINGS[name]} == {}
 
 
 @pytest.mark.parametrize("name", LIBRARY)

@@ -47,8 +47,8 @@ def dies_once(flag: str) -> int:
 
 def hold(folder: str) -> None:
     """Hold a temporary folder until somebody stops it."""
-    with tempfile.TemporaryDirectory(dir=folder):
-        (Path(folder) / f"{os.getpid()}.started").touch()
+    with tempfile.TemporaryDirectory() as temporary:
+        (Path(folder) / f"{os.getpid()}.started").write_text(temporary)
         time.sleep(60)
 
 
@@ -99,12 +99,12 @@ def test_a_task_that_kills_every_process_is_lost_and_the_others_are_not() -> Non
 def test_whoever_stops_asking_stops_the_processes(tmp_path: Path) -> None:
     tasks = run_tasks(hold_second, [(str(tmp_path), 0), (str(tmp_path), 1)], 2)
     assert next(tasks)[0] == 0
-    while not list(tmp_path.glob("*.started")):
+    while not (held := [path.read_text() for path in tmp_path.glob("*.started")]) or not held[0]:
         time.sleep(0.01)
     start = time.monotonic()
     tasks.close()  # type: ignore[attr-defined]
     assert time.monotonic() - start < 5
-    assert [path.suffix for path in tmp_path.iterdir()] == [".started"]
+    assert not Path(held[0]).parent.exists()
 
 
 def hold_second(folder: str, number: int) -> None:
@@ -134,3 +134,31 @@ def test_a_signal_to_all_processes_ends_them_silently(
         assert process.returncode in (128 + getattr(signal, name), -getattr(signal, name))
     assert stderr == b""
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
+def test_the_processes_end_with_the_first_however_that_ends(tmp_path: Path) -> None:
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_workers import hold; from hiros_mcap.workers import run_tasks\n"
+        f"if __name__ == '__main__': list(run_tasks(hold, [({str(tmp_path)!r},)] * 2, 2))"
+    )
+    script = tmp_path / "run.py"
+    script.write_text(code)
+    with subprocess.Popen([sys.executable, str(script)]) as first:
+        while len(started := list(tmp_path.glob("*.started"))) < 2:
+            time.sleep(0.01)
+        first.kill()
+    end = time.monotonic() + 20
+    while any(is_running(int(path.stem)) for path in started):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat")
+    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"

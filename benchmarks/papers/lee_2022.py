@@ -42,8 +42,8 @@ from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.summary import number
 
 ENTRIES = {
-    "variants": ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee-a5"),
-    "radius": tuple(f"lee-a5,cluster.radius={radius:g}" for radius in LEE_RADII),
+    "variants": ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee"),
+    "radius": tuple(f"lee,cluster.radius={radius:g}" for radius in LEE_RADII),
     "cameras": ("lee",),
     "choices": (
         "hiros",
@@ -52,10 +52,10 @@ ENTRIES = {
         "lee-a2,cluster.rearrange=both",
         "lee-a4,cluster.rearrange=both",
         "lee-a4,cluster.compensate_motion=false",
-        "lee-a5,predict.output=corrected",
-        "lee-a5,predict.model=constant_position,predict.output=corrected",
-        "lee-a5,predict.model=constant_acceleration",
-        "lee-a5,predict.model=constant_acceleration,predict.output=corrected",
+        "lee,predict.output=corrected",
+        "lee,predict.model=constant_position,predict.output=corrected",
+        "lee,predict.model=constant_acceleration",
+        "lee,predict.model=constant_acceleration,predict.output=corrected",
     ),
 }
 SCENES: tuple[dict[str, object], ...] = (
@@ -89,7 +89,7 @@ def _published(name: str) -> tuple[Pair | None, ...]:
     if name in LEE:
         return LEE[name]
     for radius, pairs in LEE_RADII.items():
-        if name == f"lee-a5,cluster.radius={radius:g}":
+        if name == f"lee,cluster.radius={radius:g}":
             return pairs
         if name == f"lee-a4,cluster.radius={radius:g}":
             column, joints = f"A4_{100 * radius:.0f}", {joint for _, joint in lee_appendix()}
@@ -148,12 +148,12 @@ def check_claims(outcomes: Sequence[Outcome]) -> Iterator[Claim]:
         name: mean(s.parts["upper limbs"].mean for s in scores if "upper limbs" in s.parts)
         for name, scores in by_name.items()
     }
-    order = ("lee-a5", "lee-a4", "lee-a3", "lee-a1")
+    order = ("lee", "lee-a4", "lee-a3", "lee-a1")
     yield from check_order("upper limbs: A5 <= A4 <= A3 <= A1", upper, order)
     radii = {
         radius: mean(s.mean for s in by_name[name])
         for radius in LEE_RADII
-        if (name := f"lee-a5,cluster.radius={radius:g}") in by_name
+        if (name := f"lee,cluster.radius={radius:g}") in by_name
     }
     if len(radii) > 2:
         yield Claim(

@@ -90,7 +90,7 @@ LEE: dict[str, tuple[Pair, Pair, Pair]] = {
     "lee-a1": ((41.1, 11.02), (90.9, 44.89), (45.2, 22.0)),
     "lee-a3": ((40.8, 13.1), (66.0, 40.1), (38.9, 17.8)),
     "lee-a4": ((41.1, 12.0), (60.2, 33.8), (38.9, 17.3)),
-    "lee-a5": ((39.9, 10.3), (55.9, 29.3), (36.2, 14.2)),
+    "lee": ((39.9, 10.3), (55.9, 29.3), (36.2, 14.2)),
 }
 """Variant -> mean error and SD, mm, of torso, upper limbs, lower limbs (section 3.1)."""
 LEE_RADII: dict[float, tuple[Pair, Pair, Pair]] = {

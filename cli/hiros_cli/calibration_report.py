@@ -8,7 +8,8 @@ from pathlib import Path
 
 from hiros_cli.printable import printable
 from hiros_cli.run_report import console, note, period, say, table
-from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.summary import number
 
 GAUGES = {

@@ -123,8 +123,3 @@ def link_angles(model: SkeletonModel, orientations: Floats) -> Floats:
         back = conjugate(orientations[..., proximal, :])
         angles.append(euler_zxy(multiply(back, orientations[..., distal, :])))  # eq 21
     return np.stack(angles, axis=-2)
-
-
-def link_flexions(model: SkeletonModel, orientations: Floats) -> Floats:
-    """(..., 8) Flexion angles, rad, of link ``orientations``: the z of :func:`link_angles`."""
-    return np.asarray(link_angles(model, orientations)[..., 0])

@@ -133,6 +133,11 @@ class Rigid(NamedTuple):
         back = conjugate(self.xyzw)
         return Rigid(back, -rotate(back, self.translation))
 
+    def apart(self, other: Rigid) -> tuple[float, float]:
+        """Return how far another transform is from this one, m and degrees."""
+        metres = float(np.linalg.norm(self.translation - other.translation))
+        return metres, float(np.degrees(angle(self.xyzw, other.xyzw)))
+
     def towards(self, other: Rigid, share: float) -> Rigid:
         """Return the transform between this one (share 0) and another (share 1)."""
         return Rigid(

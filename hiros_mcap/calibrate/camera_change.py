@@ -7,13 +7,15 @@ of the distances, before it by the first pose and after it by the last one, is l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.calibrate.camera_graph import ambiguous, usable
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import (
     LagCandidate,
@@ -23,7 +25,7 @@ from hiros_mcap.calibrate.coarse_clock import (
 )
 from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, register_pair
-from hiros_mcap.calibrate.sampling import Rig, group, instants_of, placed, sample
+from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.kernels.local_line import Tracklet
 from hiros_mcap.skeletons import Floats, Ints
 
@@ -55,6 +57,69 @@ class CameraChange(NamedTuple):
     def seconds(self) -> float:
         """When it was moved, s of its own time."""
         return (self.begin + self.end) / 2.0 - float(self.late.clocks[1])
+
+
+def find_moves(
+    views: Sequence[CameraView], misfits: Sequence[int], landmarks: Landmarks | None, mirror: Ints
+) -> dict[str, CameraChange]:
+    """Return how and when cameras that do not fit the others were moved, by name.
+
+    Two cameras show that one of them was moved, but not which: it is then the second.
+    """
+    moves = {}
+    for c in misfits:
+        partner = partner_of(views, c, [k for k in range(len(views)) if k not in misfits] or [0])
+        if partner is not None:
+            change = find_change([views[partner], views[c]], landmarks, mirror)
+            if change is not None:
+                moves[views[c].name] = change
+    return moves
+
+
+def partner_of(views: Sequence[CameraView], c: int, others: Sequence[int]) -> int | None:
+    """Return that one of some other cameras which sees most at the same time as camera ``c``."""
+    cells = {k: _cells(views[k]) for k in {c, *others}}
+    rest = [k for k in others if k != c]
+    return max(rest, key=lambda k: len(cells[k] & cells[c]), default=None)
+
+
+def _cells(view: CameraView) -> set[int]:
+    """Return in which tenths of a second a camera sees somebody."""
+    seconds = [track.seconds for track in view.tracks]
+    return {int(s // CELL_S) for some in seconds for s in some.tolist()}
+
+
+def split_views(views: Sequence[CameraView], moves: Mapping[str, CameraChange]) -> list[CameraView]:
+    """Return the views, those of cameras that were moved as two."""
+    parts = []
+    for view in views:
+        at = moves[view.name].seconds if view.name in moves else None
+        spans = [(-np.inf, np.inf)] if at is None else [(-np.inf, at), (at, np.inf)]
+        parts += [part_of(view, *span) for span in spans]
+    return parts
+
+
+def with_times(
+    cameras: Sequence[CalibratedCamera],
+    moves: Mapping[str, CameraChange],
+    span: tuple[int, int],
+    origin: int,
+) -> list[CalibratedCamera]:
+    """Return the cameras with the times at which they were moved.
+
+    Parameters
+    ----------
+    cameras : those that were moved twice, one behind the other. span : of the log, ns.
+    origin : log time, ns, at which seconds are 0.
+    """
+    timed = list(cameras)
+    for c, (one, other) in enumerate(pairwise(cameras)):
+        if one.name == other.name:
+            at = origin + round(1e9 * moves[one.name].seconds)
+            seconds = (at - span[0]) / 1e9
+            timed[c] = replace(one, until_s=seconds)
+            timed[c + 1] = replace(other, since_s=seconds, since=at)
+    return timed
 
 
 def find_change(
@@ -186,9 +251,8 @@ def _pose(
 
 
 def _same(one: Rig, other: Rig) -> bool:
-    turn = one.rotations[1] @ other.rotations[1].T
-    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
-    return bool(angle < LEAST_DEG and np.linalg.norm(one.shifts[1] - other.shifts[1]) < LEAST_M)
+    metres, degrees = one.pose(1).apart(other.pose(1))
+    return degrees < LEAST_DEG and metres < LEAST_M
 
 
 def _distances(pair: Sequence[CameraView], rig: Rig, instants: Floats, mirror: Ints) -> Floats:

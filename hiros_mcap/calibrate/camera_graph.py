@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 
-from hiros_mcap.calibrate.pair_pose import PairFit
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.coarse_clock import Landmarks, lag_candidates, signatures_of
+from hiros_mcap.calibrate.pair_pose import PairFit, best_lag
 from hiros_mcap.calibrate.sampling import Rig
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Floats, Ints
 
 Pair = tuple[int, int]
 Fits = Mapping[Pair, list[PairFit]]
@@ -73,3 +76,23 @@ def _place(rig: Rig, known: int, new: int, turn: Floats, shift: Floats, clock: f
     rig.rotations[new] = rig.rotations[known] @ turn
     rig.shifts[new] = rig.rotations[known] @ shift + rig.shifts[known]
     rig.clocks[new] = rig.clocks[known] + clock
+
+
+def coarse_clocks(
+    views: Sequence[CameraView], rig: Rig, lags: Sequence[float], landmarks: Landmarks, mirror: Ints
+) -> Floats:
+    """(C,) s to add to the times of cameras whose poses are about right, to some 50 ms.
+
+    Parameters
+    ----------
+    lags : usual time, s, from each camera's stamps to the log times: a hint.
+    """
+    signatures = [signatures_of(view, landmarks) for view in views]
+    fits = {}
+    for a, b in combinations(range(len(views)), 2):
+        candidates = lag_candidates(signatures[a], signatures[b])
+        tried = [0.0, lags[b] - lags[a], *(-one.seconds for one in candidates)]
+        pair = [views[a], views[b]]
+        fits[a, b] = [best_lag(pair, rig.select([a, b]).anchored(), tried, mirror)]
+    tree, cameras = spanning_tree(fits, list(range(len(views))))
+    return chained(tree, fits, cameras, len(views)).clocks

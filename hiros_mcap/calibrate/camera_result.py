@@ -1,4 +1,4 @@
-"""What every calibration tells about a camera."""
+"""What is known of a camera: its pose and clock, how sure they are, and why they may be wrong."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.verdict import Verdict
+from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, Verdict
 from hiros_mcap.summary import plain
 
 NAN = float("nan")
@@ -43,3 +43,36 @@ class CameraResult:
                 "quaternion_xyzw": self.pose.xyzw.tolist(),
             }
         return data | {"parent": parent}
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedCamera(CameraResult):
+    """What the people tell about one camera.
+
+    Where they tell no pose, or no better one, it is the log's, if it has one. The clock is NaN if
+    no motion tells it. Errors are those against the first camera, its own the largest of the
+    others. The residual is the median distance of its joints to the mean of the other cameras'.
+    """
+
+    verdict: Verdict = "impossible"
+    drift_ppm: float = 0.0
+    """How fast the clock's offset grows, from the middle of the log; 0 in logs of less than two
+    minutes."""
+    error_ms: float = NAN
+    """Standard error of the clock."""
+    seconds: float = 0.0
+    """s in which another camera sees the same people."""
+    moved_deg: float = NAN
+    """Difference from the log's pose; NaN if that stays, or there is none."""
+    moved_mm: float = NAN
+    since_s: float = NAN
+    """When it was moved to this pose, s from the log's start; NaN if it always stood there."""
+    until_s: float = NAN
+    """When it was moved away from this pose; such a camera is listed twice."""
+    since: int = 0
+    """The first of both as a log time, ns; 0 if it always stood there."""
+
+    @property
+    def fits(self) -> bool:
+        """False if its people are not where the other cameras see them, whatever pose it gets."""
+        return self.verdict != "impossible" or self.reason in (NO_VIEW, UNLINKED)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +27,12 @@ CONFIDENCE_POWER = 3
 """A joint's weight is its confidence to this power: a guess at 1/3 counts an eighth."""
 
 
+Camera = tuple[str, str]
+"""Name and frame."""
+Correction = Callable[[Iterable[Block]], Iterator[Block]]
+"""Corrects stamps."""
+
+
 @dataclass(frozen=True, slots=True)
 class CameraView:
     """One camera and whom it sees."""
@@ -42,41 +48,43 @@ class CameraView:
     """s, of the lines through a joint's positions."""
 
 
-def camera_views(log: Log) -> list[CameraView]:
+def camera_views(log: Log, corrected: Correction | None = None) -> list[CameraView]:
     """Read the cameras' detections, each in its own frame, as tracklets.
+
+    ``corrected`` puts right what the times of the messages show of the clocks.
 
     Raises LogError if the cameras do not have a frame each.
     """
-    seen = _sightings(log)
+    seen = _sightings(log, corrected)
     _check_frames(log, list(seen))
     shifts = _clock_shifts({key: times for key, (_, times) in seen.items()})
     mirror = symmetry_of(log.model).mirror
     views = []
     for (name, frame), (sightings, _) in sorted(seen.items()):
-        shift = shifts[name, frame]
-        moved = [s._replace(seconds=s.seconds + shift) for s in sightings]
-        views.append(replace(view_of(name, frame, moved, mirror), shift=shift))
+        views.append(view_of(name, frame, sightings, mirror, shifts[name, frame]))
     return views
 
 
-def view_of(name: str, frame: str, sightings: list[Sighting], mirror: Ints) -> CameraView:
-    """Follow the people whom one camera sees."""
-    sightings = sorted(sightings, key=lambda s: s.seconds)
+def view_of(
+    name: str, frame: str, sightings: Sequence[Sighting], mirror: Ints, shift: float = 0.0
+) -> CameraView:
+    """Follow the people whom one camera sees; its times are ``shift`` s later than stated."""
+    sightings = [s._replace(seconds=s.seconds + shift) for s in sightings]
+    sightings.sort(key=lambda s: s.seconds)
     times = np.array([s.seconds for s in sightings])
     period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     half_width = max(HALF_WIDTH_S, 2.0 * period)
-    return CameraView(name, frame, find_tracklets(sightings, mirror), 0.0, half_width)
+    return CameraView(name, frame, find_tracklets(sightings, mirror), shift, half_width)
 
 
-Camera = tuple[str, str]
-"""Name and frame."""
-
-
-def _sightings(log: Log) -> dict[Camera, tuple[list[Sighting], list[float]]]:
+def _sightings(
+    log: Log, corrected: Correction | None
+) -> dict[Camera, tuple[list[Sighting], list[float]]]:
     """Return what each camera sees, and how far its stamps are from the log times, s."""
     middle = sum(log.span) // 2
     seen: dict[Camera, tuple[list[Sighting], list[float]]] = defaultdict(lambda: ([], []))
-    for block in _best_parts(log):
+    parts = _best_parts(log)
+    for block in parts if corrected is None else corrected(parts):
         lags = ((block.log_times - block.stamps) / 1e9).tolist()
         for i, sighting in enumerate(sightings_of(block, range(len(block)), middle)):
             sightings, late = seen[block.sources[i], block.frame_ids[i].lstrip("/")]

@@ -11,7 +11,8 @@ from mcap.records import Message
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.transforms import parse_tf
-from hiros_mcap.calibrate.people import CalibratedCamera, PeopleCalibration
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.people import PeopleCalibration
 from hiros_mcap.io.channels import TF_TOPICS, add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter

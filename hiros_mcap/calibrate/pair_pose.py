@@ -18,7 +18,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     residuals_of,
 )
 from hiros_mcap.calibrate.registration import kabsch
-from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
+from hiros_mcap.calibrate.sampling import Rig, Samples, group, instants_of, placed, sample
 from hiros_mcap.skeletons import Floats, Ints
 
 FIT_M = 0.25
@@ -36,6 +36,8 @@ HOPELESS = 0.4
 """A pose that has less of the best one's quality is not refined."""
 REFINED = 3
 """So many of the best poses that differ are refined."""
+CLEARLY = 1.2
+"""Another lag has to have this many times the quality of none."""
 LEAST_MOTION = 0.3
 """Correlation of the cameras' velocities from which on they tell the clocks."""
 SAME_DEG, SAME_M, SAME_S = 20.0, 0.4, 0.3
@@ -92,6 +94,24 @@ def register_pair(
     best = ranked(tried)[:REFINED]
     hopeful = [one for one in best if one.quality > HOPELESS * best[0].quality]
     return ranked([_refined(pair, one, instants, mirror) for one in hopeful])
+
+
+def best_lag(pair: Sequence[CameraView], rig: Rig, lags: Sequence[float], mirror: Ints) -> PairFit:
+    """Return how well two cameras at given poses fit at the best of some lags.
+
+    The first lag is the best one unless another one is clearly better.
+
+    Parameters
+    ----------
+    rig : poses of both, the first camera at the origin. lags : s to add to the second one's times.
+    """
+    instants = instants_of(pair[:1], COARSE_INSTANTS)
+    tried = []
+    for lag in lags:
+        late = rig._replace(clocks=np.array([0.0, lag]))
+        tried.append(_scored(_fit(sample(pair, instants, late), late, mirror), FIT_M))
+    best = max(tried, key=lambda one: one.quality)
+    return best if best.quality > CLEARLY * tried[0].quality else tried[0]
 
 
 def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
@@ -210,7 +230,6 @@ def _refined(pair: Sequence[CameraView], start: PairFit, instants: Floats, mirro
 
 
 def _alike(one: Rig, other: Rig) -> bool:
-    turn = one.rotations[1] @ other.rotations[1].T
-    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
-    far = np.linalg.norm(one.shifts[1] - other.shifts[1])
-    return bool(angle < SAME_DEG and far < SAME_M and abs(one.clocks[1] - other.clocks[1]) < SAME_S)
+    metres, degrees = one.pose(1).apart(other.pose(1))
+    lag = abs(one.clocks[1] - other.clocks[1])
+    return bool(degrees < SAME_DEG and metres < SAME_M and lag < SAME_S)

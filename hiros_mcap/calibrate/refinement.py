@@ -1,28 +1,32 @@
-"""Better poses and clocks of cameras that stand about where the log says.
+"""Poses and clocks of cameras that see the same people, refined together.
 
-The joint refinement starts at the given poses. Its result counts if it also fits what it has not
-seen: it is estimated on some joints at some times, and compared with the given poses on the other
-joints at the other times. Errors of a detector last for seconds and belong to a joint, so that
-neither may be the same in both.
+The joint refinement starts near the right poses: at those that pairs of cameras gave
+(:mod:`hiros_mcap.calibrate.people`), or at the log's. While a camera does not fit, the worst is
+left out. What is better than the log's poses also has to fit what it has not seen: it is estimated
+on some joints at some times, and compared with the given poses on the other joints at the other
+times. Errors of a detector last for seconds and belong to a joint, so that neither may be the same
+in both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, angle, from_matrix, to_matrix
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.agreement import camera_distances, shared_view
 from hiros_mcap.calibrate.camera_change import two_pose_gains
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
-from hiros_mcap.calibrate.evidence import anchored
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import (
     BLOCK_S,
     CAUCHY,
+    GATES_M,
     Points,
     RigResiduals,
     common_motion,
@@ -36,24 +40,22 @@ from hiros_mcap.calibrate.joint_refinement import (
 from hiros_mcap.calibrate.pair_pose import LEAST_MOTION
 from hiros_mcap.calibrate.sampling import Rig, instants_of
 from hiros_mcap.calibrate.verdict import (
-    LEAST_SHARE,
     MOVED,
     NO_VIEW,
+    SURE,
     UNLINKED,
-    WRONG_M,
     Evidence,
-    Verdict,
     judge,
+    misfit,
 )
 from hiros_mcap.kernels.rig_equations import CLOCK
 from hiros_mcap.skeletons import Flags, Floats, Ints
 
-INSTANTS = 60
-POINTS = 6000
-"""Joints at instants that are enough; more people need fewer instants."""
-GATES_M = (0.5, 0.25)
-"""Who is who, by poses that are about right, and by better ones."""
-LEAST_POINTS = 200
+DRIFT_S = 120.0
+"""In a shorter log the drift of a clock cannot be told from its offset."""
+LEAST_POINTS = 100
+"""Fewer joints tell no standard error."""
+LEAST_LINK = 200
 """Cameras with fewer joints in common tell nothing about each other."""
 HELD_OUT_STEPS = 2
 """Gauss-Newton steps from the result for all data to that for a part of them."""
@@ -63,46 +65,202 @@ LEAST_BLOCKS = 3
 """Fewer blocks of 2 s tell no standard error of that."""
 
 
-class RefinedPose(NamedTuple):
-    """What the people tell about the pose of one camera."""
+class Effort(NamedTuple):
+    """How much cameras are refined on."""
 
-    verdict: Verdict
-    reason: str
-    """Why it is doubtful or impossible, "" otherwise."""
-    fits: bool = True
-    """False if its people are not where the other cameras see them, whatever pose it gets."""
-    pose: Rigid | None = None
-    """The better pose; None where the given one stays."""
-    clock_s: float = np.nan
-    """s to add to its stamps, against the median of the cameras; NaN if no motion tells it."""
-    error_deg: float = np.nan
-    """Standard error of the orientation against the other cameras."""
-    error_m: float = np.nan
-    error_s: float = np.nan
-    gain: float = 0.0
-    """By which share its misfit falls if it may have been moved once."""
+    instants: int
+    points: int
+    """Joints at instants that are enough; more people need fewer instants."""
+    gates: tuple[float, ...]
+    """Within which distance, m, people are the same, round by round."""
+    drifts: bool
+    """Whether the drifts of the clocks are refined in a log of more than two minutes."""
+
+
+FROM_PAIRS = Effort(400, sys.maxsize, GATES_M, drifts=True)
+FROM_GIVEN = Effort(60, 6000, (0.5, 0.25), drifts=False)
+"""Who is who, by poses that are about right, and by better ones."""
 
 
 class Refinement(NamedTuple):
     """C cameras, refined together."""
 
+    views: Sequence[CameraView]
+    start: Rig
     rig: Rig
     """The first camera stands at the origin."""
+    instants: Floats
+    points: Points
+    residuals: RigResiduals
+    free: Flags
+    """(C, 8) which unknowns were refined."""
     errors: Floats
     """(C, 8) standard errors; those of the first camera are the largest of the others."""
     timed: Flags
     """(C,) whether motion tells the camera's clock."""
+
+    @property
+    def clocks(self) -> Floats:
+        """(C,) s to add to the stamps, against the median clock; NaN if no motion tells it."""
+        clocks = self.rig.clocks + np.array([view.shift for view in self.views])
+        clocks[~self.timed] = np.nan
+        return np.asarray(clocks - (np.nanmedian(clocks) if self.timed.any() else 0.0))
+
+
+def refine_together(
+    views: Sequence[CameraView],
+    start: Rig,
+    mirror: Ints,
+    effort: Effort,
+    movable: Flags | bool = True,
+) -> Refinement:
+    """Refine the poses and clocks of cameras that see the same people.
+
+    Parameters
+    ----------
+    start : about right. mirror : (M,) slot of each joint's counterpart.
+    movable : (C,) whether the pose of a camera may change; that of the first one defines the frame.
+    """
+    start = start.anchored()
+    instants = instants_of(views, effort.instants, start)
+    seen = common_points(views, start, instants, mirror, effort.gates[0])
+    step = 1 + len(seen.seconds) // effort.points
+    instants = instants[::step]
+    drifts = effort.drifts and len(instants) > 1 and float(np.ptp(instants)) > DRIFT_S
+    timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
+    known = seen if step == 1 and len(seen.seconds) else None
+    rig, gates = start, effort.gates
+    for _ in range(2):
+        free = free_unknowns(len(views), clocks=timed, drifts=drifts)
+        free[~np.broadcast_to(movable, len(views)), :CLOCK] = False
+        rig = rig._replace(clocks=np.where(timed, rig.clocks, 0.0))
+        rig, points = refine(views, rig, instants, mirror, free=free, gates=gates, points=known)
+        residuals = residuals_of(points, rig)
+        before, timed = timed, common_motion(residuals) >= LEAST_MOTION
+        if (timed == before).all():
+            break
+        known, gates = None, effort.gates[1:]
+    errors = np.full(free.shape, np.inf)
+    if len(points.seconds) >= LEAST_POINTS:
+        errors = standard_errors(residuals, points, free)
+    errors[0] = errors.max(axis=0)
+    return Refinement(views, start, rig, instants, points, residuals, free, errors, timed)
+
+
+def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
+    """Gather how well each camera fits the others."""
+    shared = shared_view(refined.views, refined.rig, refined.instants, mirror)
+    distances = camera_distances(refined.residuals)
+    evidence = []
+    for c in range(len(refined.views)):
+        others = np.arange(len(refined.views)) != c
+        common = shared.common[c, others].sum()
+        apart = distances[c][~np.isnan(distances[c])]
+        evidence.append(
+            Evidence(
+                share=float(shared.fitting[c, others].sum() / common) if common else 0.0,
+                residual=float(np.median(apart)) if len(apart) else np.inf,
+                seconds=float(shared.seconds[c]),
+                spread=float(shared.spread[c]),
+                people=float(shared.people[c]),
+                error_deg=float(np.degrees(np.linalg.norm(refined.errors[c, :3]))),
+            )
+        )
+    return evidence
+
+
+class FittingRig(NamedTuple):
+    """Cameras that fit each other."""
+
+    cameras: list[int]
+    refined: Refinement
     evidence: list[Evidence]
-    certainty: float
-    """By how many standard errors it fits better than the given poses what was held out."""
-    gains: Floats
-    """(C,) see :func:`two_pose_gains`."""
+
+
+def fit_together(
+    cameras: Sequence[int],
+    refined: Callable[[list[int]], FittingRig | None],
+    fault: Callable[[Evidence], str],
+) -> tuple[FittingRig | None, dict[int, str]]:
+    """Refine cameras; while one of them does not fit, leave out the worst.
+
+    Parameters
+    ----------
+    refined : of some cameras, refines those that are linked; None if there are none.
+    fault : what speaks against a camera, "" if nothing does.
+
+    Returns the fit, and why cameras were left out.
+    """
+    faults: dict[int, str] = {}
+    while True:
+        fit = refined([c for c in cameras if c not in faults])
+        if fit is None:
+            return None, faults
+        bad = {k: text for k, one in enumerate(fit.evidence) if (text := fault(one))}
+        if not bad:
+            return fit, faults
+        worst = min(bad, key=lambda k: (fit.evidence[k].share, -fit.evidence[k].residual))
+        out = fit.cameras if len(fit.cameras) == 2 else [fit.cameras[worst]]
+        faults |= dict.fromkeys(out, bad[worst])
+
+
+def cameras_of(
+    fit: FittingRig, rig: Rig, given: Sequence[Rigid | None], *, proven: bool = True
+) -> list[CalibratedCamera]:
+    """Return what is known of cameras that fit each other.
+
+    Parameters
+    ----------
+    rig : their poses in the fixed frame. given : the log's.
+    proven : whether poses that differ significantly from the log's are better.
+    """
+    refined, clocks = fit.refined, fit.refined.clocks
+    drifts = refined.rig.drifts - np.median(refined.rig.drifts)
+    cameras = []
+    for k, (view, evidence) in enumerate(zip(refined.views, fit.evidence, strict=True)):
+        pose, errors, before = rig.pose(k), refined.errors[k], given[k]
+        error_deg = float(np.degrees(np.linalg.norm(errors[:3])))
+        error_m = float(np.linalg.norm(errors[3:6]))
+        metres, degrees = (np.nan, np.nan) if before is None else pose.apart(before)
+        significant = degrees > MOVED * error_deg or metres > MOVED * error_m
+        verdict, reason = judge(evidence, moved=proven and significant)
+        cameras.append(
+            CalibratedCamera(
+                view.name,
+                view.frame,
+                verdict,
+                reason,
+                pose,
+                clock_s=float(clocks[k]),
+                drift_ppm=1e6 * float(drifts[k]),
+                error_deg=error_deg,
+                error_mm=1000.0 * error_m,
+                error_ms=1000.0 * float(errors[CLOCK]),
+                residual_mm=1000.0 * evidence.residual,
+                seconds=evidence.seconds,
+                moved_deg=degrees,
+                moved_mm=1000.0 * metres,
+            )
+        )
+    return cameras
+
+
+class Estimate(NamedTuple):
+    """What the people tell about cameras with given poses."""
+
+    cameras: list[CalibratedCamera]
+    gains: list[float]
+    """By which share the misfit of each falls if it may have been moved once."""
 
 
 def refine_poses(
-    views: Sequence[CameraView], given: Sequence[Rigid], mirror: Ints, anchor: int | None = None
-) -> list[RefinedPose]:
-    """Find out whether the people know better poses than the given ones.
+    views: Sequence[CameraView],
+    given: Sequence[Rigid],
+    mirror: Ints,
+    anchor: int | None = None,
+    movable: Sequence[bool] | None = None,
+) -> Estimate:
+    """Find out whether the people know better poses than the given ones, and how the clocks go.
 
     The rig as a whole stays where the given poses put it. Cameras that see nobody in common with
     others keep their poses, and so do those about which the data leave a doubt.
@@ -111,163 +269,77 @@ def refine_poses(
     ----------
     given : pose of each camera. mirror : (M,) slot of each joint's counterpart.
     anchor : the camera whose frame is the fixed frame, so that its pose is right by definition.
+    movable : of which cameras the pose may change; None = all. The clocks of all may.
     """
-    found = {
-        c: RefinedPose("impossible", NO_VIEW if not v.tracks else UNLINKED)
-        for c, v in enumerate(views)
-    }
-    for part in _linked(views, rig_of(given), mirror):
-        found |= _refine_part(part, views, given, mirror, anchor)
-    return [found[c] for c in range(len(views))]
+    movable = [True] * len(views) if movable is None else movable
+    cameras = [
+        CalibratedCamera(v.name, v.frame, reason=UNLINKED if v.tracks else NO_VIEW, pose=pose)
+        for v, pose in zip(views, given, strict=True)
+    ]
+    gains = [0.0] * len(views)
 
+    def refined(some: list[int]) -> FittingRig | None:
+        if len(some) < 2:
+            return None
+        start = Rig.of([given[c] for c in some])
+        free = np.array([movable[c] for c in some])
+        found = refine_together([views[c] for c in some], start, mirror, FROM_GIVEN, free)
+        return FittingRig(some, found, evidence_of(found, mirror))
 
-def rig_of(poses: Sequence[Rigid]) -> Rig:
-    """Return cameras at known poses, whose clocks are right."""
-    rig = Rig.alone(len(poses))
-    for c, pose in enumerate(poses):
-        rig.rotations[c], rig.shifts[c] = to_matrix(pose.xyzw), pose.translation
-    return rig
+    for part in _linked(views, Rig.of(given), mirror):
+        # The first camera defines the common frame.
+        fit, faults = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
+        for c, reason in faults.items():
+            cameras[c] = replace(cameras[c], reason=reason)
+        if fit is not None:
+            kept = [k for k, c in enumerate(fit.cameras) if c == anchor or not movable[c]]
+            better = _better(fit, [given[c] for c in fit.cameras], kept, mirror)
+            shares = two_pose_gains(fit.refined.residuals, fit.refined.points)
+            for c, one, gain in zip(fit.cameras, better, shares.tolist(), strict=True):
+                cameras[c], gains[c] = one, gain
+    return Estimate(cameras, gains)
 
 
 def _linked(views: Sequence[CameraView], given: Rig, mirror: Ints) -> list[list[int]]:
     """Return the groups of cameras that are linked by people whom they see in common."""
-    points = common_points(views, given, instants_of(views, INSTANTS), mirror, GATES_M[0])
+    instants = instants_of(views, FROM_GIVEN.instants)
+    points = common_points(views, given, instants, mirror, FROM_GIVEN.gates[0])
     seen = (points.weights > 0.0).astype(np.float64)
-    links = seen @ seen.T >= LEAST_POINTS
+    links = seen @ seen.T >= LEAST_LINK
     for _ in views:
         links = links @ links  # of booleans: who is linked by way of another camera
     groups = {tuple(np.flatnonzero(row).tolist()) for row in links}
     return [list(group) for group in sorted(groups) if len(group) > 1]
 
 
-def _refine_part(
-    part: list[int],
-    views: Sequence[CameraView],
-    given: Sequence[Rigid],
-    mirror: Ints,
-    anchor: int | None,
-) -> dict[int, RefinedPose]:
-    """Refine linked cameras; while one of them does not fit, leave out the worst."""
-    found: dict[int, RefinedPose] = {}
-    while len(part) > 1:
-        refined = refine_together([views[c] for c in part], [given[c] for c in part], mirror)
-        bad = [k for k, each in enumerate(refined.evidence) if not _fits(each)]
-        if not bad:
-            known = {k: given[c] for k, c in enumerate(part)}
-            held = part.index(anchor) if anchor in part else None
-            every = _judged(refined, known, held)
-            return found | {c: every[k] for k, c in enumerate(part)}
-        worst = min(bad, key=lambda k: (refined.evidence[k].share, -refined.evidence[k].residual))
-        fault = RefinedPose(*judge(refined.evidence[worst], moved=False), fits=False)
-        if len(part) == 2:
-            return found | dict.fromkeys(part, fault)
-        found[part[worst]] = fault
-        part = part[:worst] + part[worst + 1 :]
-    return found
+def _better(
+    fit: FittingRig, given: Sequence[Rigid], kept: Sequence[int], mirror: Ints
+) -> list[CalibratedCamera]:
+    """Return cameras at their better poses, where these are proven, and at the given ones.
 
-
-def _fits(evidence: Evidence) -> bool:
-    """Whether a camera sees the people where the others see them."""
-    return evidence.share >= LEAST_SHARE and evidence.residual <= WRONG_M
-
-
-def _judged(
-    refined: Refinement, given: Mapping[int, Rigid], anchor: int | None
-) -> dict[int, RefinedPose]:
-    """Return the poses in the fixed frame, with the verdicts, of cameras that all fit."""
-    known = given if anchor is None else {anchor: given[anchor]}
-    rig = moved(refined.rig, on_transforms(refined.rig, known))
-    middle = float(np.median(rig.clocks[refined.timed])) if refined.timed.any() else 0.0
-    better = refined.certainty > CERTAIN
-    found = {}
-    for k, evidence in enumerate(refined.evidence):
-        turn = from_matrix(rig.rotations[k])
-        pose, errors = Rigid(turn, rig.shifts[k]), refined.errors[k]
-        degrees, metres = np.linalg.norm(errors[:3]), np.linalg.norm(errors[3:6])
-        far = angle(pose.xyzw, given[k].xyzw) > MOVED * degrees or (
-            np.linalg.norm(pose.translation - given[k].translation) > MOVED * metres
-        )
-        verdict, reason = judge(evidence, moved=better and bool(far))
-        if verdict == "impossible":  # too little is known for a pose, but nothing contradicts
-            verdict = "doubtful"
-        used = better and verdict in ("good", "improved") and k != anchor
-        found[k] = RefinedPose(
-            verdict,
-            reason,
-            pose=pose if used else None,
-            clock_s=float(rig.clocks[k] - middle) if refined.timed[k] else np.nan,
-            error_deg=float(np.degrees(degrees)),
-            error_m=float(metres),
-            error_s=float(errors[CLOCK]),
-            gain=float(refined.gains[k]),
-        )
-    return found
-
-
-def refine_together(
-    views: Sequence[CameraView], given: Sequence[Rigid], mirror: Ints
-) -> Refinement:
-    """Refine the poses of cameras that see the same people, and compare them with the given ones.
-
-    Parameters
-    ----------
-    given : poses that are about right. mirror : (M,) slot of each joint's counterpart.
+    The poses of the cameras ``kept`` are right.
     """
-    start = anchored(rig_of(given))
-    instants = instants_of(views, INSTANTS)
-    seen = common_points(views, start, instants, mirror, GATES_M[0])
-    step = 1 + len(seen.seconds) // POINTS
-    instants = instants[::step]
-    timed = common_motion(residuals_of(seen, start)) >= LEAST_MOTION
-    free = free_unknowns(len(views), clocks=timed)
-    known = seen if step == 1 else None
-    rig, points = refine(views, start, instants, mirror, free=free, gates=GATES_M, points=known)
-    residuals = residuals_of(points, rig)
-    if len(points.seconds) < LEAST_POINTS:
-        errors, certainty = np.full(free.shape, np.inf), 0.0
-    else:
-        errors = standard_errors(residuals, points, free)
-        certainty = _certainty(points, residuals, rig, start, free, mirror)
-    errors[0] = errors.max(axis=0)
-    evidence = _evidence(views, rig, residuals, instants, mirror)
-    degrees = np.degrees(np.linalg.norm(errors[:, :3], axis=1))
-    evidence = [replace(e, error_deg=float(d)) for e, d in zip(evidence, degrees, strict=True)]
-    gains = two_pose_gains(residuals, points)
-    return Refinement(rig, errors, timed, evidence, certainty, gains)
+    rig = fit.refined.rig
+    known = {k: given[k] for k in kept or range(len(given))}
+    rig = moved(rig, on_transforms(rig, known))
+    better = _certainty(fit.refined, mirror) > CERTAIN
+    cameras = cameras_of(fit, rig, given, proven=better)
+    for k, camera in enumerate(cameras):
+        if camera.verdict == "impossible":  # too little is known for a pose: nothing contradicts
+            camera = replace(camera, verdict="doubtful")
+        if not better or camera.verdict not in SURE or k in kept:
+            camera = replace(camera, pose=given[k], moved_deg=np.nan, moved_mm=np.nan)
+        cameras[k] = camera
+    return cameras
 
 
-def _evidence(
-    views: Sequence[CameraView],
-    rig: Rig,
-    residuals: RigResiduals,
-    instants: Floats,
-    mirror: Ints,
-) -> list[Evidence]:
-    """Gather how well each camera fits the others."""
-    shared = shared_view(views, rig, instants, mirror)
-    distances = camera_distances(residuals)
-    found = []
-    for c in range(len(views)):
-        others = np.arange(len(views)) != c
-        common = shared.common[c, others].sum()
-        known = distances[c][~np.isnan(distances[c])]
-        found.append(
-            Evidence(
-                share=float(shared.fitting[c, others].sum() / common) if common else 0.0,
-                residual=float(np.median(known)) if len(known) else np.inf,
-                seconds=float(shared.seconds[c]),
-                spread=float(shared.spread[c]),
-            )
-        )
-    return found
-
-
-def _certainty(
-    points: Points, residuals: RigResiduals, rig: Rig, given: Rig, free: Flags, mirror: Ints
-) -> float:
+def _certainty(refined: Refinement, mirror: Ints) -> float:
     """Return by how many standard errors the loss is smaller on what was held out."""
-    scale = CAUCHY * float(np.nanmedian(residuals.distances))
-    differences = _held_out(points, scale, rig, given, free, mirror)
+    points, rig, free = refined.points, refined.rig, refined.free
+    if len(points.seconds) < LEAST_LINK or not free[:, :CLOCK].any():
+        return 0.0
+    scale = CAUCHY * float(np.nanmedian(refined.residuals.distances))
+    differences = _held_out(points, scale, rig, refined.start, free, mirror)
     blocks = np.unique(np.floor(points.seconds / BLOCK_S), return_inverse=True)[1]
     sums = np.bincount(blocks, differences)
     if len(sums) < LEAST_BLOCKS:

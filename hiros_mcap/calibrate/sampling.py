@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.body.rotations import Rigid, from_matrix, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.kernels.grouping import GroupingWork, Groups, Skeletons, group_people
 from hiros_mcap.kernels.local_line import Lines, fit_lines
@@ -33,6 +34,28 @@ class Rig(NamedTuple):
         """Return cameras that all stand at the origin."""
         turns = np.tile(np.eye(3), (n_cameras, 1, 1))
         return cls(turns, np.zeros((n_cameras, 3)), np.zeros(n_cameras), np.zeros(n_cameras))
+
+    @classmethod
+    def of(cls, poses: Sequence[Rigid]) -> Rig:
+        """Return cameras at known poses, whose clocks are right."""
+        rig = cls.alone(len(poses))
+        for c, pose in enumerate(poses):
+            rig.rotations[c], rig.shifts[c] = to_matrix(pose.xyzw), pose.translation
+        return rig
+
+    def anchored(self) -> Rig:
+        """Return the rig in the frame and the time of its first camera."""
+        turn = self.rotations[0].T
+        return Rig(
+            turn @ self.rotations,
+            (self.shifts - self.shifts[0]) @ turn.T,
+            self.clocks - self.clocks[0],
+            self.drifts - self.drifts[0],
+        )
+
+    def pose(self, camera: int) -> Rigid:
+        """Return where a camera stands in the common frame."""
+        return Rigid(from_matrix(self.rotations[camera]), self.shifts[camera])
 
     def select(self, cameras: Sequence[int]) -> Rig:
         """Return some of the cameras."""

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["good", "improved", "doubtful", "impossible"]
+SURE = ("good", "improved")
+"""Verdicts on what can be used."""
 
 LEAST_SHARE = 0.85
 """Of the skeletons that two cameras share, so many fit if their poses are right."""
@@ -80,21 +82,28 @@ def judge(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
     ----------
     moved : whether the log has a pose for it from which the one found differs significantly.
     """
-    fault = _fault(evidence)
-    if fault:
-        return "impossible", fault
+    reason = fault(evidence)
+    if reason:
+        return "impossible", reason
     doubt = _doubt(evidence)
     if doubt:
         return "doubtful", doubt
     return ("improved" if moved else "good"), ""
 
 
-def _fault(e: Evidence) -> str:
-    """Why there is no pose."""
+def misfit(e: Evidence) -> str:
+    """Return why a camera does not see the people where the others see them; "" if it does."""
     if e.share < LEAST_SHARE:
         return f"only {e.share:.0%} of what it shares with other cameras fits"
     if e.residual > WRONG_M:
         return f"its people are {100 * e.residual:.0f} cm from the other cameras' people"
+    return ""
+
+
+def fault(e: Evidence) -> str:
+    """Return why there is no pose; "" if there is one."""
+    if misfit(e):
+        return misfit(e)
     if e.rival:
         return "a quite different pose fits nearly as well"
     if e.error_deg > UNCERTAIN_DEG:

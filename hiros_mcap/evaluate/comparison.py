@@ -1,20 +1,20 @@
 """Several systems on the same log: who is nearest to the truth, or what each does without one.
 
-A log is decoded once per process and kept in memory while all systems run on it.
+A process reads a log once for all systems that prepare it alike, and keeps it in memory. Clocks and
+poses are corrected as in ``hiros process``.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.body.limb_table import LimbTable
-from hiros_mcap.config import load_config
+from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_each_out
 from hiros_mcap.evaluate.logs import find_truth, fused_topics
@@ -23,15 +23,12 @@ from hiros_mcap.evaluate.same_detections import Distances, MeanDifference, on_sa
 from hiros_mcap.evaluate.scores import Scores, score_matches
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import ProcessOptions, Progress, Silent, camera_positions
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.systems import Run, chain_of, system
+from hiros_mcap.running.preparation import preparation_key
+from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
+from hiros_mcap.running.recording import Recording
+from hiros_mcap.systems import chain_of
 from hiros_mcap.workers import run_tasks
 
-_BLOCK = 64  # messages
 _SECOND_NS = 1_000_000_000
 _WARM_UP = 150
 """Messages that a system is run on before it is timed: enough to confirm the first tracks."""
@@ -120,22 +117,13 @@ class Task:
     truth: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _DecodedLog:
-    frames: list[Frame]
-    model: SkeletonModel
-    cameras: dict[str, Floats]
-    fixed_frame: str
-    sources: tuple[str, ...]
-    truth: Truth | None
-
-
 @dataclass(slots=True)
 class _Cache:
-    """What this process keeps: the log that it has decoded last, and who is warmed up."""
+    """What this process keeps: the recording that it has read last, and who is warmed up."""
 
-    key: tuple[Path, str | None] | None = None
-    log: _DecodedLog | None = None
+    key: tuple[object, ...] = ()
+    recording: Recording | None = None
+    truth: Truth | None = None
     warm: set[tuple[str, str]] = field(default_factory=set)
     """Systems and chains that have run in this process."""
 
@@ -199,27 +187,32 @@ def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcom
 
 
 def _run(task: Task) -> tuple[Outcome, list[Distances]]:
-    log, entry = _decoded(task), task.entry
-    chosen = task.sources or log.sources
-    frames = [frame for frame in log.frames if frame.source in chosen]
-    if (entry.system, entry.stages) not in _CACHE.warm:
+    recording, truth = _read(task)
+    config, options = _settings(task)
+    chosen = task.sources or tuple(sorted(recording.sources))
+    kind = task.entry.system, task.entry.stages
+    if kind not in _CACHE.warm:
         # Some kernels are compiled or loaded when they are first called.
-        _run_stages(entry, log, frames[:_WARM_UP])
-        _CACHE.warm.add((entry.system, entry.stages))
-    found, seconds = _run_stages(entry, log, frames)
-    outcome = Outcome(task.log.name, entry.name, chosen, 1000 * seconds / max(len(frames), 1))
-    if log.truth is None:
-        return _without_truth(task, outcome)
-    truth = log.truth.seen_by(log.model)
-    matches = match(found, truth)
-    scores = score_matches(matches, truth, log.model)
+        recording.head(_WARM_UP).run(config, options, chosen)
+        _CACHE.warm.add(kind)
+    start = time.process_time()
+    results = recording.run(config, options, chosen)
+    seconds = time.process_time() - start
+    frames = list(results.values())[-1]
+    messages = sum(frame.source in chosen for frame in recording.frames())
+    outcome = Outcome(task.log.name, task.entry.name, chosen, 1000 * seconds / max(messages, 1))
+    if truth is None:
+        return _without_truth(task, outcome, recording)
+    truth = truth.seen_by(recording.model)
+    matches = match(frames, truth)
+    scores = score_matches(matches, truth, recording.model)
     scored = replace(
         outcome,
         scores=scores,
         limb_variation=scores.limb_variation,
         jitter=scores.jitter,
-        ids=len({ident for frame in found for _, ident in frame.tracked()}),
-        people=float(np.mean([frame.n_people for frame in found])) if found else 0.0,
+        ids=len({ident for frame in frames for _, ident in frame.tracked()}),
+        people=float(np.mean([frame.n_people for frame in frames])) if frames else 0.0,
     )
     return scored, [_by_second(matches, truth)]
 
@@ -241,47 +234,32 @@ def _by_second(matches: Matches, truth: Truth) -> Distances:
     return Distances(np.tile(seconds, len(truth.people)), joints, np.full_like(joints, np.nan))
 
 
-def _decoded(task: Task) -> _DecodedLog:
-    key = (task.log, task.truth)
-    if _CACHE.key != key or _CACHE.log is None:
-        truth = find_truth(task.log, task.truth)
-        with open_log(task.log, topics=fused_topics(task.log, task.truth) or None) as log:
-            detections = log.detections()
-            frames = list(detections)
-            _CACHE.log = _DecodedLog(
-                frames,
-                log.model,
-                camera_positions(log),
-                log.fixed_frame,
-                tuple(sorted({frame.source for frame in frames})),
-                None if truth is None else truth.moved(start=log.span[0]),
-            )
-        _CACHE.key = key
-    return _CACHE.log
-
-
-def _run_stages(entry: Entry, log: _DecodedLog, frames: list[Frame]) -> tuple[list[Frame], float]:
-    """Run the stages in memory; return the last one's frames and the CPU time, s."""
-    config = load_config(None, entry.assignments, "default", entry.system)
-    run = Run(log.model, config, Events(), LimbTable(), log.cameras, log.fixed_frame, entry.system)
-    table = system(entry.system).stages(run)
-    parts = [(Block.of(frame), 0) for frame in frames]
-    # In blocks, as a run over a log has them.
-    blocks = [join(parts[k : k + _BLOCK]) for k in range(0, len(parts), _BLOCK)]
-    start = time.process_time()
-    stream: Iterator[Block] = iter(blocks)
-    for stage in chain_of(entry.system, entry.stages):
-        stream = table[stage](stream)
-    result = list(stream)
-    seconds = time.process_time() - start
-    return list(frames_of(result)), seconds
-
-
-def _without_truth(task: Task, outcome: Outcome) -> tuple[Outcome, list[Distances]]:
+def _settings(task: Task) -> tuple[Config, ProcessOptions]:
+    """Return the settings with which ``hiros process`` would run a system on a log."""
     entry = task.entry
     config = load_config(None, entry.assignments, "default", entry.system)
-    options = ProcessOptions(system=entry.system, stages=entry.stages)
-    scores, distances = leave_each_out(task.log, config=config, options=options)
+    topics = fused_topics(task.log, task.truth)
+    return config, ProcessOptions(system=entry.system, stages=entry.stages, topics=topics)
+
+
+def _read(task: Task) -> tuple[Recording, Truth | None]:
+    """Return the log as the task's system reads it, and its truth."""
+    config, options = _settings(task)
+    key = task.log, task.truth, preparation_key(config, options)
+    if _CACHE.key != key or _CACHE.recording is None:
+        _CACHE.key, _CACHE.recording = (), None  # two recordings may be too large
+        truth = find_truth(task.log, task.truth)
+        recording = Recording.read(task.log, config, options)
+        start = recording.prepared.log.span[0]
+        _CACHE.truth = None if truth is None else truth.moved(start=start)
+        _CACHE.key, _CACHE.recording = key, recording
+    return _CACHE.recording, _CACHE.truth
+
+
+def _without_truth(
+    task: Task, outcome: Outcome, recording: Recording
+) -> tuple[Outcome, list[Distances]]:
+    scores, distances = leave_each_out(recording, *_settings(task))
     detections = sum(camera.detections for camera in scores.cameras)
     unmatched = sum(camera.unmatched for camera in scores.cameras)
     scored = replace(
@@ -299,11 +277,11 @@ def camera_subsets(task: Task) -> list[Task]:
 
     Raises ConfigError if the log has no truth to compare with.
     """
-    log = _decoded(task)
-    if log.truth is None:
+    recording, truth = _read(task)
+    if truth is None:
         raise ConfigError(f"{task.log}: --study cameras needs a truth")
-    sizes = range(1, len(log.sources) + 1)
-    subsets = [subset for size in sizes for subset in combinations(log.sources, size)]
+    names = sorted(recording.sources)
+    subsets = [some for size in range(1, len(names) + 1) for some in combinations(names, size)]
     return [replace(task, sources=subset) for subset in subsets]
 
 

@@ -1,32 +1,31 @@
 """Without a truth: fuse all cameras but one, and measure how far the one left out is from the rest.
 
 This is neither the error nor a bound on it: it adds the camera's own noise and misses errors that
-all cameras share. It compares cameras, joints and settings on one log.
+all cameras share. It compares cameras, joints and settings on one log. Clocks and poses are those
+of ``hiros process``, which all cameras give together; ``input.poses=given`` keeps the log's poses.
 """
 
 from __future__ import annotations
 
-import glob
 import os
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate.logs import Consistency, consistency, output_channels, read_channel
+from hiros_mcap.evaluate.logs import Consistency, consistency
 from hiros_mcap.evaluate.match import match
 from hiros_mcap.evaluate.parts import parts_of
 from hiros_mcap.evaluate.same_detections import Distances
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.running.pipeline import ProcessOptions, open_input, process
+from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
 
 SIMULTANEOUS_NS = 50_000_000
@@ -93,20 +92,7 @@ def leave_one_out(
     config: Config | None = None,
     options: ProcessOptions | None = None,
 ) -> SelfScores:
-    """Score a recording against itself: process it once with all cameras, once without each.
-
-    Raises as :func:`leave_each_out` does.
-    """
-    return leave_each_out(source, config=config, options=options)[0]
-
-
-def leave_each_out(
-    source: str | os.PathLike[str],
-    *,
-    config: Config | None = None,
-    options: ProcessOptions | None = None,
-) -> tuple[SelfScores, list[Distances]]:
-    """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
+    """Score a recording against itself: run it once with all cameras, once without each.
 
     Raises
     ------
@@ -117,26 +103,38 @@ def leave_each_out(
     """
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
-    detections, model = _detections(source, config, options)
-    if len(detections) < 2:
-        raise ConfigError(f"{source}: leaving one camera out needs at least two cameras")
-    everybody = _fused(source, config, options, list(detections))
+    recording = Recording.read(source, config, options)
+    return leave_each_out(recording, config, options)[0]
+
+
+def leave_each_out(
+    recording: Recording, config: Config, options: ProcessOptions
+) -> tuple[SelfScores, list[Distances]]:
+    """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
+
+    Raises ConfigError for fewer than two cameras' channels.
+    """
+    frames_of: dict[str, list[Frame]] = {topic: [] for topic in recording.topics.values()}
+    for frame in recording.frames():
+        frames_of[recording.topics[frame.source]].append(frame)
+    if len(frames_of) < 2:
+        path = recording.prepared.log.path
+        raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
+    model = recording.model
+    everybody = _fused(recording, config, options, frames_of)
     cameras, distances = [], []
-    for topic, frames in detections.items():
-        others = [other for other in detections if other != topic]
-        found = _residuals(frames, _fused(source, config, options, others), model)
+    for topic, frames in frames_of.items():
+        others = _fused(recording, config, options, frames_of.keys() - {topic})
+        found = _residuals(frames, others, model)
         varying = _varying(found.displacement, found.people)
         cameras.append(_left_out(topic, found, varying, model))
         distances.append(_distances(frames, found, varying))
-    residuals = {
-        topic: _residuals(frames, everybody, model) for topic, frames in detections.items()
-    }
+    residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     scores = SelfScores(
         consistency=consistency(everybody, model),
         cameras=tuple(cameras),
         disagreement={
-            (a, b): _disagreement(residuals[a], residuals[b])
-            for a, b in combinations(detections, 2)
+            (a, b): _disagreement(residuals[a], residuals[b]) for a, b in combinations(frames_of, 2)
         },
         sides=side_scores(
             everybody, model, {topic: int(r.mirrored.sum()) for topic, r in residuals.items()}
@@ -145,31 +143,12 @@ def leave_each_out(
     return scores, distances
 
 
-def _detections(
-    source: str | os.PathLike[str], config: Config, options: ProcessOptions
-) -> tuple[dict[str, list[Frame]], SkeletonModel]:
-    """Topic -> detections in the fixed frame."""
-    with open_input(source, config, options) as log:
-        topic_of = {
-            name: camera.channel.topic for camera in log.cameras for name in camera.sources.values()
-        }
-        found: dict[str, list[Frame]] = {topic: [] for topic in dict.fromkeys(topic_of.values())}
-        for frame in log.detections():
-            found[topic_of[frame.source]].append(frame)
-        return found, log.model
-
-
 def _fused(
-    source: str | os.PathLike[str], config: Config, options: ProcessOptions, topics: Sequence[str]
+    recording: Recording, config: Config, options: ProcessOptions, topics: Collection[str]
 ) -> list[Frame]:
     """Return the last stage's frames on some of the cameras."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.mcap"
-        escaped = tuple(map(glob.escape, topics))
-        # The camera left out is compared at the log's pose, so the others keep theirs, too.
-        some = replace(options, topics=escaped, keep=(), calibrate="off")
-        process(source, out, config=config, options=some)
-        return read_channel(out, output_channels(out)[-1])[0]
+    sources = [name for name, topic in recording.topics.items() if topic in topics]
+    return list(recording.run(config, options, sources).values())[-1]
 
 
 def _left_out(topic: str, found: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:

@@ -45,14 +45,12 @@ class TrackingScores:
     """F1 of the one-to-one map from true people to ids (Ristani et al. 2016)."""
     hota: float
     """Luiten et al. 2021: mean over similarities of sqrt(DetA AssA)."""
-    det_a: float
-    ass_a: float
 
 
 def tracking_scores(frames: Sequence[FrameSimilarity]) -> TrackingScores:
     """Compute all measures; NaN where nobody was there to be found."""
     mota, motp, switches = _clear(frames)
-    return TrackingScores(mota, motp, switches, _idf1(frames), *_hota(frames))
+    return TrackingScores(mota, motp, switches, _idf1(frames), _hota(frames))
 
 
 def _best_scores(score: Floats) -> list[tuple[int, int]]:
@@ -112,10 +110,10 @@ def _idf1(frames: Sequence[FrameSimilarity]) -> float:
     return float(2 * hits / total) if total else np.nan
 
 
-def _hota(frames: Sequence[FrameSimilarity]) -> tuple[float, float, float]:
+def _hota(frames: Sequence[FrameSimilarity]) -> float:
     people, names, true, found = _counts(frames)
     if not true.sum() + found.sum():
-        return np.nan, np.nan, np.nan
+        return np.nan
     alignment = _alignment(frames, people, names, true, found)
     together = np.zeros((len(ALPHAS), len(people), len(names)))
     for now in frames:
@@ -128,8 +126,7 @@ def _hota(frames: Sequence[FrameSimilarity]) -> tuple[float, float, float]:
     union = true[:, None] + found[None] - together
     shared = (together * together / np.maximum(union, 1)).sum(axis=(1, 2))
     association = shared / np.maximum(matched, 1)
-    hota = np.sqrt(detection * association)
-    return float(hota.mean()), float(detection.mean()), float(association.mean())
+    return float(np.sqrt(detection * association).mean())
 
 
 def _alignment(

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiros_mcap.skeletons import Floats
 
@@ -52,16 +53,20 @@ class CdrWriter:
             self._body += bytes(-len(self._body) % 8)
             self._body += np.ascontiguousarray(values, "<f8").tobytes()
 
+    def words(self, values: NDArray[np.uint32]) -> None:
+        """Write all numbers of an array of four bytes each, without a length."""
+        self._put("I", 4)
+        self._body += np.ascontiguousarray(values, "<u4").tobytes()
+
     def sequence(self, values: Floats) -> None:
         """Write a sequence of float64."""
         self.uint32(values.size)
         self.array(values)
 
-    def numbers(self, form: str, values: Sequence[float]) -> None:
-        """Write a sequence of numbers of four bytes: int32 (i), uint32 (I) or float32 (f)."""
+    def int32s(self, values: Sequence[int]) -> None:
+        """Write a sequence of int32."""
         self.uint32(len(values))
-        if values:
-            self._put(form, 4, *values)
+        self._put("i", 4, *values)
 
     def string(self, text: str) -> None:
         """Write a string."""

@@ -20,7 +20,6 @@ OUTPUT_TOPICS = tuple(
 LIMBS_ATTACHMENT = "hiros/limbs.toml"
 EVENTS_ATTACHMENT = "hiros/events.json"
 CONFIG_ATTACHMENT = "hiros/config.toml"
-REPORT_ATTACHMENT = "hiros/report.json"
 """The parameters in effect."""
 REPORT_ATTACHMENT = "hiros/report.json"
 """The summary, without what differs from run to run."""

@@ -54,6 +54,7 @@ class LiveLog(Log):
     """
 
     reader: LiveReader
+    is_live = True
 
     def __init__(
         self,

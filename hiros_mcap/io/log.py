@@ -133,6 +133,9 @@ class Log:
     left_out : topics of a bag that are not in ``channels``, with their type and count.
     """
 
+    is_live = False
+    """Whether the log is still being written, so that it is read once."""
+
     def __init__(
         self,
         reader: McapReader,

@@ -28,15 +28,15 @@ def uncertainty_message(frame: Frame, model: SkeletonModel) -> bytes:
     out = CdrWriter()
     out.header(frame.stamp, frame.frame_id)
     out.strings(known.names if known else ())
-    out.numbers("i", model.marker_ids)
+    out.int32s(model.marker_ids)
     out.uint32(frame.n_people if known else 0)
     if known:
-        cameras = (known.cameras & _CAMERAS).tolist()
-        rows = zip(frame.ids.tolist(), known.deviations.tolist(), cameras, strict=True)
-        for person, deviations, seen in rows:
-            out.int32(person)
-            out.numbers("f", deviations)
-            out.numbers("I", seen)
+        n = known.deviations.shape[1]
+        people = np.full((frame.n_people, 3 + 2 * n), n, "<u4")  # id, n, deviations, n, cameras
+        people[:, 0] = frame.ids.astype("<i4").view("<u4")
+        people[:, 2 : 2 + n] = known.deviations.astype("<f4").view("<u4")
+        people[:, 3 + n :] = known.cameras & _CAMERAS
+        out.words(people)
     return out.finish()
 
 

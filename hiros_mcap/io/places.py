@@ -5,47 +5,31 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io import remote
-from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, write_text
-
-
-class Place(Protocol):
-    """A folder for results. ``str()`` is its path or address."""
-
-    def create(self) -> None:
-        """Make the folder unless it is there; raises LogError."""
-
-    def sizes(self) -> Mapping[str, int]:
-        """Return the size of each file by name, bytes; raises LogError."""
-
-    def read_text(self, name: str) -> str | None:
-        """Return the content of a file, None if there is none; raises LogError."""
-
-    def write_text(self, name: str, text: str) -> None:
-        """Write a file, whole or not at all; raises LogError."""
-
-    def check(self, names: Iterable[str], kind: Kind, inputs: Iterable[str], force: bool) -> None:
-        """Raise LogError if a file must not be written, see :func:`check_outputs`."""
-
-    def locked(self) -> AbstractContextManager[None]:
-        """Keep other runs away; raises LogError if there is one."""
-
-    def writing(self) -> AbstractContextManager[Path]:
-        """Yield a folder of this machine; what is in there at the end becomes part of the place."""
+from hiros_mcap.outputs import (
+    HEAD,
+    Kind,
+    check_outputs,
+    may_replace,
+    remove_abandoned,
+    write_text,
+)
 
 
 def place_of(folder: str) -> Place:
     """Return the folder that a path or an address names."""
-    return RemotePlace(folder) if remote.is_remote(folder) else LocalPlace(folder)
+    return RemotePlace(folder) if remote.is_remote(folder) else Place(folder)
 
 
-class LocalPlace:
-    """A folder of this machine, or one that several machines share."""
+class Place:
+    """A folder for results: of this machine, or one that several machines share.
+
+    ``str()`` is its path or address. All methods raise LogError.
+    """
 
     def __init__(self, folder: str) -> None:
         self._folder = Path(folder).absolute()
@@ -107,37 +91,38 @@ class LocalPlace:
                 pass  # not every file system has locks
             yield
         finally:
+            remove_abandoned(self._folder)
             os.close(folder)
 
     @contextmanager
     def writing(self) -> Iterator[Path]:
-        """Yield the folder itself: every file appears there when it is complete."""
+        """Yield a folder of this machine; what is in there at the end becomes part of the place."""
         yield self._folder
 
 
-class RemotePlace:
+class RemotePlace(Place):
     """A folder behind an address."""
 
     def __init__(self, folder: str) -> None:
-        self._folder = folder.rstrip("/")
+        self._address = folder.rstrip("/")
 
     def __str__(self) -> str:
-        return self._folder
+        return self._address
 
     def create(self) -> None:
         """Make the folder where the store has folders."""
-        remote.sizes_in(self._folder)
-        remote.make_folder(self._folder)
+        remote.sizes_in(self._address)
+        remote.make_folder(self._address)
 
     def sizes(self) -> Mapping[str, int]:
         """Return the size of each file by name, bytes."""
-        return remote.sizes_in(self._folder)
+        return remote.sizes_in(self._address)
 
     def read_text(self, name: str) -> str | None:
         """Return the content of a file, None if there is none."""
         if name not in self.sizes():
             return None
-        return remote.read(f"{self._folder}/{name}").decode(errors="replace")
+        return remote.read(f"{self._address}/{name}").decode(errors="replace")
 
     def write_text(self, name: str, text: str) -> None:
         """Write a file, whole or not at all."""
@@ -148,7 +133,7 @@ class RemotePlace:
         """Raise LogError if a file must not be written."""
         present, read = self.sizes(), set(inputs)
         for name in names:
-            address = f"{self._folder}/{name}"
+            address = f"{self._address}/{name}"
             if address in read:
                 raise LogError("is an input; choose another output", path=address)
             if force or not present.get(name):
@@ -168,4 +153,4 @@ class RemotePlace:
         with tempfile.TemporaryDirectory(prefix="hiros-") as temporary:
             yield Path(temporary)
             for file in sorted(Path(temporary).iterdir()):
-                remote.send(file, f"{self._folder}/{file.name}")
+                remote.send(file, f"{self._address}/{file.name}")

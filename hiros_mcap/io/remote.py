@@ -152,6 +152,8 @@ def _fetch(system: Any, path: str, target: Path, address: str) -> None:
                     path=address,
                 )
             copy.write(block)
+        if copy.tell() < (source.size or 0):
+            raise LogError(f"is cut off: {copy.tell()} of {source.size} bytes came", path=address)
 
 
 def send(file: Path, address: str) -> None:

@@ -19,7 +19,6 @@ from numba import types
 
 from hiros_mcap.kernels.averaging import BEGIN, BUFFERS, CAMERA, END, TIME, Buffers
 from hiros_mcap.kernels.compile import (
-    B1,
     F1,
     F2,
     F3,
@@ -32,7 +31,7 @@ from hiros_mcap.kernels.compile import (
     named_tuple,
 )
 from hiros_mcap.kernels.merging import EXCHANGED, LEFT_OUT
-from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2
 """Rows of the state of a joint."""
@@ -292,13 +291,13 @@ def _weight(scaled: float, freedom: float) -> float:
 
 
 @kernel
-def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> float:
-    """Correct the state by a measurement; return the log of its likelihood."""
+def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> None:
+    """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
     n, k = len(x), OFFSETS + steps.cameras[t]
     for j in range(n):
         h[j] = p[POSITION, j] + p[k, j]
-    variance = expected = h[POSITION] + h[k] + steps.variances[t, m]
+    variance = h[POSITION] + h[k] + steps.variances[t, m]
     square = 0.0
     for c in range(3):
         y = steps.positions[t, m, c] - x[POSITION, c] - x[k, c]
@@ -314,8 +313,6 @@ def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> 
             x[i, c] += gain * work.innovations[t, c]
         for j in range(n):
             p[i, j] -= gain * h[j]
-    likelihood: float = _log_likelihood(scaled, expected, freedom)
-    return likelihood
 
 
 @kernel
@@ -439,15 +436,12 @@ def _first_seen(steps: Steps, m: int) -> int:
 def _forward(
     steps: Steps, keep: int, m: int, noise: JointNoise, states: JointStates, row: int,
     work: FusionWork,
-) -> float:  # fmt: skip
-    """Filter one joint; leave its state after ``keep`` steps in ``states``.
-
-    Returns the log likelihood of the measurements.
-    """
+) -> None:  # fmt: skip
+    """Filter one joint; leave its state after ``keep`` steps in ``states``."""
     x, p = work.mean, work.covariance
     q, offset_variance = noise.accelerations[m], noise.offsets[m]
     _load(states, row, m, work)
-    time, started, likelihood = states.times[row, m], p[0, 0] > 0.0, 0.0
+    time, started = states.times[row, m], p[0, 0] > 0.0
     first = 0 if started else _first_seen(steps, m)
     for t in range(len(steps.times)):
         if t == keep and started:
@@ -473,10 +467,9 @@ def _forward(
             _copy(x[POSITION], work.innovations[t])
             _copy(x[VELOCITY], work.speeds[t])
         else:
-            likelihood += _correct(steps, t, m, noise.freedom, work)
+            _correct(steps, t, m, noise.freedom, work)
     if keep >= len(steps.times) and started:
         _save(states, row, m, time, work)
-    return likelihood
 
 
 @kernel
@@ -583,16 +576,3 @@ def smooth_joints(
         _choose_levels(steps, keep, m, states, row, work)
         _forward(steps, keep, m, noise, states, row, work)
         _backward(steps, m, noise.time, out, work)
-
-
-@kernel(types.void(STEPS, NOISE, STATES, B1, F1, WORK))
-def likelihoods(
-    steps: Steps, noise: JointNoise, states: JointStates, wanted: Flags, out: Floats,
-    work: FusionWork,
-) -> None:  # fmt: skip
-    """Add the log likelihood of each wanted joint's measurements to ``out`` (M,)."""
-    states.covariances[:] = 0.0
-    work.factors[:] = 1.0
-    for m in range(len(out)):
-        if wanted[m]:
-            out[m] += _forward(steps, -1, m, noise, states, 0, work)

@@ -97,11 +97,16 @@ def restore_lengths(people: People, steps: FilterSteps, past: FilterPast, links:
         project(people.markers[steps.people[j]], links, lengths, equal, SWEEPS, TOLERANCE)
 
 
-@kernel(types.void(F3, I1, F2, J2, F2, types.int64, types.float64))
+@kernel(types.void(F3, I1, F2, J2, F3, types.int64, types.float64))
 def project_all(
-    markers: Floats, rows: Stamps, variances: Floats, links: Ints, lengths: Floats, sweeps: int,
+    markers: Floats, which: Stamps, variances: Floats, links: Ints, lengths: Floats, sweeps: int,
     tolerance: float,
 ) -> None:  # fmt: skip
-    """Do what :func:`project` does with some rows of markers (P, M, 19), variances (P, M)."""
-    for row in rows:
-        project(markers[row], links, lengths, variances[row], sweeps, tolerance)
+    """Do what :func:`project` does with everybody's markers (P, M, 19), variances (P, M).
+
+    ``which`` (P,) says whose ``lengths`` (B, L, 2) a row has; -1 = it stays as it is.
+    """
+    for row in range(len(which)):
+        if which[row] >= 0:
+            own = lengths[which[row]]
+            project(markers[row], links, own, variances[row], sweeps, tolerance)

@@ -56,6 +56,7 @@ EXCHANGED, LEFT_OUT = 1, 2
 """What became of a view that faced the wrong way: its sides were exchanged, or it was dropped."""
 
 _HORIZON = 0.2  # s for which a past pose is carried on at constant velocity
+_MAX_HOLD = 4.0  # s for which the past outvotes views at most; flips of detectors last up to 3 s
 _HOLD_RATIO = 3.0  # the past outvotes views this many times as long as it was confirmed itself
 _CLEARLY = 0.75  # share of a view's distance to the past that exchanged sides must leave at most
 _ROUNDS = 3  # of reweighting
@@ -67,7 +68,6 @@ class MergerSettings(NamedTuple):
     max_position_delta: float
     max_orientation_delta: float
     max_facing_delta: float
-    max_flip_time: float
     confidence_power: float
     robust_scale: float
     offset_time: float
@@ -80,6 +80,8 @@ class MergerSettings(NamedTuple):
     past_votes: bool
     drop_ties: bool
     compensate_motion: bool
+    only_orientations: bool
+    """Whether positions are of no use: markers are merged only where they have orientations."""
 
 
 class MergerPast(NamedTuple):
@@ -172,7 +174,7 @@ class _Slots(NamedTuple):
     """(M, 19) and (M,), to be written."""
 
 
-_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 9, types.int64, *[types.boolean] * 5)
+_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 8, types.int64, *[types.boolean] * 6)
 _PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
 _SIDES = named_tuple(Sides, J1, J2)
 _WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5, I1)
@@ -187,15 +189,17 @@ def _merge_person(
     has_past = _predict(stamp, past, row, settings, work)  # the past pose votes like a camera
     _settle_facing(stamp, views, past, row, has_past, settings, sides, counts, work)  # flips
     offsets = past.camera_offsets[row]
-    _subtract_offsets(views, offsets)
     blank_person(out, p)
-    _merge_slots(  # outliers by Euclidean distance, then eq 12
-        _Slots(
-            views.markers, views.marker_confidences, views.confidences, work.marker_weights,
-            work.past_positions, out.markers[p], out.marker_confidences[p],
-        ),
-        False, settings.max_position_delta, settings, views.cameras, counts, work,
-    )  # fmt: skip
+    with_markers = not settings.only_orientations or _have_orientations(views.markers)
+    if with_markers:
+        _subtract_offsets(views, offsets)
+        _merge_slots(  # outliers by Euclidean distance, then eq 12
+            _Slots(
+                views.markers, views.marker_confidences, views.confidences, work.marker_weights,
+                work.past_positions, out.markers[p], out.marker_confidences[p],
+            ),
+            False, settings.max_position_delta, settings, views.cameras, counts, work,
+        )  # fmt: skip
     _merge_slots(  # outliers by eq 10, then eq 12
         _Slots(
             views.links, views.link_confidences, views.confidences, work.link_weights,
@@ -204,10 +208,21 @@ def _merge_person(
         True, settings.max_orientation_delta, settings, views.cameras, counts, work,
     )  # fmt: skip
     mean_person(stamp, views, settings.compensate_motion, out, p)
-    _learn_offsets(
-        views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
-    )
+    if with_markers:
+        _learn_offsets(
+            views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
+        )
     _remember(stamp, out, p, past, row)
+
+
+@kernel
+def _have_orientations(markers: Floats) -> bool:
+    """Whether any marker of the views (K, M, 19) has an orientation."""
+    for k in range(len(markers)):
+        for m in range(markers.shape[1]):
+            if not math.isnan(markers[k, m, ORIENTATION]):
+                return True
+    return False
 
 
 @kernel
@@ -382,7 +397,7 @@ def _settle_facing(
     work.sides_changed[: len(views.stamps)] = 0
     if settings.max_facing_delta > 0.0:
         confirmed = (past.facing_seen[row] - past.facing_since[row]) * 1e-9
-        hold = min(settings.max_flip_time, _HOLD_RATIO * confirmed)
+        hold = min(_MAX_HOLD, _HOLD_RATIO * confirmed)
         holds = (stamp - past.facing_seen[row]) * 1e-9 <= hold
         facing = _correct_flips(views, has_past, holds, settings, sides, counts, work)
     if facing == _CHANGED or past.seen[row] == 0:

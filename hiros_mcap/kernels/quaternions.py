@@ -82,13 +82,3 @@ def difference(a: Quaternion, b: Quaternion) -> Vector:
 def angle_of(product: float) -> float:
     """Angle, rad in [0, pi], between quaternions of this scalar product (Hi-ROS 2023, eq 10)."""
     return 2.0 * math.acos(min(1.0, abs(product)))  # eq 10
-
-
-@inlined
-def shortest_arc(u: Vector, v: Vector, cosine: float) -> Quaternion:
-    """Least rotation from the unit vector ``u`` to ``v``, which is not its opposite.
-
-    ``cosine`` is their scalar product, which callers have at hand.
-    """
-    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-    return normalize((x, y, z, 1.0 + cosine))

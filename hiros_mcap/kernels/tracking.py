@@ -1,7 +1,7 @@
 """Kernels of the tracker: predict, compare, correct (Hi-ROS 2023, section 3.1.2).
 
-``stages/track.py`` calls them in the paper's order for one message. :func:`follow` does the same
-for many messages at once.
+:func:`associate` and :func:`correct` are the paper's steps for one message. ``stages/track.py``
+calls them; so does :func:`follow`, for many messages at once.
 """
 
 # mypy: disable-error-code="no-any-return"
@@ -67,6 +67,9 @@ _USUAL_INTERVAL = 0.033  # s between two detections; longer ones leave more time
 _TRUSTED = 0.5  # markers of less confidence are guessed: they say nothing about limb lengths
 _MOST_LENGTHS = 600.0  # detections that a mean length remembers
 _RESTART = 4.0  # horizons without a detection after which a marker or link starts anew
+_JERK = 150.0  # m/s3/sqrt(Hz): how fast accelerations of markers may change
+_ANGULAR_JERK = 500.0  # rad/s3/sqrt(Hz): the same of links
+_ORIENTATION_NOISE = 0.15  # rad; SD of a link that one camera reports
 _LEAST_CONFIDENCE = 0.05  # a marker of less counts as one of this confidence
 # Variances of a new state: (m/s)2, (m/s2)2, (rad/s)2, (rad/s2)2.
 _SPEED, _ACCELERATION, _ANGULAR_SPEED, _ANGULAR_ACCELERATION = 1.0, 25.0, 4.0, 100.0
@@ -135,9 +138,6 @@ class TrackSettings(NamedTuple):
     gate_growth: float
     max_jump: float
     position_noise: float
-    jerk: float
-    orientation_noise: float
-    angular_jerk: float
     innovation_gate: float
     max_speed: float
     min_skeleton_confidence: float
@@ -257,7 +257,7 @@ class Followed(NamedTuple):
 
 _F, _I = types.float64, types.int64
 _TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2, F2, F2)
-_SETTINGS = named_tuple(TrackSettings, *20 * [_F], *3 * [types.boolean])
+_SETTINGS = named_tuple(TrackSettings, *17 * [_F], *3 * [types.boolean])
 _PREDICTED = named_tuple(PredictedTracks, F3, F3, F1, F1)
 _WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
 _PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1, B1)
@@ -580,6 +580,41 @@ def association_cost(
     _fill_cost(rows, people, tracks, settings, work)
 
 
+# Assignment
+
+
+@inlined
+def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
+    """Whether a detection is farther from a track that was just seen than a person can move."""
+    unseen, distance = work.predicted.unseen[i], work.pairs.distances[i, j]
+    if unseen > settings.horizon:
+        return False
+    return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
+
+
+@kernel(types.void(_I, I1, PEOPLE, _TRACKS, _SLOTS, _SETTINGS, _WORK))
+def associate(
+    stamp: int,
+    rows: Stamps,
+    people: People,
+    tracks: Tracks,
+    slots: SlotOrders,
+    settings: TrackSettings,
+    work: TrackWork,
+) -> None:
+    """Give the ``wanted`` detections of a message to the tracks in ``rows``.
+
+    Fills ``match``, and ``broken``: a detector distorts a person who is about to be hidden.
+    """
+    pairs, n_people = work.pairs, len(people.ids)
+    predict(stamp, rows, tracks, settings, work.predicted)  # eq 7
+    association_cost(rows, people, tracks, slots, settings, work)  # eq 6 and 8 to 11
+    solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)  # Munkres
+    for j in range(n_people):
+        i = pairs.match[j]
+        pairs.broken[j] = i >= 0 and _breaks(i, j, work, settings)
+
+
 # Correction
 
 
@@ -671,7 +706,7 @@ def _correct_markers(
     settings: TrackSettings,
 ) -> None:
     """Bring a track's markers to ``stamp`` by a detection (M, 19), whose slots are ``slots``."""
-    density = settings.jerk * settings.jerk
+    density = _JERK * _JERK
     interval, process = 0.0, kalman_filter.white_jerk(0.0, density)
     for m in range(len(slots)):
         state, confidence = markers[slots[m]], confidences[slots[m]]
@@ -749,8 +784,8 @@ def _correct_links(
     stamp: int, row: int, tracks: Tracks, links: Floats, settings: TrackSettings
 ) -> None:
     """Bring a track's links to ``stamp`` by a detection (L, 19)."""
-    noise = settings.orientation_noise * settings.orientation_noise
-    density = settings.angular_jerk * settings.angular_jerk
+    noise = _ORIENTATION_NOISE * _ORIENTATION_NOISE
+    density = _ANGULAR_JERK * _ANGULAR_JERK
     interval, process = 0.0, kalman_filter.white_jerk(0.0, density)
     for k in range(len(links)):
         if math.isnan(links[k, _TO_ORIENTATION]):
@@ -819,24 +854,6 @@ def correct(
             _correct_links(stamp, row, tracks, people.links[j], settings)
 
 
-@inlined
-def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
-    """Whether a detection is farther from a track that was just seen than a person can move."""
-    unseen, distance = work.predicted.unseen[i], work.pairs.distances[i, j]
-    if unseen > settings.horizon:
-        return False
-    return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
-
-
-@kernel(types.void(_I, _WORK, _SETTINGS))
-def find_breaks(n_people: int, work: TrackWork, settings: TrackSettings) -> None:
-    """Fill ``broken``: a detector distorts a person who is about to be hidden."""
-    pairs = work.pairs
-    for j in range(n_people):
-        i = pairs.match[j]
-        pairs.broken[j] = i >= 0 and _breaks(i, j, work, settings)
-
-
 @kernel("void(float64[:,:,::1], int64, float64[::1])")
 def centre(positions: Floats, row: int, out: Floats) -> None:
     """Write the mean position (3,) of a track's markers, m; NaN before any was seen."""
@@ -851,47 +868,6 @@ def centre(positions: Floats, row: int, out: Floats) -> None:
 
 
 # Many messages at once
-
-
-@inlined
-def _match_without_choice(n_tracks: int, n_people: int, gates: Floats, pairs: TrackPairs) -> bool:
-    """Fill ``match`` if nobody has a choice; return whether that is so.
-
-    Then no track is near two detections, nor a detection near two tracks, and what a pair costs
-    does not matter.
-    """
-    for j in range(n_people):
-        pairs.match[j] = -1
-    for i in range(n_tracks):
-        found = False
-        for j in range(n_people):
-            if not pairs.wanted[j] or pairs.distances[i, j] > gates[i]:
-                continue
-            if found or pairs.match[j] >= 0:
-                return False
-            found = True
-            pairs.match[j] = i
-    return True
-
-
-@inlined
-def _associate(
-    stamp: int,
-    rows: Stamps,
-    people: People,
-    tracks: Tracks,
-    slots: SlotOrders,
-    settings: TrackSettings,
-    work: TrackWork,
-) -> None:
-    """Fill ``match`` as the steps of stages/track.py do, with less work where it is obvious."""
-    predicted, pairs, n_people = work.predicted, work.pairs, len(people.ids)
-    _predict_positions(stamp, rows, tracks, settings, predicted)
-    _compare(rows, people, tracks, slots, settings, work)
-    if not _match_without_choice(len(rows), n_people, predicted.gates, pairs):
-        _predict_orientations(stamp, rows, tracks, settings.horizon, predicted.orientations)
-        _fill_cost(rows, people, tracks, settings, work)
-        solve(pairs.cost, len(rows), n_people, work.assignment, pairs.match)
 
 
 @kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, _SLOTS, _SETTINGS, _WORK, _FOLLOWED))
@@ -909,7 +885,7 @@ def follow(
     """Take messages in which everybody is of a confirmed track; return how many.
 
     Stops before the first message with anybody else. Ids and velocities are written into
-    ``people``. The results are those of the steps in stages/track.py.
+    ``people``. The results are those of the steps that stages/track.py calls.
 
     Parameters
     ----------
@@ -924,9 +900,9 @@ def follow(
         screen(group, settings.min_marker_confidence, settings.min_skeleton_confidence, work.faults)
         for j in range(end - begin):
             pairs.wanted[j] = work.faults[j] == USABLE
-        _associate(stamps[k], confirmed.rows, group, tracks, slots, settings, work)
+        associate(stamps[k], confirmed.rows, group, tracks, slots, settings, work)
         for j in range(end - begin):
-            if pairs.match[j] < 0 or _breaks(pairs.match[j], j, work, settings):
+            if pairs.match[j] < 0 or pairs.broken[j]:
                 return k
         correct(stamps[k], confirmed.rows, pairs, group, tracks, slots, settings)
         for j in range(end - begin):

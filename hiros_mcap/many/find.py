@@ -103,7 +103,8 @@ def _is_single(folder: Path) -> bool:
 
 
 def _is_log(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES and path.is_file()
+    """Whether a name is that of a log. What cannot be read fails by name, and is not left out."""
+    return path.suffix.lower() in SUFFIXES and not path.is_dir()
 
 
 def _remote(text: str) -> Iterator[str]:

@@ -9,8 +9,11 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import ConfigError
@@ -20,10 +23,19 @@ from hiros_mcap.summary import plain
 Verdict = Literal["done", "doubtful", "recovered", "equal", "different", "skipped", "failed"]
 """done; doubtful: done, with warnings; recovered: done, with losses; equal and different: from a
 golden file; skipped: not a log for this command; failed: see the error."""
-SCHEMA, VERSION = "hiros.manifest", 1
 _PERIOD_S = 1.0
 _SHARE = 20
 """A manifest that takes 1 s to write, such as a remote one, is written every 20 s."""
+
+
+def _checked_name(text: str) -> str:
+    if text in ("", "..") or Path(text).name != text:
+        raise ValueError("names no file of the output folder")
+    return text
+
+
+FileName = Annotated[str, AfterValidator(_checked_name)]
+"""A name without a folder: whoever changes a manifest must not choose where hiros writes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +55,7 @@ class LogRecord:
 
     log: str
     """Absolute path or address."""
-    name: str
+    name: FileName
     """By which its files in the output folder are called."""
     verdict: Verdict
     error: str = ""
@@ -52,7 +64,7 @@ class LogRecord:
     """What is lost of a damaged log, one line."""
     values: Mapping[str, Any] = field(default_factory=dict)
     """What was measured: columns of the table of all logs."""
-    files: Mapping[str, int] = field(default_factory=dict)
+    files: Mapping[FileName, int] = field(default_factory=dict)
     """Files in the output folder, with their size in bytes."""
     input: Identity = Identity(0, "")
     configuration: str = ""
@@ -71,6 +83,19 @@ class LogRecord:
         return self.verdict != "failed"
 
 
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """What the file holds."""
+
+    schema: Literal["hiros.manifest"]
+    version: Literal[1]
+    command: str
+    logs: list[LogRecord]
+
+
+_CONTENT = TypeAdapter(_Content)
+
+
 class Manifest:
     """The records of a folder, by log; a manifest without a place is kept in memory only."""
 
@@ -85,16 +110,12 @@ class Manifest:
             self.records = {record.log: record for record in self._parsed(text)}
 
     def _parsed(self, text: str) -> Iterable[LogRecord]:
-        where = f"{self._place}/{self._file}"
         try:
-            data = json.loads(text)
-            if (data["schema"], data["version"]) != (SCHEMA, VERSION):
-                raise ValueError
-            return [_record(row) for row in data["logs"]]
-        except (ValueError, KeyError, TypeError):
+            return _CONTENT.validate_json(text).logs
+        except ValidationError:
             raise ConfigError(
-                f"{where}: is not a manifest of this version of hiros; choose another folder, or "
-                "remove the file to begin anew"
+                f"{self._place}/{self._file}: is not a manifest of this version of hiros; choose "
+                "another folder, or remove the file to begin anew"
             ) from None
 
     def add(self, record: LogRecord) -> None:
@@ -109,12 +130,16 @@ class Manifest:
         if self._place is None or not self._changed:
             return
         start = time.monotonic()
-        rows = [plain(self.records[log]) for log in sorted(self.records)]
-        data = {"schema": SCHEMA, "version": VERSION, "command": self.command, "logs": rows}
+        logs = [self.records[log] for log in sorted(self.records)]
+        data = plain(_Content("hiros.manifest", 1, self.command, logs))
         self._place.write_text(self._file, json.dumps(data, indent=1) + "\n")
         self._changed = False
         end = time.monotonic()
         self._next = end + max(_PERIOD_S, _SHARE * (end - start))
+
+    def exported(self) -> Mapping[str, int]:
+        """Return the size of every file that was written, by its name."""
+        return {name: n for record in self.records.values() for name, n in record.files.items()}
 
     def knows(self, record: LogRecord, sizes: Mapping[str, int]) -> LogRecord | None:
         """Return the former record of a log if its result is still there and would be the same.
@@ -133,11 +158,3 @@ class Manifest:
             and all(sizes.get(name) == size for name, size in former.files.items())
         )
         return former if same else None
-
-
-def _record(row: Mapping[str, Any]) -> LogRecord:
-    known = {item.name for item in fields(LogRecord)}
-    values = {name: value for name, value in row.items() if name in known}
-    values["input"] = Identity(**row["input"])
-    values["warnings"] = tuple(row["warnings"])
-    return LogRecord(**values)

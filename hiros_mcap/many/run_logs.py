@@ -25,7 +25,7 @@ from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel
 
-from hiros_mcap.errors import HirosError
+from hiros_mcap.errors import HirosError, LogError
 from hiros_mcap.io import remote
 from hiros_mcap.io.digest import digest_of
 from hiros_mcap.io.places import Place, place_of
@@ -99,9 +99,13 @@ def run_logs(
         }
         todo = [record for record in planned if record.log not in done]
         if place is not None and job.suffix:
-            ours = {name for record in manifest.records.values() for name in record.files}
             names = {record.name for record in todo}
-            there = [n for n in sizes if n not in ours and _base(n, job.suffix) in names]
+            ours = manifest.exported() if job.kind == "export" else {}
+            there = [
+                file
+                for file, size in sizes.items()
+                if _base(file, job.suffix) in names and ours.get(file) != size
+            ]
             place.check(there, job.kind, logs, folder.force)
         for former in done.values():
             yield former, False
@@ -139,7 +143,10 @@ def identity_of(log: str) -> Identity:
     if remote.is_remote(log):
         return Identity(*remote.look(log))
     path = Path(log)
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    if not (path.is_file() or path.is_dir()):
+        path.stat()
+        raise LogError("is a device or a pipe, not a file of a log", path=path)
+    files = path.rglob("*") if path.is_dir() else [path]
     found = [file.stat() for file in files if not file.is_dir()]
     newest = max((one.st_mtime_ns for one in found), default=0)
     return Identity(sum(one.st_size for one in found), str(newest))

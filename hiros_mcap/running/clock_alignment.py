@@ -1,20 +1,21 @@
 """Corrects the stamps of cameras whose clocks are wrong, before the stages see them.
 
-A run of a file judges every clock first, by the times of all messages
-(:mod:`hiros_mcap.io.camera_clock`) and by the people
-(:mod:`hiros_mcap.calibrate.clock_offset`). Poses and clocks that are found together may show more
-(:mod:`hiros_mcap.running.pose_alignment`). A causal run judges each message by those before it
+A run of a file learns steps, drifts and late deliveries from the times of all messages
+(:mod:`hiros_mcap.io.camera_clock`). Offsets come from the people, together with the cameras' poses
+(:mod:`hiros_mcap.running.pose_alignment`): each that is significant is corrected, or a fault says
+why it is not. A causal run corrects each message by those before it
 (:mod:`hiros_mcap.running.clock_follower`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hiros_mcap.calibrate.clock_offset import clock_offsets
+from hiros_mcap.calibrate.verdict import SURE
 from hiros_mcap.config import Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
@@ -26,7 +27,6 @@ from hiros_mcap.io.camera_clock import (
     OFFSET,
     CameraTimes,
     ClockCorrection,
-    ClockJudgement,
     described,
     judge_clocks,
     longest_wait,
@@ -36,12 +36,15 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Stamps
 from hiros_mcap.stages.time_order import late_in_order
-from hiros_mcap.summary import ClockFault
+from hiros_mcap.summary import ClockFault, PoseSummary
 
 _WORTH_A_WARNING = 0.05  # s
 _LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less
 _MARGIN = 0.1  # s
-_ALIKE = 0.01  # s: cameras whose usual and least lags differ by less have the same clock
+_LEAST_CLOCK_MS = 10.0  # smaller offsets stay: a person who walks is then off by 1 cm
+_SURE_CLOCK = 3.0  # standard errors that an offset has to be long
+STILL = "nobody moves enough to tell"
+"""Why an offset that the lags suggest is not measured."""
 
 
 @dataclass(slots=True)
@@ -53,38 +56,93 @@ class ClockAlignment:
     faults: list[ClockFault] = field(default_factory=list)
     wait: float = 0.0
     """s: how late messages are; 0 if no later than the stages can take."""
-    given: Mapping[str, float] | None = None
-    """Camera -> seconds that the user adds, of a causal run; None if the whole log was judged."""
+    given: Mapping[str, float] = field(default_factory=dict)
+    """Camera -> seconds that the user adds."""
     reorder: float = 0.0
     """Longest time, s, by which the stages take messages that are late."""
+    times: Mapping[str, CameraTimes] = field(default_factory=dict)
+    """Camera -> the times of its messages, as logged; empty unless clocks are to be found."""
+    causal: bool = False
+    """Whether each message is corrected by those before it."""
 
     def correct(self, blocks: Iterable[Block]) -> Iterator[Block]:
         """Yield blocks with right stamps, in an order that the stages can take."""
-        if self.given is not None:
+        if self.causal:
             self.faults.clear()
             blocks = ClockFollower(self.given, self.faults, self.reorder).correct(blocks)
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
         yield from late_in_order(blocks, self.wait) if self.wait else blocks
 
-    def add_offsets(self, offsets: Mapping[str, float], log: Log) -> None:
-        """Correct clocks that are still ahead by so many seconds, by camera."""
-        if not offsets:
-            return
-        times = log.times()
+    @property
+    def lags(self) -> dict[str, float]:
+        """Usual time, s, from each camera's corrected stamps to the log times."""
+        return {name: float(np.median(self.corrected_times(name).lags)) for name in self.times}
+
+    def corrected_times(self, camera: str) -> CameraTimes:
+        """Return the times of a camera's messages with corrected stamps."""
+        times, correction = self.times[camera], self.corrections.get(camera)
+        if correction is None:
+            return times
+        return replace(times, stamps=correction.apply(times.stamps, times.log_times))
+
+    def take_offsets(self, cameras: Iterable[PoseSummary]) -> None:
+        """Correct the offsets that the people prove; note which others stay, and why.
+
+        Those of cameras whose clocks the user has set are right. Without any, the median clock is;
+        of two, it is that of the camera whose messages are logged nearer to their stamps.
+        """
+        lags = self.lags
+        # Of a camera that was moved, the surer clock comes last.
+        surest = {c.name: c for c in sorted(cameras, key=lambda c: -c.error_ms) if c.name in lags}
+        measured = {name: c for name, c in surest.items() if not math.isnan(c.clock_ms)}
+        sure = {name: c.clock_ms for name, c in measured.items() if c.verdict in SURE}
+        middle = self._right_clock(sure, lags)
+        offsets = {}
+        for name, camera in measured.items():
+            ahead = middle - camera.clock_ms
+            least = max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
+            if name in self.given or abs(ahead) <= least:
+                continue
+            if name in sure:
+                offsets[name] = ahead / 1000.0
+            else:
+                self._note(name, ahead / 1000.0, camera.reason)
+        for name, lag in lags.items():
+            ahead = middle_of(lags) - lag
+            if name not in measured and name not in self.given and abs(ahead) > _WORTH_A_WARNING:
+                seen = surest.get(name)
+                is_alone = seen is not None and seen.verdict == "impossible"
+                self._note(name, ahead, seen.reason if seen and is_alone else STILL)
+        self._add(offsets)
+
+    def _right_clock(self, clocks: Mapping[str, float], lags: Mapping[str, float]) -> float:
+        """Return what a clock that is right would have, ms."""
+        right = [ms for name, ms in clocks.items() if name in self.given]
+        if right:
+            return float(np.median(right))
+        if len(clocks) == 2:
+            return clocks[min(sorted(clocks), key=lambda name: abs(lags[name]))]
+        return float(np.median(list(clocks.values()))) if clocks else 0.0
+
+    def _note(self, camera: str, seconds: float, reason: str) -> None:
+        """Note an offset that is not corrected."""
+        at = int(self.corrected_times(camera).stamps[0])
+        fault = ClockFault(camera, OFFSET, seconds, at, corrected=False, reason=reason)
+        self.faults.append(fault)
+
+    def _add(self, offsets: Mapping[str, float]) -> None:
+        """Correct clocks that are ahead by so many seconds, by camera."""
         for name, seconds in offsets.items():
             before = self.corrections.get(name, ClockCorrection())
             self.corrections[name] = before.plus(-seconds)
-            self._note_offset(name, seconds, int(times[name].stamps[0] - round(seconds * 1e9)))
-        corrected = (_corrected_times(times[name], self.corrections.get(name)) for name in times)
-        self.wait = _wait_for(longest_wait(corrected), self.reorder)
-
-    def _note_offset(self, camera: str, seconds: float, at_ns: int) -> None:
-        """Add to the fault of a camera's offset, or begin one."""
-        before = [f for f in self.faults if (f.camera, f.kind) == (camera, OFFSET)]
-        self.faults = [fault for fault in self.faults if fault not in before]
-        total = seconds + sum(fault.seconds for fault in before if fault.corrected)
-        self.faults.append(ClockFault(camera, OFFSET, total, at_ns, corrected=True))
+            same = [f for f in self.faults if (f.camera, f.kind) == (name, OFFSET)]
+            self.faults = [fault for fault in self.faults if fault not in same]
+            total = seconds + sum(fault.seconds for fault in same)
+            at = int(self.corrected_times(name).stamps[0])
+            self.faults.append(ClockFault(name, OFFSET, total, at, corrected=True))
+        if offsets:
+            self.wait = _wait_for(longest_wait(map(self.corrected_times, self.times)), self.reorder)
 
     def tell(self, events: Events) -> None:
         """Note the faults."""
@@ -94,7 +152,7 @@ class ClockAlignment:
 
 
 def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
-    """Judge the clocks of a log.
+    """Find what the times of the messages show of the clocks of a log.
 
     ``reorder`` is the longest time, s, by which the stages take messages that are late.
 
@@ -103,66 +161,23 @@ def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
     given = given_corrections(log, config)
     if config.input.clocks == "off":
         plain = {name: ClockCorrection().plus(s) for name, s in given.items()}
-        return ClockAlignment(plain, reorder=reorder)
+        return ClockAlignment(plain, given=given, reorder=reorder)
     if config.input.clocks == "causal":
-        return ClockAlignment(given=given, reorder=reorder)
+        return ClockAlignment(given=given, reorder=reorder, causal=True)
     times = log.times()
     judged = judge_clocks(times, given)
-    alignment = ClockAlignment(dict(judged.corrections), list(judged.faults), reorder=reorder)
-    late = judged.wait
-    if len(judged.lags) > 1:
-        late = _align_by_people(log, alignment, judged, set(given)) or judged.wait
-    alignment.corrections = {
-        name: one
-        for name, one in alignment.corrections.items()
-        if name in times and one.changes(times[name])
+    corrections = {
+        name: one for name, one in judged.corrections.items() if one.changes(times[name])
     }
-    alignment.wait = _wait_for(late, reorder)
-    return alignment
+    faults = list(judged.faults)
+    used = {name: some for name, some in times.items() if len(some.stamps)}
+    wait = _wait_for(judged.wait, reorder)
+    return ClockAlignment(corrections, faults, wait, given, reorder, used)
 
 
 def _wait_for(late: float, reorder: float) -> float:
     """Return how long, s, messages wait if they are late by so much; 0 if the stages take them."""
     return min(late + _MARGIN, LONGEST_WAIT) if late > reorder else 0.0
-
-
-def _corrected_times(times: CameraTimes, correction: ClockCorrection | None) -> CameraTimes:
-    if correction is None:
-        return times
-    return CameraTimes(correction.apply(times.stamps, times.log_times), times.log_times)
-
-
-def _align_by_people(
-    log: Log, alignment: ClockAlignment, judged: ClockJudgement, given: set[str]
-) -> float:
-    """Correct constant offsets that the people prove, where the lags of cameras differ.
-
-    Return by how much messages are late then, s; 0 if nothing changed.
-    """
-    usual = middle_of(judged.lags)
-    least = {name: float(np.quantile(t.lags, 0.05)) for name, t in judged.times.items()}
-    if max(map(_spread, (judged.lags, least))) < _ALIKE:
-        return 0.0
-    offsets = clock_offsets(alignment.correct(log.blocks()), judged.lags)
-    start = min(times.stamps[0] for times in judged.times.values())
-    times = dict(judged.times)
-    for name, lag in judged.lags.items():
-        found = offsets.get(name)
-        if name in given:
-            continue
-        if found is not None and found.is_proven:
-            alignment.corrections[name] = judged.corrections[name].plus(-found.seconds)
-            times[name] = times[name].moved(-found.seconds)
-            fault = ClockFault(name, OFFSET, found.seconds, int(start), corrected=True)
-            alignment.faults.append(fault)
-        elif found is None and abs(usual - lag) > _WORTH_A_WARNING:
-            fault = ClockFault(name, OFFSET, usual - lag, int(start), corrected=False)
-            alignment.faults.append(fault)
-    return longest_wait(times.values())
-
-
-def _spread(values: Mapping[str, float]) -> float:
-    return max(values.values()) - min(values.values())
 
 
 def given_corrections(log: Log, config: Config) -> dict[str, float]:
@@ -204,7 +219,8 @@ def clock_notes(faults: Iterable[ClockFault], start: int) -> Iterator[str]:
 def _is_grave(fault: ClockFault) -> bool:
     if fault.kind == LATE:
         return False
-    least = _WORTH_A_WARNING if fault.corrected else _LIKELY_NO_DELAY
+    is_delay = not fault.corrected and fault.reason == STILL
+    least = _LIKELY_NO_DELAY if is_delay else _WORTH_A_WARNING
     return fault.kind == DRIFT or abs(fault.seconds) >= least
 
 
@@ -212,8 +228,8 @@ def _remedy(fault: ClockFault) -> str:
     option = f"--clock {fault.camera}={-fault.seconds:.3f}"
     if not fault.corrected:
         return (
-            "hiros kept its stamps because nobody moves enough to tell; if the clock is wrong, "
-            f"process again with {option}"
+            f"hiros kept its stamps because {fault.reason}; if the clock is wrong, process again "
+            f"with {option}"
         )
     if fault.kind == OFFSET:
         return f"hiros corrected its stamps, as {option} does; synchronize the clocks"

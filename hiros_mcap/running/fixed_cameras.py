@@ -1,18 +1,20 @@
-"""The cameras that stand still, and whom they see in the best parts of a log."""
+"""The cameras of a rig, and whom they see in the best parts of a log."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.camera_views import sightings_of
+from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.calibrate.camera_views import CameraView, sightings_of, view_of
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.skeletons import Ints
 
 LONGEST_S, SHORTEST_S = 20.0, 12.0
 """So many seconds of a log are read, in stretches: half of it, within these limits."""
@@ -29,11 +31,14 @@ _SHARED = "its detections are in a frame that is not its own"
 
 
 class FixedCamera(NamedTuple):
-    """A camera that stands still in a frame of its own."""
+    """A camera, and where it stands."""
 
     name: str
     frame: str
     pose: Rigid
+    movable: bool = True
+    """Whether it stands still in a frame of its own, so that it may have another pose. The people
+    of others are taken where they are in the fixed frame."""
 
 
 def camera_faults(log: Log) -> dict[str, str]:
@@ -49,11 +54,13 @@ def camera_faults(log: Log) -> dict[str, str]:
 
 
 def fixed_cameras(log: Log, faults: Mapping[str, str]) -> Iterator[FixedCamera]:
-    """Yield the cameras that stand still in frames of their own."""
+    """Yield the cameras; those with faults are not movable."""
     fixed = log.fixed_frame
     for camera in log.cameras:
         for name in camera.sources.values():
-            if name not in faults:
+            if name in faults:
+                yield FixedCamera(name, fixed, Rigid.identity(), movable=False)
+            else:
                 pose = log.transforms.at_rest(camera.frames[0], fixed)
                 yield FixedCamera(name, camera.frames[0], pose or Rigid.identity())
 
@@ -89,14 +96,14 @@ def stretches(start: int, end: int, seconds: float, n: int) -> list[tuple[int, i
 def read_sightings(
     log: Log, clocks: ClockAlignment, spans: Sequence[tuple[int, int]]
 ) -> dict[str, list[Sighting]]:
-    """Camera -> whom it sees in some spans of log times, ns.
+    """Camera -> whom it sees in some spans of log times, ns, in the fixed frame.
 
     Left out is what a camera stamped at quite another time than most: its clock is no clock.
     """
     start, end = log.span
     seen: dict[str, list[Sighting]] = {}
     latest: dict[str, int] = {}
-    for block in clocks.correct(log.camera_blocks(spans)):
+    for block in clocks.correct(block for _, block in log.blocks_by_topic(spans)):
         chosen = []
         for stamp, source, log_time, (_, i) in block.messages():
             inside = any(begin <= log_time <= until for begin, until in spans)
@@ -110,6 +117,19 @@ def read_sightings(
     return {
         name: [s for s in some if abs(s.seconds - middle) < most] for name, some in seen.items()
     }
+
+
+def seen_by(
+    camera: FixedCamera, sightings: Sequence[Sighting], mirror: Ints, shift: float = 0.0
+) -> CameraView:
+    """Return what a camera sees, in its own frame, of sightings in the fixed frame.
+
+    Its times are ``shift`` s later than stated.
+    """
+    view = view_of(camera.name, camera.frame, sightings, mirror, shift)
+    turn, place = to_matrix(camera.pose.xyzw), camera.pose.translation
+    tracks = [one._replace(positions=(one.positions - place) @ turn) for one in view.tracks]
+    return replace(view, tracks=tracks)
 
 
 def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:

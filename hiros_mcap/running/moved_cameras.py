@@ -7,28 +7,31 @@ poses (:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, angle, from_matrix
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.camera_change import (
     CameraChange,
     find_change,
     located,
-    part_of,
+    partner_of,
+    split_views,
 )
-from hiros_mcap.calibrate.camera_views import CameraView, view_of
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.gauge import PRIOR_DEG, PRIOR_M, moved, on_transforms
 from hiros_mcap.calibrate.refinement import (
-    RefinedPose,
+    FROM_GIVEN,
     refine_poses,
     refine_together,
 )
-from hiros_mcap.calibrate.sampling import CELL_S, Rig
+from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.verdict import SURE
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.fixed_cameras import (
@@ -36,6 +39,7 @@ from hiros_mcap.running.fixed_cameras import (
     STRETCHES,
     FixedCamera,
     read_sightings,
+    seen_by,
     stretches,
 )
 from hiros_mcap.skeletons import Ints
@@ -48,7 +52,6 @@ LEAST_M = 0.03
 NARROW_S = 0.5
 """If nobody was seen in the read parts of the log for longer around the change, more is read."""
 LOOK_S = 10.0
-SURE = ("good", "improved")
 LOOKS = 6
 """Each look narrows the gap to a third or less."""
 
@@ -80,7 +83,9 @@ class PosedViews:
     cameras: list[FixedCamera]
     """With the poses that the log gives."""
     views: list[CameraView]
-    found: list[RefinedPose]
+    found: list[CalibratedCamera]
+    gains: list[float]
+    """By which share the misfit of each falls if it may have been moved once."""
     moves: tuple[Move, ...] = ()
 
 
@@ -94,9 +99,12 @@ def split_moved(log: Log, clocks: ClockAlignment, posed: PosedViews) -> PosedVie
     if not left:
         return posed
     seen = read_sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
-    views = [view_of(c.name, c.frame, seen.get(c.name, []), mirror) for c in posed.cameras]
-    splitter = _Splitter(log, clocks, mirror)
-    result = PosedViews(posed.cameras, views, posed.found)
+    views = [
+        seen_by(camera, seen.get(camera.name, []), mirror, view.shift)
+        for camera, view in zip(posed.cameras, posed.views, strict=True)
+    ]
+    splitter = _Splitter(log, clocks, mirror, {view.name: view.shift for view in views})
+    result = PosedViews(posed.cameras, views, posed.found, posed.gains)
     tried: set[str] = set()
     while left:
         tried.add(left[0])
@@ -112,56 +120,66 @@ def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
 
     Of two cameras that do not fit each other, it is taken to be the second.
     """
-    pairs = zip(posed.cameras, posed.found, strict=True)
-    free = [(camera.name, one) for camera, one in pairs if camera.frame != fixed_frame]
+    rows = zip(posed.cameras, posed.found, posed.gains, strict=True)
+    free = [(one, gain) for camera, one, gain in rows if camera.frame != fixed_frame]
     if len(posed.cameras) == 2:
         free = free[-1:]
-    odd = [name for name, one in free if not one.fits]
-    rest = {name: one.gain for name, one in free if one.fits and one.gain > GAIN}
+    odd = [one.name for one, _ in free if not one.fits]
+    rest = {one.name: gain for one, gain in free if one.fits and gain > GAIN}
     return odd + sorted(rest, key=lambda name: -rest[name])
 
 
 class _Splitter:
     """Splits the views of cameras that were moved in a log."""
 
-    def __init__(self, log: Log, clocks: ClockAlignment, mirror: Ints) -> None:
+    def __init__(
+        self, log: Log, clocks: ClockAlignment, mirror: Ints, shifts: Mapping[str, float]
+    ) -> None:
         self._log, self._clocks, self._mirror = log, clocks, mirror
-        self._fixed, self._times = log.fixed_frame, log.times()
+        self._fixed, self._shifts = log.fixed_frame, shifts
 
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
         c = [camera.name for camera in posed.cameras].index(name)
-        partner = _partner(posed, c)
+        others = [k for k in range(len(posed.found)) if k != c]
+        sound = [k for k in others if posed.found[k].fits]
+        partner = partner_of(posed.views, c, sound or others)
         if partner is None:
             return posed
         pair = [posed.views[partner], posed.views[c]]
         change = find_change(pair, None, self._mirror)
         if change is None or change.metres < LEAST_M:
             return posed
-        change = self._narrowed(change, posed.cameras[partner], posed.cameras[c])
+        change = self._narrowed(change, posed, (partner, c))
         parts = self._refined(posed, c, partner, change)
         if parts is None:
             return posed
-        before, after = (_pose(parts.cameras[k], parts.found[k]) for k in (c, c + 1))
-        move = Move(name, *self._first_message(name, change.seconds), *distance_of(before, after))
+        before, after = (placed(parts, k) for k in (c, c + 1))
+        move = Move(name, *self._first_message(name, change.seconds), *before.apart(after))
         return replace(parts, moves=(*posed.moves, move))
 
     def _narrowed(
-        self, change: CameraChange, partner: FixedCamera, camera: FixedCamera
+        self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]
     ) -> CameraChange:
         """Look into the log where it was not read yet, until the time of the change is known."""
         for _ in range(LOOKS):
             if change.end - change.begin < NARROW_S:
                 break
-            ends = [self._first_message(partner.name, s)[1] for s in (change.begin, change.end)]
+            name = posed.cameras[pair[0]].name
+            ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
             seen = read_sightings(
                 self._log, self._clocks, stretches(ends[0], ends[1], LOOK_S, STRETCHES)
             )
-            pair = [
-                view_of(one.name, one.frame, seen.get(one.name, []), self._mirror)
-                for one in (partner, camera)
+            views = [
+                seen_by(
+                    posed.cameras[k],
+                    seen.get(posed.cameras[k].name, []),
+                    self._mirror,
+                    posed.views[k].shift,
+                )
+                for k in pair
             ]
-            nearer = located(pair, change.early, change.late, self._mirror, better=1.0)
+            nearer = located(views, change.early, change.late, self._mirror, better=1.0)
             if nearer is None:
                 break
             begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)
@@ -172,12 +190,11 @@ class _Splitter:
         self, posed: PosedViews, c: int, partner: int, change: CameraChange
     ) -> PosedViews | None:
         """Refine all cameras, one of them in two parts; None if its parts do not fit, too."""
-        camera, at = posed.cameras[c], change.seconds
-        views, cameras, found = list(posed.views), list(posed.cameras), list(posed.found)
-        views[c : c + 1] = [part_of(views[c], *span) for span in ((-np.inf, at), (at, np.inf))]
+        camera = posed.cameras[c]
+        cameras, found = list(posed.cameras), list(posed.found)
+        views = split_views(posed.views, {camera.name: change})
         cameras[c : c + 1], found[c : c + 1] = [camera] * 2, [found[c]] * 2
-        base = _pose(posed.cameras[partner], posed.found[partner])
-        ends = [base @ _second(rig) for rig in (change.early, change.late)]
+        ends = [placed(posed, partner) @ rig.pose(1) for rig in (change.early, change.late)]
         new = c + int(np.argmax([_deviation(pose, camera.pose) for pose in ends]))
         given = [one.pose for one in cameras]
         given[new] = ends[new - c]
@@ -185,63 +202,40 @@ class _Splitter:
         some = [views[k] for k in sound], [given[k] for k in sound]
         given[new] = self._placed(*some, sound.index(new))
         anchor = next((k for k, one in enumerate(cameras) if one.frame == self._fixed), None)
-        found = refine_poses(views, given, self._mirror, anchor)
+        movable = [camera.movable for camera in cameras]
+        found, gains = refine_poses(views, given, self._mirror, anchor, movable)
         if not all(one.fits and one.verdict in SURE for one in found[c : c + 2]):
             return None
-        found[new] = found[new]._replace(verdict="improved", pose=found[new].pose or given[new])
-        return PosedViews(cameras, views, found, posed.moves)
+        metres, degrees = (found[new].pose or given[new]).apart(camera.pose)
+        found[new] = replace(
+            found[new], verdict="improved", moved_mm=1000.0 * metres, moved_deg=degrees
+        )
+        return PosedViews(cameras, views, found, gains, posed.moves)
 
     def _placed(self, views: Sequence[CameraView], given: Sequence[Rigid], new: int) -> Rigid:
         """Return the refined pose of one camera; the others' given poses place the rig."""
-        refined = refine_together(views, given, self._mirror)
+        refined = refine_together(views, Rig.of(given), self._mirror, FROM_GIVEN)
         known = {k: pose for k, pose in enumerate(given) if k != new}
         rig = moved(refined.rig, on_transforms(refined.rig, known))
-        return Rigid(from_matrix(rig.rotations[new]), rig.shifts[new])
+        return rig.pose(new)
 
     def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
         """Corrected stamp and log time, ns, of a camera's first message from some time on.
 
         Seconds count from the start of the log.
         """
-        times = self._times[name]
-        stamps = times.stamps
-        if name in self._clocks.corrections:
-            stamps = self._clocks.corrections[name].apply(stamps, times.log_times)
-        k = int(np.argmax(stamps >= self._log.span[0] + round(1e9 * seconds)))
-        return int(stamps[k]), int(times.log_times[k])
+        times = self._clocks.corrected_times(name)
+        since = self._log.span[0] + round(1e9 * (seconds - self._shifts[name]))
+        k = int(np.argmax(times.stamps >= since))
+        return int(times.stamps[k]), int(times.log_times[k])
 
 
-def _partner(posed: PosedViews, c: int) -> int | None:
-    """Return the camera that sees most at the same time as another one, one that fits if any."""
-    sound = [k for k, one in enumerate(posed.found) if one.fits and k != c]
-    others = sound or [k for k in range(len(posed.found)) if k != c]
-    cells = [_cells(view) for view in posed.views]
-    return max(others, key=lambda k: len(cells[k] & cells[c]), default=None)
-
-
-def _cells(view: CameraView) -> set[int]:
-    """Return in which tenths of a second a camera sees somebody."""
-    seconds = [track.seconds for track in view.tracks]
-    return {int(s // CELL_S) for some in seconds for s in some.tolist()}
-
-
-def _pose(camera: FixedCamera, found: RefinedPose) -> Rigid:
-    """Return the pose that is used."""
-    return camera.pose if found.pose is None else found.pose
-
-
-def _second(rig: Rig) -> Rigid:
-    """Return the pose of the second camera in the first."""
-    return Rigid(from_matrix(rig.rotations[1]), rig.shifts[1])
-
-
-def distance_of(one: Rigid, other: Rigid) -> tuple[float, float]:
-    """Distance of two poses, m and degrees."""
-    metres = float(np.linalg.norm(one.translation - other.translation))
-    return metres, float(np.degrees(angle(one.xyzw, other.xyzw)))
+def placed(posed: PosedViews, camera: int) -> Rigid:
+    """Return the pose of a camera that is used."""
+    return posed.found[camera].pose or posed.cameras[camera].pose
 
 
 def _deviation(one: Rigid, other: Rigid) -> float:
     """Distance of two poses, in units of the precision of a log's poses."""
-    metres, degrees = distance_of(one, other)
+    metres, degrees = one.apart(other)
     return float(np.hypot(degrees / PRIOR_DEG, metres / PRIOR_M))

@@ -9,7 +9,7 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -19,14 +19,18 @@ import numpy as np
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
-from hiros_mcap.calibrate.camera_views import view_of
-from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses
+from hiros_mcap.calibrate.camera_graph import coarse_clocks
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.coarse_clock import landmarks_of
+from hiros_mcap.calibrate.refinement import refine_poses
+from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.tracklets import Sighting
-from hiros_mcap.calibrate.verdict import UNLINKED, remedy
+from hiros_mcap.calibrate.verdict import SURE, UNLINKED, remedy
+from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
-from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.fixed_cameras import (
     STRETCHES,
     FixedCamera,
@@ -35,9 +39,10 @@ from hiros_mcap.running.fixed_cameras import (
     fixed_cameras,
     moves,
     read_sightings,
+    seen_by,
     stretches,
 )
-from hiros_mcap.running.moved_cameras import Move, PosedViews, distance_of, split_moved
+from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.summary import PoseSummary
 
@@ -50,10 +55,8 @@ CHECKED_S = 10.0
 WRONG_DEG, WRONG_MM = 1.0, 30.0
 """What a quick check reports: such a pose shows in the results if nobody corrects it."""
 
-_LEAST_CLOCK_MS = 10.0
-"""Smaller offsets are left: a person who walks is then off by 1 cm, less than the joints are."""
-_SURE_CLOCK = 3.0
-"""An offset counts if it is so many standard errors long."""
+_DELAY_S = 0.1
+"""Lags of right clocks mostly differ by less."""
 
 _ALONE = "no other camera stands still in a frame of its own"
 
@@ -67,29 +70,10 @@ class PoseAlignment:
     """Whether they were found from the people alone."""
     misfits: frozenset[str] = frozenset()
     """Cameras whose people are not where the others see them."""
-    clocks: Mapping[str, float] = field(default_factory=dict)
-    """Camera -> s to add to its stamps, found together with poses from nothing."""
     moves: tuple[Move, ...] = ()
     """Cameras that were moved in the middle of the log."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
-
-    def clock_offsets(self, given: Collection[str]) -> dict[str, float]:
-        """Return by how many seconds the clocks of cameras are ahead, where the people prove it.
-
-        ``given`` are the cameras whose clocks the user has set: the others are compared with
-        these. Without any, the median clock counts as right.
-        """
-        measured = {c.name: c for c in sorted(self.cameras, key=_clock_error) if _has_clock(c)}
-        right = [camera.clock_ms for name, camera in measured.items() if name in given]
-        middle = float(np.median(right)) if right else 0.0
-        behind = {name: camera.clock_ms - middle for name, camera in measured.items()}
-        return {
-            name: -behind[name] / 1000.0
-            for name, camera in measured.items()
-            if name not in given
-            and abs(behind[name]) > max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
-        }
 
     @property
     def replaced(self) -> bool:
@@ -137,24 +121,34 @@ class PoseAlignment:
                 )
 
 
-def _has_clock(camera: PoseSummary) -> bool:
-    """Whether the people show the camera's clock, and nothing speaks against its pose."""
-    return camera.verdict in ("good", "improved") and not math.isnan(camera.clock_ms)
+def align_cameras(
+    log: Log, config: Config, mode: Calibration, reorder: float
+) -> tuple[ClockAlignment, PoseAlignment]:
+    """Find out how the cameras of a log stand, and how their clocks go.
 
+    Parameters
+    ----------
+    mode : "off" keeps the log's poses. reorder : of :func:`align_clocks`.
 
-def _clock_error(camera: PoseSummary) -> float:
-    """Return a key that puts the surest clock of a moved camera last."""
-    return -camera.error_ms
-
-
-def find_missing_poses(log: Log, mode: Calibration) -> PoseAlignment | None:
-    """Find the poses of a log that has none; return None if it has.
-
-    Raises LogError if the people do not tell them, or the log has no frame of the name that the
-    user gave for the results.
+    Raises LogError if the log has no poses and the people do not tell them, if ``mode`` is
+    "require" and they do not confirm a camera's pose, or if the log has no frame of the name that
+    the user gave for the results.
     """
-    if mode == "off":
-        return None
+    clocks = align_clocks(log, config, reorder)
+    if clocks.causal or (mode == "off" and not clocks.times):
+        return clocks, PoseAlignment()
+    missing = None if mode == "off" else _missing_poses(log)
+    if missing is not None:
+        poses = _from_nothing(log, clocks, missing)
+    else:
+        poses = _refined_poses(log, clocks, mode)
+    if clocks.times:
+        clocks.take_offsets(poses.cameras)
+    return clocks, PoseAlignment() if mode == "off" else poses
+
+
+def _missing_poses(log: Log) -> LogError | None:
+    """Return which poses the log lacks, None if it has all."""
     if log.transforms.frames:
         log.check_fixed_frame()
     try:
@@ -162,34 +156,30 @@ def find_missing_poses(log: Log, mode: Calibration) -> PoseAlignment | None:
     except LogError as error:
         if any(moves(log, frame) for camera in log.cameras for frame in camera.frames):
             raise
-        return _from_nothing(log, error)
+        return error
     return None
 
 
-def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
-    """Compare the log's poses with those that the people give; use the better ones.
-
-    ``clocks`` are those of the run.
-
-    Raises LogError if ``mode`` is "require" and the people do not confirm a camera's pose.
-    """
-    if mode == "off":
-        return PoseAlignment()
+def _refined_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
+    """Compare the log's poses with those that the people give; use the better ones."""
     faults = camera_faults(log)
-    cameras = sorted(fixed_cameras(log, faults))
-    posed = PosedViews([], [], [])
+    free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
+    if len(free) == 1:
+        faults |= {free[0]: _ALONE}
+    cameras = sorted(
+        camera._replace(movable=camera.movable and mode != "off")
+        for camera in fixed_cameras(log, faults)
+    )
+    posed = PosedViews([], [], [], [])
     if len(cameras) > 1:
-        posed = _refined(log, best_sightings(log, clocks), cameras)
-        posed = split_moved(log, clocks, posed)
-    else:
-        faults |= {camera.name: _ALONE for camera in cameras}
-    alignment = _aligned(posed, log.span[0])
-    alignment.cameras += [
-        PoseSummary(name, "impossible", reason) for name, reason in sorted(faults.items())
-    ]
+        posed = _refined(log, best_sightings(log, clocks), cameras, clocks.lags)
+    if mode == "off":
+        return _aligned(posed, log.span[0], {})
+    posed = split_moved(log, clocks, posed)
+    alignment = _aligned(posed, log.span[0], faults)
     if not faults and _contradicted(posed.cameras, posed.found):
         try:
-            return _from_nothing(log, None)
+            return _from_nothing(log, clocks, None)
         except LogError:
             pass  # the log's poses stay, and the warning says that they do not fit
     if mode == "require":
@@ -201,16 +191,27 @@ def align_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlig
     return alignment
 
 
-def _aligned(posed: PosedViews, start: int) -> PoseAlignment:
-    """Return what a user should know of the cameras; ``start`` is that of the log, ns."""
+def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAlignment:
+    """Return what a user should know of the cameras.
+
+    ``start`` is that of the log, ns. ``faults`` say why the poses of some cannot be compared.
+    """
     pairs = list(zip(posed.cameras, posed.found, strict=True))
-    summaries = [summary_of(camera, one) for camera, one in pairs]
+    summaries = [summary_of(one, used=_is_better(one)) for one in posed.found]
     names = [camera.name for camera in posed.cameras]
     for move in posed.moves:
         k, seconds = names.index(move.camera), (move.log_time - start) / 1e9
         summaries[k] = replace(summaries[k], until_s=seconds)
         summaries[k + 1] = replace(summaries[k + 1], since_s=seconds)
-    misfits = frozenset(camera.name for camera, one in pairs if not one.fits)
+    for k, one in enumerate(summaries):
+        if one.verdict == "impossible" and one.name in faults:
+            summaries[k] = replace(one, reason=faults[one.name])
+    summaries += [
+        PoseSummary(name, "impossible", reason)
+        for name, reason in sorted(faults.items())
+        if name not in names
+    ]
+    misfits = frozenset(camera.name for camera, one in pairs if camera.movable and not one.fits)
     return PoseAlignment(summaries, misfits=misfits, moves=posed.moves)
 
 
@@ -218,22 +219,27 @@ def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
     """Frame -> poses other than the log's, by the log times from which on they hold."""
     since = {move.camera: move.log_time for move in posed.moves}
     poses: dict[str, dict[int, Rigid]] = {}
-    for camera, one in zip(posed.cameras, posed.found, strict=True):
+    for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True)):
         if camera.name in since:
             time = since[camera.name] if camera.frame in poses else 0
-            poses.setdefault(camera.frame, {})[time] = one.pose or camera.pose
-        elif one.pose is not None:
-            poses[camera.frame] = {0: one.pose}
+            poses.setdefault(camera.frame, {})[time] = placed(posed, k)
+        elif _is_better(one):
+            poses[camera.frame] = {0: placed(posed, k)}
     return poses
+
+
+def _is_better(camera: CalibratedCamera) -> bool:
+    """Whether the people gave the camera a pose in place of the log's."""
+    return not math.isnan(camera.moved_mm)
 
 
 def _to_given(posed: PosedViews) -> dict[str, Rigid]:
     """Camera -> what takes its people back to the log's pose, without those with two poses."""
     twice = {move.camera for move in posed.moves}
     return {
-        camera.name: camera.pose @ one.pose.inverse()
-        for camera, one in zip(posed.cameras, posed.found, strict=True)
-        if one.pose is not None and camera.name not in twice
+        camera.name: camera.pose @ placed(posed, k).inverse()
+        for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True))
+        if _is_better(one) and camera.name not in twice
     }
 
 
@@ -243,20 +249,18 @@ def pose_faults(log: Log) -> list[str]:
     Only some seconds of the log are read. A log whose cameras cannot be compared has no faults.
     """
     faults = camera_faults(log)
-    cameras = sorted(fixed_cameras(log, faults))
+    cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable)
     if len(cameras) < 2:
         return []
     parts = stretches(*log.span, CHECKED_S, STRETCHES)
     seen = read_sightings(log, ClockAlignment(), parts)
-    posed = _refined(log, seen, cameras)
+    posed = _refined(log, seen, cameras, {})
     named = []
-    for camera, one in zip(cameras, posed.found, strict=True):
-        moved = summary_of(camera, one)
+    for one in posed.found:
         if not one.fits:
-            named.append(f"{camera.name}: {one.reason}")
-        elif moved.moved_deg > WRONG_DEG or moved.moved_mm > WRONG_MM:
-            off = f"{moved.moved_deg:.1f} degrees, {moved.moved_mm / 10.0:.0f} cm"
-            named.append(f"{camera.name}: {off}")
+            named.append(f"{one.name}: {one.reason}")
+        elif one.moved_deg > WRONG_DEG or one.moved_mm > WRONG_MM:
+            named.append(f"{one.name}: {one.moved_deg:.1f} degrees, {one.moved_mm / 10.0:.0f} cm")
     if not named:
         return []
     return [
@@ -268,7 +272,7 @@ def pose_faults(log: Log) -> list[str]:
 def _require(log: Log, alignment: PoseAlignment) -> None:
     """Raise LogError for a camera whose pose the people do not confirm."""
     for camera in alignment.cameras:
-        if camera.verdict not in ("good", "improved"):
+        if camera.verdict not in SURE:
             what = remedy(camera.name, len(alignment.cameras))
             raise LogError(
                 f"--calibrate require: {camera.name}: {camera.verdict}: {camera.reason}; {what}",
@@ -277,65 +281,72 @@ def _require(log: Log, alignment: PoseAlignment) -> None:
 
 
 def _refined(
-    log: Log, seen: Mapping[str, list[Sighting]], cameras: Sequence[FixedCamera]
+    log: Log,
+    seen: Mapping[str, list[Sighting]],
+    cameras: Sequence[FixedCamera],
+    lags: Mapping[str, float],
 ) -> PosedViews:
-    """Compare the cameras' poses with those that their people give."""
+    """Compare the cameras' poses with those that their people give, and find the clocks.
+
+    ``lags`` are those of :attr:`ClockAlignment.lags`. Clocks that are far off are searched for if
+    people do not fit, or if the lags suggest it.
+    """
     mirror = symmetry_of(log.model).mirror
-    anchors = [k for k, camera in enumerate(cameras) if camera.frame == log.fixed_frame]
-    views = [view_of(c.name, c.frame, seen.get(c.name, []), mirror) for c in cameras]
     poses = [camera.pose for camera in cameras]
-    found = refine_poses(views, poses, mirror, anchors[0] if anchors else None)
-    return PosedViews(list(cameras), views, found)
+    anchor = next((k for k, one in enumerate(cameras) if one.frame == log.fixed_frame), None)
+
+    def refined(shifts: Sequence[float]) -> PosedViews:
+        views = [
+            seen_by(camera, seen.get(camera.name, []), mirror, shift)
+            for camera, shift in zip(cameras, shifts, strict=True)
+        ]
+        found = refine_poses(views, poses, mirror, anchor, [c.movable for c in cameras])
+        return PosedViews(list(cameras), views, *found)
+
+    posed = refined([0.0] * len(cameras))
+    hints = [lags.get(camera.name, 0.0) for camera in cameras]
+    if _fitting(posed) == len(cameras) and np.ptp(hints) < _DELAY_S:
+        return posed
+    shifts = coarse_clocks(posed.views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
+    again = refined(shifts.tolist()) if shifts.any() else posed
+    return again if _fitting(again) >= _fitting(posed) else posed
 
 
-def _contradicted(cameras: Sequence[FixedCamera], found: Sequence[RefinedPose]) -> bool:
+def _fitting(posed: PosedViews) -> int:
+    """Return how many cameras see the people where others see them."""
+    return sum(one.fits and one.reason != UNLINKED for one in posed.found)
+
+
+def _contradicted(cameras: Sequence[FixedCamera], found: Sequence[CalibratedCamera]) -> bool:
     """Whether the people do not fit the given poses, or nobody has measured these."""
     coincide = any(same_place({camera.name: camera.pose for camera in cameras}))
     return any(not one.fits or (coincide and one.verdict == "impossible") for one in found)
 
 
-def _from_nothing(log: Log, error: LogError | None) -> PoseAlignment:
+def _from_nothing(log: Log, clocks: ClockAlignment, error: LogError | None) -> PoseAlignment:
     """Use poses that need no transforms; raise LogError if the people do not tell them."""
     from hiros_mcap.calibrate.people import calibrate_people
 
     try:
-        found = calibrate_people(log)
+        found = calibrate_people(log, clocks.correct)
     except LogError as reason:
         raise LogError(_not_found(error, reason.fault), path=log.path) from None
-    if found.verdict not in ("good", "improved"):
+    if found.verdict not in SURE:
         raise LogError(_not_found(error, found.reason), path=log.path)
     poses: dict[str, dict[int, Rigid]] = {}
     for camera in found.cameras:
         if camera.pose is not None:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
     log.use_poses(poses, found.fixed_frame)
-    cameras = [
-        PoseSummary(
-            name=camera.name,
-            verdict=camera.verdict,
-            used=True,
-            moved_mm=camera.moved_mm,
-            moved_deg=camera.moved_deg,
-            clock_ms=1000.0 * camera.clock_s,
-            error_mm=camera.error_mm,
-            error_deg=camera.error_deg,
-            error_ms=camera.error_ms,
-            since_s=camera.since_s,
-            until_s=camera.until_s,
-        )
-        for camera in found.cameras
-    ]
-    clocks = {c.name: c.clock_s for c in found.cameras if not math.isnan(c.clock_s)}
-    moves = tuple(_moves_of(found))
-    return PoseAlignment(cameras, from_nothing=True, clocks=clocks, moves=moves)
+    cameras = [summary_of(camera, used=True) for camera in found.cameras]
+    return PoseAlignment(cameras, from_nothing=True, moves=tuple(_moves_of(found)))
 
 
 def _moves_of(found: PeopleCalibration) -> Iterator[Move]:
     """Yield how cameras were moved."""
     for before, after in pairwise(found.cameras):
         if before.name == after.name and before.pose is not None and after.pose is not None:
-            metres, degrees = distance_of(before.pose, after.pose)
-            yield Move(after.name, after.since, after.since, metres, degrees)
+            yield Move(after.name, after.since, after.since, *before.pose.apart(after.pose))
 
 
 def _not_found(error: LogError | None, reason: str) -> str:
@@ -343,20 +354,19 @@ def _not_found(error: LogError | None, reason: str) -> str:
     return f"{first}. The people do not tell them: {reason}"
 
 
-def summary_of(camera: FixedCamera, found: RefinedPose) -> PoseSummary:
+def summary_of(camera: CalibratedCamera, *, used: bool) -> PoseSummary:
     """Return what a user should know of one camera."""
-    degrees = metres = math.nan
-    if found.pose is not None:
-        metres, degrees = distance_of(found.pose, camera.pose)
     return PoseSummary(
         name=camera.name,
-        verdict=found.verdict,
-        reason=found.reason,
-        used=found.pose is not None,
-        moved_mm=1000.0 * metres,
-        moved_deg=degrees,
-        clock_ms=1000.0 * found.clock_s,
-        error_mm=1000.0 * found.error_m,
-        error_deg=found.error_deg,
-        error_ms=1000.0 * found.error_s,
+        verdict=camera.verdict,
+        reason=camera.reason,
+        used=used,
+        moved_mm=camera.moved_mm,
+        moved_deg=camera.moved_deg,
+        clock_ms=1000.0 * camera.clock_s,
+        error_mm=camera.error_mm,
+        error_deg=camera.error_deg,
+        error_ms=camera.error_ms,
+        since_s=camera.since_s,
+        until_s=camera.until_s,
     )

@@ -7,14 +7,16 @@ move to where these put them, a little with each tenth of a second: nobody jumps
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import pose_arrays
-from hiros_mcap.calibrate.camera_views import CameraView, sightings_of, view_of
-from hiros_mcap.calibrate.refinement import RefinedPose, refine_poses
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.camera_views import sightings_of
+from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.frames import Block, join
 from hiros_mcap.io.log import Log
@@ -24,8 +26,8 @@ from hiros_mcap.running.fixed_cameras import (
     FixedCamera,
     camera_faults,
     fixed_cameras,
+    seen_by,
 )
-from hiros_mcap.running.moved_cameras import distance_of
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
 _LOOKS_S = (10, 15, 20, 30, 40)
@@ -117,43 +119,39 @@ class PoseFollower:
             name: [s for s in some if s.seconds > since] for name, some in self._seen.items()
         }
         fixed = fixed_cameras(self._log, camera_faults(self._log))
-        cameras = sorted(camera for camera in fixed if camera.name in self._seen)
+        cameras = sorted(c for c in fixed if c.movable and c.name in self._seen)
         if len(cameras) < 2:
             return
         anchors = [k for k, one in enumerate(cameras) if one.frame == self._log.fixed_frame]
         found = refine_poses(
-            [self._view(camera) for camera in cameras],
+            [seen_by(camera, self._seen[camera.name], self._mirror) for camera in cameras],
             [camera.pose for camera in cameras],
             self._mirror,
             anchors[0] if anchors else None,
-        )
+        ).cameras
         for camera, one in zip(cameras, found, strict=True):
-            if one.pose is not None:
+            if one.pose is not None and not math.isnan(one.moved_mm):
                 self._given[camera.name] = camera.pose
                 self._goals[camera.name] = one.pose
                 self._poses.setdefault(camera.name, camera.pose)
         self._alignment.cameras = [
-            summary_of(camera, self._kept(camera, one))
+            summary_of(self._kept(camera, one), used=camera.name in self._goals)
             for camera, one in zip(cameras, found, strict=True)
         ]
 
-    def _view(self, camera: FixedCamera) -> CameraView:
-        """Return what a camera sees, in its own frame."""
-        view = view_of(camera.name, camera.frame, self._seen[camera.name], self._mirror)
-        turn, shift = to_matrix(camera.pose.xyzw), camera.pose.translation
-        tracks = [one._replace(positions=(one.positions - shift) @ turn) for one in view.tracks]
-        return replace(view, tracks=tracks)
-
-    def _kept(self, camera: FixedCamera, found: RefinedPose) -> RefinedPose:
+    def _kept(self, camera: FixedCamera, found: CalibratedCamera) -> CalibratedCamera:
         """Return what was found with the pose that is used: one that was proven stays."""
         goal = self._goals.get(camera.name)
-        return found if goal is None else found._replace(pose=goal, verdict="improved")
+        if goal is None:
+            return found
+        metres, degrees = goal.apart(camera.pose)
+        return replace(found, verdict="improved", moved_mm=1000.0 * metres, moved_deg=degrees)
 
     def _step(self, ticks: int) -> None:
         """Move all cameras by the same share of their ways, so far as the steps allow."""
         share = 1.0
         for name, goal in self._goals.items():
-            metres, degrees = distance_of(self._poses[name], goal)
+            metres, degrees = self._poses[name].apart(goal)
             for way, step in ((metres, _STEP_M), (degrees, _STEP_DEG)):
                 share = min(share, ticks * step / way) if way > 0.0 else share
         for name, goal in self._goals.items():

@@ -8,9 +8,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from hiros_mcap.config import Config, load_config
@@ -22,17 +23,13 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_writer import LiveWriter
 from hiros_mcap.io.live_log import LiveLog, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
-from hiros_mcap.running.clock_alignment import align_clocks
-from hiros_mcap.running.observe import Observer
-from hiros_mcap.running.pipeline import follows_poses, set_up, shown_to, stream, with_clocks
-from hiros_mcap.running.pose_alignment import PoseAlignment
-from hiros_mcap.running.pose_follower import PoseFollower
+from hiros_mcap.running.pipeline import check_limbs, run_log
+from hiros_mcap.running.preparation import Prepared, prepare
 from hiros_mcap.running.process_options import ProcessOptions, Watcher
-from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import LogOutput, NoOutput, is_kept
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import chain_of
+from hiros_mcap.systems import Run
 
 
 def process_live(
@@ -69,7 +66,7 @@ def process_live(
     """
     options = options or ProcessOptions(system=LIVE_SYSTEM)
     config = _causal(config or load_config(system=options.system), options)
-    chain = chain_of(options.system, options.stages)
+    check_limbs(options)
     watch = Stopwatch()
     log = open_live(
         source,
@@ -79,30 +76,8 @@ def process_live(
     )
     if started is not None:
         started(log)
-    run = set_up(log, with_clocks(config, log, options.extrinsics), options)
-    clocks = align_clocks(log, run.config, 0.0)
-    observer = Observer(chain)
-    poses = PoseAlignment()
-    report = Report(log, run, observer, watch, clocks, poses)
-    with _writer(target, options) as writer:
-        if isinstance(writer, LiveWriter):
-            source.before_waiting = writer.flush
-        output: LogOutput | NoOutput = NoOutput()
-        if writer is not None:
-            copier = _LiveCopier(log, writer, options)
-            output = LogOutput(writer, copier, log, run, chain, options, source.digest)
-        sinks = [observer.see, *shown_to(watcher, log, chain), output.write]
-        detections = clocks.correct(log.blocks())
-        if follows_poses(config, options):
-            detections = PoseFollower(log, poses).correct(detections)
-        for _ in stream(detections, run, chain, watch, sinks):
-            pass
-        clocks.tell(run.events)
-        output.commit(report.summary(None))
-    if watcher is not None:
-        watcher.end(run.events)
-    if options.limbs_out:
-        run.limbs.save(options.limbs_out)
+    prepared = prepare(log, config, options, watch)
+    report = run_log(prepared, partial(_open_output, target, source, log), watcher)
     return report.summary(str(target) if isinstance(target, Path) else None)
 
 
@@ -133,14 +108,24 @@ def _causal(config: Config, options: ProcessOptions) -> Config:
     return config.model_copy(update={"input": config.input.model_copy(update={"clocks": "causal"})})
 
 
-def _writer(
-    target: int | Path | None, options: ProcessOptions
-) -> AbstractContextManager[McapWriter | None]:
+@contextmanager
+def _open_output(
+    target: int | Path | None, source: LiveInput, log: LiveLog, prepared: Prepared, run: Run
+) -> Iterator[NoOutput | LogOutput]:
+    """Yield the output; a pipe gets what is written before the input is waited for."""
     if target is None:
-        return nullcontext()
-    if isinstance(target, int):
-        return LiveWriter(target, "standard output")
-    return McapWriter(target, compression=options.compression)
+        yield NoOutput()
+        return
+    compression = prepared.options.compression
+    with (
+        LiveWriter(target, "standard output")
+        if isinstance(target, int)
+        else McapWriter(target, compression=compression)
+    ) as writer:
+        if isinstance(writer, LiveWriter):
+            source.before_waiting = writer.flush
+        copier = _LiveCopier(log, writer, prepared.options)
+        yield LogOutput(writer, copier, prepared, run, source.digest)
 
 
 class _LiveCopier:

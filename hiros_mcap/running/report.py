@@ -18,7 +18,8 @@ from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, cloc
 from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.pose_alignment import PoseAlignment
-from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.running.preparation import Prepared
+from hiros_mcap.running.write import unmatched_globs
 from hiros_mcap.stages.displaced import CAMERA_DISPLACED, DISPLACED, MIRROR_SEEN
 from hiros_mcap.summary import (
     CameraSummary,
@@ -32,7 +33,7 @@ from hiros_mcap.summary import (
 )
 from hiros_mcap.systems import Run, sections_of
 
-_IN_TABLES = {"flip", "outlier", "optimizer outlier", TOO_LATE}
+_IN_TABLES = {"flip", "outlier", TOO_LATE}
 """Kinds of events that a summary's tables count."""
 _LARGEST_LOSS = 0.05
 _REMEDIES = {
@@ -53,19 +54,30 @@ _DISPLACED = {
 class Report:
     """What is known of a run; it can be asked again while the run goes on."""
 
-    log: Log
+    prepared: Prepared
     run: Run
     observer: Observer
-    watch: Stopwatch
-    clocks: ClockAlignment
-    poses: PoseAlignment
-    notes: Sequence[str] = ()
-    """What the summary says first."""
+
+    @property
+    def log(self) -> Log:
+        """The log that is read."""
+        return self.prepared.log
+
+    @property
+    def clocks(self) -> ClockAlignment:
+        """Of the cameras."""
+        return self.prepared.clocks
+
+    @property
+    def poses(self) -> PoseAlignment:
+        """Of the cameras."""
+        return self.prepared.poses
 
     def summary(self, target: str | None) -> Summary:
         """Return everything that is known so far."""
         start, end = self.log.span
-        people, chain, cpu = self.observer.people, self.observer.chain, self.watch.cpu
+        watch = self.prepared.watch
+        people, chain, cpu = self.observer.people, self.observer.chain, watch.cpu
         before = ("read", "calibrate") if self.poses.cameras else ("read",)
         steps = [name for name in (*before, *chain, "write") if name in cpu]
         cameras = tuple(map(self._camera, self.log.cameras))
@@ -74,7 +86,7 @@ class Report:
             source=str(self.log.path),
             target=target,
             log_s=(end - start) * 1e-9,
-            wall_s=time.perf_counter() - self.watch.started,
+            wall_s=time.perf_counter() - watch.started,
             system=self.run.system,
             cameras=cameras,
             poses=tuple(self.poses.cameras),
@@ -207,7 +219,7 @@ class Report:
 
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""
-        yield from self.notes
+        yield from unmatched_globs(self.log, self.prepared.options)
         yield from self.poses.notes()
         yield from self.log.remarks
         for account in self.log.accounts.values():

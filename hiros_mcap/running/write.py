@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import partial
@@ -39,9 +39,10 @@ from hiros_mcap.io.log import Log
 from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_message
 from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
+from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.summary import Summary
-from hiros_mcap.systems import LETTERS, Run, merging_order, sections_of
+from hiros_mcap.systems import LETTERS, Run, chain_of, merging_order, sections_of
 
 
 class NoOutput:
@@ -58,29 +59,22 @@ class NoOutput:
 
 @contextmanager
 def open_output(
-    target: Path | None,
-    log: Log,
-    run: Run,
-    chain: Sequence[str],
-    options: ProcessOptions,
-    *,
-    moved: bool,
+    target: Path | None, prepared: Prepared, run: Run
 ) -> Iterator[NoOutput | LogOutput]:
     """Yield the output of a run; nothing appears at ``target`` without a commit.
-
-    ``moved`` tells that the log's static transforms are not those of the file.
 
     Raises LogError if ``target`` is the input or cannot be written.
     """
     if target is None:
         yield NoOutput()
         return
+    log, options = prepared.log, prepared.options
     with (
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
         digest_of(log.path) as digest,
     ):
-        copier = _file_copier(log, writer, options, moved=moved)
-        yield LogOutput(writer, copier, log, run, chain, options, digest.result, moved=moved)
+        copier = _file_copier(log, writer, options, moved=prepared.poses.replaced)
+        yield LogOutput(writer, copier, prepared, run, digest.result)
 
 
 def _file_copier(
@@ -110,27 +104,24 @@ class LogOutput:
     Parameters
     ----------
     writer, copier : of the file, and of the input into it.
-    log, run, chain, options : of the run. digest : gives the SHA-256 of the input at the end.
+    prepared, run : of the run. digest : gives the SHA-256 of the input at the end.
     """
 
     def __init__(
         self,
         writer: McapWriter,
         copier: Copier,
-        log: Log,
+        prepared: Prepared,
         run: Run,
-        chain: Sequence[str],
-        options: ProcessOptions,
         digest: Callable[[], str],
-        *,
-        moved: bool = False,
     ) -> None:
-        params = run.config.output
+        params, log, options = run.config.output, prepared.log, prepared.options
+        chain = chain_of(options.system, options.stages)
         self._writer, self._run, self._chain = writer, run, chain
         self._copier = copier
         if options.extrinsics is not None and options.keep is None:
             _write_poses(writer, log)
-        elif moved and options.keep is None:
+        elif prepared.poses.replaced and options.keep is None:
             _write_transforms(writer, log)
         self._channels = {
             name: add_skeleton_channel(writer, f"{OUTPUT_PREFIX}/{name}") for name in chain

@@ -20,10 +20,10 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Flags, Frame, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
 
@@ -38,6 +38,10 @@ _ALIASES = {"spine_naval": "spine_navel", "spinebase": "pelvis", "spinemid": "sp
 """Other names of these joints: the Azure Kinect's own spelling, the Kinect v2's."""
 _TOO_NEAR = ("eye", "ear", "mouth", "clavicle", "collar")
 """Pairs so near to each other that a camera's error could pass for a swap."""
+
+_MEDIUM, _LOW = 0.5, 0.17
+"""Least confidences of these levels; below low, a joint never gives a reference position. Detectors
+with four levels (Azure Kinect) give 0, 0.33, 0.66 and 1. A missing confidence is medium."""
 
 
 class ClusterParams(Params):
@@ -63,16 +67,6 @@ class ClusterParams(Params):
         " joint is farther from the right reference position than its left joint (paper). both: if"
         " the distances of both sides together are smaller after the swap, which is slightly safer"
         " (benchmarks/papers/lee_2022.py).",
-    )
-    medium_confidence: float = advanced(
-        0.5,
-        description="Least confidence of level medium. Detectors with four levels (Azure Kinect) "
-        "give 0, 0.33, 0.66 and 1. A missing confidence is medium.",
-    )
-    low_confidence: float = advanced(
-        0.17,
-        description="Least confidence of level low. A joint below is of level none and never gives "
-        "a reference position.",
     )
     min_neighbours: int = advanced(
         1,
@@ -109,18 +103,18 @@ class ClusterParams(Params):
     )
 
 
-def cluster(
-    frames: Iterable[Frame],
+def cluster_blocks(
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: ClusterParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Merge the tracked skeletons of all cameras (Lee, 2.2.1 and 2.2.2).
 
     Parameters
     ----------
-    frames : tracked frames in the fixed frame, roughly in time order. Untracked people are left
+    blocks : tracked frames in the fixed frame, roughly in time order. Untracked people are left
         out.
     model : the skeleton; the names of its markers tell left from right.
     params : see :class:`ClusterParams`.
@@ -132,17 +126,6 @@ def cluster(
     ------
     One frame per instant, at the mean time of its messages, people sorted by id.
     """
-    return frames_of(cluster_blocks(map(Block.of, frames), model, params, events, fixed_frame))
-
-
-def cluster_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: ClusterParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-) -> Iterator[Block]:
-    """Do what :func:`cluster` does, a block at a time."""
     params = params or ClusterParams()
     kernel = _ClusterKernel(model, params)
     merger = InstantMerger(
@@ -181,8 +164,8 @@ class _ClusterKernel:
         used = lee_joints(model) if params.joints == "lee16" else every
         self._joints = clustering.Joints(pairs_of(model), np.ascontiguousarray(model.links), used)
         self._settings = clustering.ClusterSettings(
-            medium_confidence=params.medium_confidence,
-            low_confidence=params.low_confidence,
+            medium_confidence=_MEDIUM,
+            low_confidence=_LOW,
             radius=params.radius if params.method == "dbscan" else 0.0,
             min_neighbours=params.min_neighbours,
             memory=round(params.memory * 1e9) if params.previous_helps else -1,

@@ -1,44 +1,48 @@
 """Poses that a body can have: constant lengths, rigid groups, and the person's own motion.
 
 1. The lengths of limbs, and the distances within head, thorax and pelvis, are measured once per
-   person: L^2 = mean |d|^2 - 3 v, since noise of variance v along each axis lengthens.
+   person (:mod:`hiros_mcap.stages.pair_lengths`).
 2. Each pose is projected onto them. Uncertain markers move most.
 3. The person's poses of some seconds are the prior of each of them
    (:mod:`hiros_mcap.stages.pose_prior`); then lengths are restored.
 4. Known lengths take a part of the variance of each marker.
+
+With a window, a pose knows those after it. Without one, lengths run on and the prior is the motion
+of the last seconds.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
 
-from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
+from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
     POSITION,
+    STATE,
     UNTRACKED,
+    Flags,
     Floats,
-    Frame,
     Ints,
     SkeletonModel,
     Stamps,
 )
+from hiros_mcap.stages.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
+from hiros_mcap.stages.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.residuals import restated
 
 UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
-SURE = 0.005  # m; added to the deviations that weight a length
-OUTLIER = 4.0  # robust standard deviations
-FEWEST = 30  # poses that give a length
 _FORGET = 600.0  # s; somebody who returns has the same body
+_SWEEPS, _TOLERANCE = 20, 1e-3
+"""Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
 
 
 class ConstrainParams(Params):
@@ -63,18 +67,6 @@ class ConstrainParams(Params):
     prior: bool = advanced(
         True, description="Use the motion of the person in the window as a prior of each pose."
     )
-    sweeps: int = advanced(20, ge=1, description="Most sweeps of the projection onto the lengths.")
-
-
-def constrain(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: ConstrainParams | None = None,
-    events: Events | None = None,
-    limbs: LimbTable | None = None,
-) -> Iterator[Frame]:
-    """Do what :func:`constrain_blocks` does, frame by frame."""
-    return frames_of(constrain_blocks(map(Block.of, frames), model, params, events, limbs))
 
 
 def constrain_blocks(
@@ -96,7 +88,7 @@ def constrain_blocks(
     Yields
     ------
     The same frames with other positions, m, and orientations, logged when the lengths of everybody
-    in their window were known.
+    in their window were known; without a window, at once.
 
     Raises
     ------
@@ -106,37 +98,68 @@ def constrain_blocks(
     params = params or ConstrainParams()
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
-    waiting: deque[Block] = deque()
+    waiting: deque[_Waiting] = deque()
     held: list[Part] = []
     for block in blocks:
         for i, stamp in enumerate(block.stamps.tolist()):
             held.append((block, i))
             first = held[0][0].stamps[held[0][1]]
             if stamp - first >= params.window * 1e9:
-                waiting.append(bodies.measured(held))
+                waiting.append(_Waiting(bodies.measured(held)))
                 held = []
-                while waiting and bodies.can_correct(waiting[0], stamp):
-                    yield bodies.corrected(waiting.popleft(), block.log_times[i])
+                while waiting and bodies.can_correct(waiting[0].block, stamp):
+                    yield bodies.corrected(waiting.popleft().whole(), block.log_times[i])
+                if waiting:
+                    waiting[-1].pack()
     if held:
-        waiting.append(bodies.measured(held))
+        waiting.append(_Waiting(bodies.measured(held)))
     bodies.end_of_log()
-    for window in waiting:
-        yield bodies.corrected(window, waiting[-1].log_times[-1])
+    end = waiting[-1].block.log_times[-1] if waiting else 0
+    while waiting:
+        yield bodies.corrected(waiting.popleft().whole(), end)
+
+
+class _Waiting:
+    """A window that waits for lengths. Packed, it has only the columns that hold numbers."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self._used: list[Flags] = []
+
+    def pack(self) -> None:
+        """Leave out the columns of markers and links that are NaN everywhere."""
+        states = self.block.people.markers, self.block.people.links
+        self._used = [~np.isnan(each).all(axis=(0, 1)) for each in states]
+        self._put(*[each[:, :, used] for each, used in zip(states, self._used, strict=True)])
+
+    def whole(self) -> Block:
+        """Return the block with all columns."""
+        if self._used:
+            packed = self.block.people.markers, self.block.people.links
+            whole = [np.full((*each.shape[:2], STATE), np.nan) for each in packed]
+            for each, used, some in zip(whole, self._used, packed, strict=True):
+                each[:, :, used] = some
+            self._put(*whole)
+        return self.block
+
+    def _put(self, markers: Floats, links: Floats) -> None:
+        people = self.block.people._replace(markers=markers, links=links)
+        self.block = replace(self.block, people=people)
 
 
 @dataclass
 class _Body:
     """The body of one person."""
 
-    lengths: Floats
-    """(K,) m; 0 = not measured."""
+    meter: AllPoses | RunningLengths
+    recent: RecentMotion
     first: int
     last: int = 0
     """When the person was first and last seen, ns."""
-    poses: list[Floats] = field(default_factory=list)
-    variances: list[Floats] = field(default_factory=list)
-    """What the lengths are measured from, until they are known."""
+    measured: MeasuredLengths | None = None
+    """None = not since the last pose."""
     known: bool = False
+    """Whether the lengths stay as they are."""
 
 
 class _Bodies:
@@ -146,142 +169,103 @@ class _Bodies:
         self, model: SkeletonModel, params: ConstrainParams, events: Events, limbs: LimbTable
     ) -> None:
         from hiros_mcap.body.rigid_groups import constant_pairs
-        from hiros_mcap.kernels import link_lengths
 
-        self._params, self._events, self._kernels = params, events, link_lengths
-        self._lateral = symmetry_of(model).lateral
-        self._links = model.links
+        self._params, self._events = params, events
+        symmetry = symmetry_of(model)
+        self._links, self._lateral, self._mirror = model.links, symmetry.lateral, symmetry.mirror
         self._pairs = constant_pairs(model, rigid=params.rigid)
         self._limbs = PairLimbs(model, self._pairs, limbs)
         self._people: dict[int, _Body] = {}
 
     def measured(self, held: list[Part]) -> Block:
-        """Measure everybody in a window; return it."""
+        """Measure everybody in a window, as long as the lengths are not well known; return it."""
         out = join(held)
         variances = own_variances(out)
         stamps = np.repeat(out.stamps, np.diff(out.rows).ravel())
         for person, rows in _tracked(out):
-            self._measure(person, out, rows, variances, stamps[rows])  # 1
+            body = self._body(person, int(stamps[rows[0]]))
+            body.last = int(stamps[rows[-1]])
+            begun = (int(stamps[rows[0]]) - body.first) * 1e-9
+            if not body.known and (self._params.window > 0 or begun <= self._params.enough):
+                body.meter.update(out.people.markers[rows, :, POSITION], variances[rows])  # 1
+                body.measured = None
+            if not body.known and body.last - body.first >= self._params.enough * 1e9:
+                self._keep(person, body)
+                body.known, body.meter = True, self._meter()
         return out
+
+    def _body(self, person: int, stamp: int) -> _Body:
+        """Return what is known of who is seen at ``stamp``, ns."""
+        if person not in self._people:
+            self._people[person] = _Body(self._meter(), RecentMotion(), stamp)
+        return self._people[person]
+
+    def _meter(self) -> AllPoses | RunningLengths:
+        if self._params.window > 0:
+            return AllPoses(self._pairs)
+        return RunningLengths(self._pairs, self._mirror)
+
+    def _result(self, body: _Body) -> MeasuredLengths:
+        """Return the lengths of a body, measured anew if there are new poses."""
+        if body.measured is None:
+            body.measured = body.meter.result()
+        return body.measured
+
+    def _keep(self, person: int, body: _Body) -> None:
+        """Put a person's lengths into the run's table."""
+        measured = self._result(body)
+        self._limbs.keep(person, measured)
+        detail = f"{measured.counts.max(initial=0)} frames"
+        self._events.note(body.last, "limbs calibrated", person=person, detail=detail)
+
+    def end_of_log(self) -> None:
+        """Keep the lengths of those who were not seen for long enough."""
+        for person, body in self._people.items():
+            if not body.known:
+                self._keep(person, body)
 
     def can_correct(self, window: Block, now: int) -> bool:
         """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
-        patience = self._params.enough + self._params.window
+        patience = self._params.enough + self._params.window if self._params.window > 0 else 0.0
         waited = now - int(window.stamps[0]) >= patience * 1e9
         return waited or all(self._people[person].known for person, _ in _tracked(window))
 
     def corrected(self, out: Block, log_time: int) -> Block:
-        """Correct the poses of a window."""
-        variances = own_variances(out)
-        for person, rows in _tracked(out):
-            self._correct(person, out, rows, variances)  # 2 and 3
-        self._people = remembered(self._people, int(out.stamps[-1]))
-        log_times = np.full(len(out), log_time)
-        return replace(surer(out, variances, self._links), log_times=log_times)
-
-    def _measure(
-        self, person: int, out: Block, rows: Stamps, variances: Floats, stamps: Stamps
-    ) -> None:
-        """Measure the lengths of a person as long as they are not well known."""
-        body = self._people.setdefault(person, _Body(np.zeros(len(self._pairs)), int(stamps[0])))
-        body.last = int(stamps[-1])
-        if body.known:
-            return
-        body.poses.append(out.people.markers[rows][:, :, POSITION])
-        body.variances.append(variances[rows])
-        body.known = body.last - body.first >= self._params.enough * 1e9
-        poses, own = np.concatenate(body.poses), np.concatenate(body.variances)
-        found = measured_lengths(poses, own, self._pairs)
-        body.lengths = self._limbs.given_or(person, np.where(np.isnan(found), body.lengths, found))
-        self._limbs.keep(person, body.lengths, *_deviations(poses, self._pairs))
-        if body.known:
-            self._note(person)
-            body.poses, body.variances = [], []
-
-    def end_of_log(self) -> None:
-        """Note the lengths of those who were not seen for long enough."""
-        for person in [p for p, body in self._people.items() if not body.known]:
-            self._note(person)
-
-    def _note(self, person: int) -> None:
-        body = self._people[person]
-        detail = f"{sum(map(len, body.poses))} frames"
-        self._events.note(body.last, "limbs calibrated", person=person, detail=detail)
-
-    def _correct(self, person: int, out: Block, rows: Stamps, variances: Floats) -> None:
-        """Project onto the lengths; move towards what the person does; project again."""
-        from hiros_mcap.stages.pose_prior import shrink_noise
-
-        markers, sweeps = out.people.markers, self._params.sweeps
-        lengths = np.column_stack([self._people[person].lengths, np.ones(len(self._pairs))])
-        project = self._kernels.project_all
-        project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+        """Project a window onto the lengths; move towards what people do; project again."""
+        variances, people = own_variances(out), list(_tracked(out))
+        lengths = np.ones((len(people), len(self._pairs), 2))
+        which = np.full(len(out.people.ids), -1)
+        for k, (person, rows) in enumerate(people):
+            measured = self._result(self._people[person])
+            lengths[k, :, 0] = self._limbs.given_or(person, measured.lengths)
+            which[rows] = k
+        self._project(out, which, lengths, variances)  # 2
         if self._params.prior:
-            own = markers[rows][:, :, POSITION]
-            markers[rows, :, POSITION] = shrink_noise(own, variances[rows], self._lateral)
-            project(markers, rows, variances, self._pairs, lengths, sweeps, 1e-3)
+            self._shrink(out, people, variances)  # 3
+            self._project(out, which, lengths, variances)
+        now = int(out.stamps[-1])
+        self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
+        log_times = np.full(len(out), log_time)
+        return replace(surer(out, variances, self._links), log_times=log_times)  # 4
 
+    def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
+        from hiros_mcap.kernels.link_lengths import project_all
 
-class PairLimbs:
-    """The lengths of links in the limb table of a run, as distances of pairs of markers.
+        project_all(out.people.markers, which, variances, self._pairs, lengths, _SWEEPS, _TOLERANCE)
 
-    Parameters
-    ----------
-    model : the skeleton. pairs : (K, 2) slots with a constant distance. limbs : known from before.
-    """
-
-    def __init__(self, model: SkeletonModel, pairs: Ints, limbs: LimbTable) -> None:
-        self._limbs, self._keys = limbs, link_keys(model)
-        places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
-        ends = np.sort(model.links, axis=1).tolist()
-        self._places = {
-            key: places.get((a, b)) for key, (a, b) in zip(self._keys, ends, strict=True)
-        }
-        self._given = {person: limbs.lengths(person, model) for person in limbs.people}
-
-    def given_or(self, person: int, lengths: Floats) -> Floats:
-        """Return (K,) lengths, m, with those that the person had before."""
-        if person not in self._given:
-            return lengths
-        out = lengths.copy()
-        for key, length in zip(self._keys, self._given[person].tolist(), strict=True):
-            place = self._places[key]
-            if place is not None and not np.isnan(length):
-                out[place] = length
-        return out
-
-    def keep(self, person: int, lengths: Floats, deviations: Floats, frames: Ints) -> None:
-        """Put lengths, m, that were measured in ``frames`` poses each into the table, all (K,)."""
-        if person in self._given:
-            return
-        self._limbs.people[person] = {
-            key: Limb(float(lengths[k]), float(deviations[k]), int(frames[k]))
-            for key, k in self._places.items()
-            if k is not None and lengths[k] > 0
-        }
-
-
-def _deviations(poses: Floats, pairs: Ints) -> tuple[Floats, Ints]:
-    """(K,) Standard deviations of the distances of pairs, m, and the number of poses with each."""
-    distances = np.linalg.norm(poses[:, pairs[:, 0]] - poses[:, pairs[:, 1]], axis=2)
-    known = ~np.isnan(distances)
-    n = np.maximum(known.sum(axis=0), 1)
-    means = np.where(known, distances, 0.0).sum(axis=0) / n
-    squares = np.where(known, (distances - means) ** 2, 0.0).sum(axis=0) / n
-    return np.sqrt(squares), known.sum(axis=0).astype(np.int32)
-
-
-class _Remembered(Protocol):
-    last: int
-    """When a person was seen last, ns."""
-
-
-S = TypeVar("S", bound=_Remembered)
-
-
-def remembered(people: dict[int, S], now: int) -> dict[int, S]:
-    """Return what is known of the people without those who are gone for long at ``now``, ns."""
-    return {p: body for p, body in people.items() if now - body.last <= _FORGET * 1e9}
+    def _shrink(self, out: Block, people: list[tuple[int, Stamps]], variances: Floats) -> None:
+        """Move everybody towards what the person does, in the person's own frame."""
+        positions = out.people.markers[:, :, POSITION]
+        frames, origins = local_frames(positions, self._lateral)
+        poses = (positions - origins) @ frames
+        for person, rows in people:
+            if self._params.window > 0:
+                poses[rows] = shrink_noise(poses[rows], variances[rows])
+                continue
+            body = self._people[person]
+            for row in rows.tolist():
+                poses[row] = body.recent.shrink(poses[row], variances[row], body.last)
+        positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
 
 
 def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:
@@ -320,32 +304,3 @@ def left_by_lengths(variances: Floats, links: Ints) -> Floats:
     taken = np.zeros(variances.shape[::-1])
     np.add.at(taken, np.stack([a, b], axis=1).ravel(), parts.T)
     return np.asarray(1 - np.minimum(taken.T, 2 / 3))
-
-
-def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
-    """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
-
-    The noise is at most what the distance itself varies by: an overstated one would shorten.
-
-    Parameters
-    ----------
-    positions : (T, M, 3) m. variances : (T, M) m2 along each axis. pairs : (K, 2) slots.
-    """
-    a, b = pairs[:, 0], pairs[:, 1]
-    squares = ((positions[:, a] - positions[:, b]) ** 2).sum(axis=2)
-    noise = variances[:, a] + variances[:, b]
-    known = ~np.isnan(squares)
-    squares = np.where(known, squares, np.nan)
-    enough = known.sum(axis=0) >= FEWEST
-    lengths = np.full(len(pairs), np.nan)
-    if not enough.any():
-        return lengths
-    squares, noise, known = squares[:, enough], noise[:, enough], known[:, enough]
-    middle = np.nanmedian(squares, axis=0)
-    spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
-    clipped = np.clip(squares, middle - OUTLIER * spread, middle + OUTLIER * spread)
-    weights = known / (noise + 2 * SURE**2)
-    mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
-    stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
-    lengths[enough] = np.sqrt(mean - 3 * np.minimum(stated, np.nanvar(np.sqrt(clipped), axis=0)))
-    return lengths

@@ -19,12 +19,12 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, frames_of, join
+from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.kernels import state_space
 from hiros_mcap.kernels.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
 
@@ -106,33 +106,6 @@ class FilterParams(Params):
         return self
 
 
-def filter_frames(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: FilterParams = FilterParams(),  # noqa: B008 - immutable
-    events: Events | None = None,
-) -> Iterator[Frame]:
-    """Filter marker positions and link orientations; fill in velocities and accelerations.
-
-    Parameters
-    ----------
-    frames : tracked, merged or optimized frames, stamps in ns not decreasing. A person is known
-        by source and id. Untracked people (-1) pass through unchanged.
-    model : the skeleton; its links are the limbs whose lengths are kept.
-    params : see :class:`FilterParams`.
-    events : counts "filter: time not increasing" (a person passed unchanged) and "filter: cut-off
-        lowered" (the frames come too slowly for the chosen one).
-
-    Yields
-    ------
-    The same frames in the same order: poses in m and unit quaternions, velocities in m/s and
-    rad/s, accelerations in m/s2 and rad/s2, all in the fixed frame. ``log_time`` is that of the
-    first frame at or beyond stamp + lookahead, or of the last frame before a gap longer than
-    ``max_gap`` or the end.
-    """
-    return frames_of(filter_blocks(map(Block.of, frames), model, params, events))
-
-
 def filter_blocks(
     blocks: Iterable[Block],
     model: SkeletonModel,
@@ -141,10 +114,25 @@ def filter_blocks(
     *,
     keep_positions: bool = False,
 ) -> Iterator[Block]:
-    """Do what :func:`filter_frames` does, a block at a time.
+    """Filter marker positions and link orientations; fill in velocities and accelerations.
 
+    Parameters
+    ----------
+    blocks : tracked, merged or optimized frames, stamps in ns not decreasing. A person is known
+        by source and id. Untracked people (-1) pass through unchanged.
+    model : the skeleton; its links are the limbs whose lengths are kept.
+    params : see :class:`FilterParams`.
+    events : counts "filter: time not increasing" (a person passed unchanged) and "filter: cut-off
+        lowered" (the frames come too slowly for the chosen one).
     keep_positions : leave markers where they are, because an earlier stage has smoothed them.
-    Their velocities and accelerations, and the links, are filtered.
+        Their velocities and accelerations, and the links, are filtered.
+
+    Yields
+    ------
+    The same frames in the same order: poses in m and unit quaternions, velocities in m/s and
+    rad/s, accelerations in m/s2 and rad/s2, all in the fixed frame. ``log_time`` is that of the
+    first frame at or beyond stamp + lookahead, or of the last frame before a gap longer than
+    ``max_gap`` or the end.
     """
     events = Events() if events is None else events
     skeletons = _SkeletonFilter(model, params, events, keep_positions=keep_positions)

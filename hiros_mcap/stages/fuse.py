@@ -15,15 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.merge import MergeParams
 
 if TYPE_CHECKING:
@@ -52,11 +52,6 @@ class FuseParams(Params):
         "result that would be later if it waited for the cameras' next messages has less "
         "look-ahead.",
     )
-    learn: bool = advanced(
-        False,
-        description="Learn the noise of cameras and joints, and how joints move, from the log in a "
-        "first pass. The fixed values below gave smaller errors on simulated and real logs.",
-    )
     follow_noise: bool = advanced(
         False,
         description="Learn on the way which cameras are noisier than others.",
@@ -83,18 +78,6 @@ class FuseParams(Params):
         description="Degrees of freedom of the noise (Student's t). With fewer, outliers count "
         "less. 4 to 20 differ by 0 to 4 %.",
     )
-    max_deviation: float = advanced(
-        0.3,
-        gt=0,
-        description="A marker whose standard deviation is larger, m, is left out: it was not seen "
-        "for about a second.",
-    )
-    half_confidence: float = advanced(
-        0.02,
-        gt=0,
-        description="Standard deviation s, m, of a marker with confidence 0.5. The confidence is "
-        "1 / (1 + (s / half_confidence)^2).",
-    )
     pose_angle: float = advanced(
         0.3,
         ge=0,
@@ -105,17 +88,6 @@ class FuseParams(Params):
     pose_shift: float = advanced(
         0.006, ge=0, description="Standard deviation of a camera's position along each axis, m."
     )
-
-
-def fuse(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: FuseParams | None = None,
-    events: Events | None = None,
-    **more: Any,
-) -> Iterator[Frame]:
-    """Do what :func:`fuse_blocks` does, frame by frame."""
-    return frames_of(fuse_blocks(map(Block.of, frames), model, params, events, **more))
 
 
 def fuse_blocks(
@@ -135,7 +107,7 @@ def fuse_blocks(
     ----------
     blocks : tracked frames in the fixed frame, roughly in time order.
     model, params : the skeleton; see :class:`FuseParams`.
-    events : counts as :func:`hiros_mcap.stages.merge.merge` does.
+    events : counts as :func:`hiros_mcap.stages.merge.merge_blocks` does.
     merging : how instants are made and sides corrected.
     cameras : source -> (3,) position, m, as far as known.
     noise : of cameras and joints; None = the defaults.
@@ -145,9 +117,10 @@ def fuse_blocks(
     One frame per instant, with positions, m, velocities, m/s, and their uncertainty. Each is logged
     when its window was complete.
     """
+    from hiros_mcap.stages.pose_error import PoseError
     from hiros_mcap.stages.residuals import ResidualMeter
     from hiros_mcap.stages.sightings import SightingGatherer
-    from hiros_mcap.stages.window_smoother import WindowSmoother
+    from hiros_mcap.stages.window_smoother import WindowSmoother, WindowTimes
 
     events = Events() if events is None else events
     views = SightingGatherer(model, merging or MergeParams(), cameras)  # instants and sides
@@ -158,7 +131,10 @@ def fuse_blocks(
 
         noise = RunningNoise.of(noise)
     # variances, filters, smoother, confidences
-    smoother = WindowSmoother(model, params, noise, cameras or {})
+    waiting = WindowTimes(params.window, params.lookahead, params.max_lag)
+    angle = math.radians(params.pose_angle)
+    pose_error = PoseError(angle, params.pose_shift, cameras or {}, noise.to_given)
+    smoother = WindowSmoother(model, waiting, noise, params.freedom, pose_error, cameras or {})
     causal = params.window == 0
     residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
     for block, sightings, names in views.run(blocks, events, fixed_frame):
@@ -176,13 +152,13 @@ def fuse_blocks(
 def noise_of(
     model: SkeletonModel,
     params: FuseParams,
-    learned: FusionNoise | None = None,
+    measured: FusionNoise | None = None,
     to_given: Mapping[str, Rigid] | None = None,
 ) -> FusionNoise:
-    """Return what is assumed of cameras and joints, or ``learned``, and how poses were refined."""
+    """Return what is assumed of cameras and joints, or ``measured``, and how poses were refined."""
     from hiros_mcap.stages.fusion_noise import FusionNoise
 
-    noise = learned or FusionNoise.default(
+    noise = measured or FusionNoise.default(
         model, params.acceleration, params.offset, params.offset_time
     )
     return replace(noise, to_given=to_given or {})

@@ -98,7 +98,7 @@ class InstantMerger:
 
     Parameters
     ----------
-    model, events, fixed_frame : see :func:`hiros_mcap.stages.merge.merge`.
+    model, events, fixed_frame : see :func:`hiros_mcap.stages.merge.merge_blocks`.
     kernel : merges the views of each person.
     bank : what the kernel remembers of people; one row for each.
     counted : names of what the kernel counts by camera.

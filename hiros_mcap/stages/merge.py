@@ -26,11 +26,11 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels import merging
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
 from hiros_mcap.stages.unseen import Unseen
@@ -83,13 +83,6 @@ class MergeParams(Params):
         description="Link that gives the orientation of the pelvis. Empty: the first link of the "
         "root marker.",
     )
-    max_flip_time: float = advanced(
-        4.0,
-        ge=0,
-        description="If all views suddenly face the other way, the previous direction wins for this"
-        " long, s. Flips of detectors last up to 3 s. The previous direction loses earlier if it "
-        "was confirmed for less than a third of this time.",
-    )
     past_votes: bool = advanced(
         True,
         description="The previous merged pose votes like a camera and breaks ties (published code; "
@@ -140,19 +133,19 @@ class MergeParams(Params):
     )
 
 
-def merge(
-    frames: Iterable[Frame],
+def merge_blocks(
+    blocks: Iterable[Block],
     model: SkeletonModel,
     params: MergeParams | None = None,
     events: Events | None = None,
     fixed_frame: str = "",
     cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Frame]:
+) -> Iterator[Block]:
     """Merge the tracked skeletons of all cameras (section 3.2).
 
     Parameters
     ----------
-    frames : tracked frames in the fixed frame, roughly in time order. Untracked people are left
+    blocks : tracked frames in the fixed frame, roughly in time order. Untracked people are left
         out.
     model : names and hierarchy of the skeleton.
     params : see :class:`MergeParams`.
@@ -167,19 +160,6 @@ def merge(
     One frame per buffer, at the mean time of its messages, people sorted by id. Times never
     decrease: a frame older than the last merged one is counted and left out.
     """
-    blocks = map(Block.of, frames)
-    return frames_of(merge_blocks(blocks, model, params, events, fixed_frame, cameras))
-
-
-def merge_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: MergeParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Block]:
-    """Do what :func:`merge` does, a block at a time."""
     params = params or MergeParams()
     kernel = ViewMerger(model, params)
     merger = InstantMerger(
@@ -191,9 +171,15 @@ def merge_blocks(
 
 
 class ViewMerger:
-    """The compiled merger, with its settings, scratch and what it remembers of people."""
+    """The compiled merger, with its settings, scratch and what it remembers of people.
 
-    def __init__(self, model: SkeletonModel, params: MergeParams) -> None:
+    ``only_orientations``: positions come from elsewhere, as in the fuser. Markers are merged only
+    where they have orientations.
+    """
+
+    def __init__(
+        self, model: SkeletonModel, params: MergeParams, *, only_orientations: bool = False
+    ) -> None:
         symmetry = symmetry_of(model)
         self._slots = model.n_markers, model.n_links
         self._sides = merging.Sides(symmetry.mirror, symmetry.lateral)
@@ -201,7 +187,6 @@ class ViewMerger:
             max_position_delta=params.max_position_delta,
             max_orientation_delta=params.max_orientation_delta,
             max_facing_delta=params.max_facing_delta,
-            max_flip_time=params.max_flip_time,
             confidence_power=params.confidence_power,
             robust_scale=params.robust_scale,
             offset_time=params.offset_time,
@@ -213,6 +198,7 @@ class ViewMerger:
             past_votes=params.past_votes,
             drop_ties=params.ties == "drop",
             compensate_motion=params.compensate_motion,
+            only_orientations=only_orientations,
         )
         self.bank = Bank(merging.MergerPast.empty(*self._slots))
         self.sides_changed = np.zeros(0, np.int64)

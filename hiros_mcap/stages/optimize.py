@@ -41,7 +41,7 @@ from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.kernels.energy import Energy, SolverScratch, exact_weights, minimize, paper_weights
 from hiros_mcap.params import advanced
-from hiros_mcap.skeletons import POSITION, Floats, Frame, Ints, People, SkeletonModel
+from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.elimination import topology_of
 from hiros_mcap.stages.limb_calibration import Calibration, CalibrationParams, calibrate_limbs
@@ -106,30 +106,6 @@ class OptimizeParams(CalibrationParams):
         )
 
 
-def optimize(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: OptimizeParams = OptimizeParams(),  # noqa: B008 - immutable
-    events: Events | None = None,
-    limbs: LimbTable | None = None,
-) -> Iterator[Frame]:
-    """Give everybody constant limb lengths; order and number of frames stay as they are.
-
-    People without an id, and people whose limbs are not (yet) known, pass through unchanged.
-
-    Parameters
-    ----------
-    frames : in time order, merged or tracked.
-    limbs : lengths known from before. Everybody who is calibrated on the way is added.
-
-    Raises
-    ------
-    ConfigError
-        If ``limbs`` names a link that the model lacks.
-    """
-    return frames_of(optimize_blocks(map(Block.of, frames), model, params, events, limbs))
-
-
 def optimize_blocks(
     blocks: Iterable[Block],
     model: SkeletonModel,
@@ -137,7 +113,20 @@ def optimize_blocks(
     events: Events | None = None,
     limbs: LimbTable | None = None,
 ) -> Iterator[Block]:
-    """Do what :func:`optimize` does, a block at a time."""
+    """Give everybody constant limb lengths; order and number of frames stay as they are.
+
+    People without an id, and people whose limbs are not (yet) known, pass through unchanged.
+
+    Parameters
+    ----------
+    blocks : in time order, merged or tracked.
+    limbs : lengths known from before. Everybody who is calibrated on the way is added.
+
+    Raises
+    ------
+    ConfigError
+        If ``limbs`` names a link that the model lacks.
+    """
     events = events if events is not None else Events()
     limbs = limbs if limbs is not None else LimbTable()
     if params.calibration == "two-pass":

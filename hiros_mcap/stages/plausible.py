@@ -23,10 +23,10 @@ from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import limb_deviations as kernels
 from hiros_mcap.params import Params, advanced
-from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
@@ -62,18 +62,6 @@ class PlausibleParams(Params):
         description="Longest time, s, for which all detections of a person are left out. After "
         "that they count again, so nobody is lost. As long as merge.carry.",
     )
-
-
-def drop_implausible(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: PlausibleParams | None = None,
-    events: Events | None = None,
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Frame]:
-    """Do what :func:`drop_implausible_blocks` does, frame by frame."""
-    blocks = map(Block.of, frames)
-    return frames_of(drop_implausible_blocks(blocks, model, params, events, cameras))
 
 
 def drop_implausible_blocks(

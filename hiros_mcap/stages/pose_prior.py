@@ -2,6 +2,8 @@
 
 In a window of some seconds, poses vary in few directions. What exceeds the known variance of the
 markers there is motion; an estimate between the mean pose and the measured one follows (Wiener).
+The window lies about each pose (:func:`shrink_noise`), or before it (:class:`RecentMotion`). Poses
+are in the person's own frame (:func:`local_frames`).
 """
 
 from __future__ import annotations
@@ -20,14 +22,17 @@ _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
 _ABSENT = 1.0  # m2; variance of a marker that is missing
+_RATE = 15.0  # Hz; a prior of the poses before needs no more poses
+_FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and between two
+_LARGEST_STEP = 0.5  # by it, in standard deviations: a new motion is believed
+_POSES = 45  # of 3 s
+_LEFT = 1.0  # s unseen after which it is learned anew
 
 
-def shrink_noise(positions: Floats, variances: Floats, lateral: Ints) -> Floats:
-    """Return poses (T, M, 3), m, moved towards what the person does in the window.
+def shrink_noise(positions: Floats, variances: Floats) -> Floats:
+    """Return local poses (T, M, 3), m, moved towards what the person does in the window.
 
-    Parameters
-    ----------
-    variances : (T, M) m2 along each axis. lateral : (K, 2) left and right slots that show the yaw.
+    ``variances`` : (T, M) m2 along each axis.
     """
     out, weights = np.zeros_like(positions), np.zeros(len(positions))
     if len(positions) < FEWEST:
@@ -41,15 +46,65 @@ def shrink_noise(positions: Floats, variances: Floats, lateral: Ints) -> Floats:
         fade = np.minimum(np.arange(n), np.arange(n)[::-1]) + 1.0
         estimate = positions[part].copy()
         if n >= FEWEST:
-            frames, origins = local_frames(positions[part], lateral)
-            local = np.einsum("tij,tmi->tmj", frames, positions[part] - origins)
-            some = local[:, known]
+            some = positions[part][:, known]
             noise = at_most_shown(some, variances[part][:, known])
-            local[:, known] = estimated(motion_of(some, noise), some, noise)
-            estimate = np.einsum("tij,tmj->tmi", frames, local) + origins
+            estimate[:, known] = estimated(motion_of(some, noise), some, noise)
         out[part] += fade[:, None, None] * estimate
         weights[part] += fade
     return np.asarray(out / weights[:, None, None])
+
+
+class RecentMotion:
+    """The last seconds of a person, and the prior that they give."""
+
+    def __init__(self) -> None:
+        self._poses: list[Floats] = []
+        self._variances: list[Floats] = []
+        self._next = self._pushed = self._seen = 0
+        """When the prior is due, the last pose was kept, and the person was seen last, ns."""
+        self._motion: tuple[PoseSpace, Flags] | None = None
+        """With the markers that any pose had."""
+
+    def shrink(self, local: Floats, variances: Floats, stamp: int) -> Floats:
+        """Return a local pose (M, 3), m, moved towards what the person has done; remember it.
+
+        After a second unseen the motion is learned anew.
+        """
+        if stamp - self._seen > _LEFT * 1e9:
+            self._poses, self._variances, self._motion = [], [], None
+            self._next = self._pushed = 0
+        self._seen = stamp
+        estimate = self._estimate(local, variances)
+        # Not the pose as measured: from what has less noise, a better prior is learned.
+        self._remember(estimate, variances, stamp)
+        return estimate
+
+    def _estimate(self, local: Floats, variances: Floats) -> Floats:
+        if self._motion is None:
+            return local
+        motion, known = self._motion
+        estimate = local.copy()
+        estimate[known] = estimated(motion, local[None, known], variances[None, known])[0]
+        steps = estimate - local
+        sizes, most = np.linalg.norm(steps, axis=1), _LARGEST_STEP * np.sqrt(3 * variances)
+        scale = most / np.maximum(sizes, np.maximum(most, 1e-9))
+        return np.asarray(np.where(np.isnan(sizes), 1.0, scale)[:, None] * steps + local)
+
+    def _remember(self, local: Floats, variances: Floats, stamp: int) -> None:
+        """Keep a pose; renew the prior if it is due."""
+        if not self._poses:
+            self._next = stamp + round(_FIRST * 1e9)
+        elif stamp - self._pushed < 0.9e9 / _RATE:
+            return
+        self._pushed = stamp
+        self._poses = [*self._poses[1 - _POSES :], local]
+        self._variances = [*self._variances[1 - _POSES :], variances]
+        if stamp >= self._next and len(self._poses) >= FEWEST:
+            self._next = stamp + round(_RENEWED * 1e9)
+            poses = np.stack(self._poses)
+            known: Flags = np.asarray(~np.isnan(poses).any(axis=2).all(axis=0))
+            some, noise = poses[:, known], np.stack(self._variances)[:, known]
+            self._motion = (motion_of(some, noise), known) if known.any() else None
 
 
 def at_most_shown(positions: Floats, variances: Floats) -> Floats:

@@ -23,11 +23,11 @@ from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels.fusing import Sightings
-from hiros_mcap.skeletons import POSITION, UNTRACKED, VELOCITY, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel
 from hiros_mcap.stages.displaced_views import SECOND, excess_of
 from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.log_histograms import histograms, medians
-from hiros_mcap.stages.sightings import chosen, joined
+from hiros_mcap.stages.sightings import chosen, joined, rows_of
 
 FEWEST = 50
 """Residuals that give a median."""
@@ -117,7 +117,8 @@ class ResidualMeter:
 
     def _count(self, fused: Block, views: Sightings) -> None:
         """Add the residuals of views to the histograms of their cameras."""
-        rows = _rows_of(fused, self._first, views)
+        instants = self._first + np.repeat(np.arange(len(fused)), np.diff(fused.rows).ravel())
+        rows = rows_of(views, instants, fused.people.ids)
         views, rows = chosen(views, rows >= 0), rows[rows >= 0]
         known = fused.uncertainty
         if known is None or not len(rows):
@@ -196,15 +197,6 @@ def restated(fused: Block, variances: Floats) -> Block:
         marker_confidences=confidences, confidences=np.where(count > 0, whole, np.nan)
     )
     return replace(fused, people=people, uncertainty=known._replace(deviations=np.sqrt(total)))
-
-
-def _rows_of(fused: Block, first: int, views: Sightings) -> Stamps:
-    """(N,) Row of the person whom each view shows; -1 = not fused. ``first`` numbers instants."""
-    instants = first + np.repeat(np.arange(len(fused)), np.diff(fused.rows).ravel())
-    keys = zip(instants.tolist(), fused.people.ids.tolist(), strict=True)
-    row_of = {key: row for row, key in enumerate(keys) if key[1] != UNTRACKED}
-    wanted = zip(views.instants.tolist(), views.people.tolist(), strict=True)
-    return np.array([row_of.get(key, -1) for key in wanted], np.int64)
 
 
 def _common_share(residuals: Floats, squares: Floats) -> Floats:

@@ -1,14 +1,14 @@
 """Which cameras are noisier than others, learned on the way.
 
-A causal system cannot look at the log first. It starts with equal cameras. Every two seconds, the
-third differences of each camera's own stream (:mod:`hiros_mcap.stages.learn_noise`) give a factor
-of its variances, relative to the median camera; the mean of those so far counts. The level of the
-noise stays as assumed: on simulated logs, a level that was learned gave larger errors.
+A causal system starts with equal cameras. Every two seconds, the third differences of each camera's
+own stream, which slow motion hardly enters, give a factor of its variances, relative to the median
+camera; the mean of those so far counts. The level of the noise stays as assumed: on simulated logs,
+a level that was learned gave larger errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,10 +16,11 @@ import numpy as np
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats
 from hiros_mcap.stages.fusion_noise import FusionNoise, distances
-from hiros_mcap.stages.learn_noise import binned
 from hiros_mcap.stages.sightings import chosen, joined
 
 _STRETCH = 2_000_000_000  # ns that give one factor of each camera
+_BIN = 30  # third differences that give one variance
+_BIAS = 0.089  # of the log of a mean over a bin
 _PRIOR = 1.0  # stretches; how sure it is beforehand that cameras are equal
 _LEAST, _MOST = np.log(0.5), np.log(20.0)  # of a factor; a detector that filters hides its noise
 
@@ -59,7 +60,7 @@ class RunningNoise(FusionNoise):
     def _learn(self, views: Sightings, names: Sequence[str], places: Mapping[str, Floats]) -> None:
         away = np.log(distances(views, names, places) / 2.0)
         found: dict[str, list[float]] = {}
-        for camera, logs, distance, guesses in binned(views, away, self.guessed_below):
+        for camera, logs, distance, guesses in _binned(views, away, self.guessed_below):
             expected = np.log(self.joints) + 2 * self.power * distance
             off = np.where(guesses == 0, logs - expected, np.nan)
             if np.isfinite(off).any():
@@ -72,3 +73,30 @@ class RunningNoise(FusionNoise):
         for name, total in self.logs.items():
             mean = np.clip(total / (self.counts[name] + _PRIOR), _LEAST, _MOST)
             self.cameras[name] = float(np.exp(mean))
+
+
+def _binned(
+    views: Sightings, away: Floats, guessed_below: float
+) -> Iterator[tuple[int, Floats, float, Floats]]:
+    """Yield camera, (M,) log variances, log distance / 2 m and (M,) share of guesses of bins."""
+    for person, camera in {*zip(views.people.tolist(), views.cameras.tolist(), strict=True)}:
+        rows = np.flatnonzero((views.people == person) & (views.cameras == camera))
+        rows = rows[np.argsort(views.stamps[rows], kind="stable")]
+        gaps = np.diff(views.stamps[rows])
+        if len(rows) < _BIN + 3:
+            continue
+        even = np.abs(gaps / np.median(gaps) - 1) < 0.3
+        # Half of the norm has the mean of |D| along an axis, and does not depend on the axes.
+        third = np.linalg.norm(np.diff(views.positions[rows], n=3, axis=0), axis=2) / 2
+        third[~(even[:-2] & even[1:-1] & even[2:])] = np.nan
+        guesses = views.confidences[rows] < guessed_below
+        for start in range(0, len(third) - _BIN + 1, _BIN):
+            part = third[start : start + _BIN]
+            known = np.isfinite(part)
+            enough = (known.sum(axis=0) >= _BIN // 2) & (np.nan_to_num(part).sum(axis=0) > 0)
+            mean = np.nan_to_num(part).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+            logs = np.full(len(mean), np.nan)
+            # The mean of |D| of a normal D with variance 20 R is sqrt(40 R / pi).
+            logs[enough] = np.log(mean[enough] ** 2 * np.pi / 40) + _BIAS
+            share = guesses[start : start + _BIN + 3].mean(axis=0)
+            yield camera, logs, float(away[rows[start : start + _BIN]].mean()), share

@@ -1,4 +1,7 @@
-"""What every camera saw of every person, gathered to instants, with sides corrected."""
+"""What every camera saw of every person, gathered to instants, with sides corrected.
+
+Who is there at an instant, and how the links are oriented, is decided as in the merger.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from hiros_mcap.frames import Block
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.kernels.fusing import Sightings
-from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.instants import InstantMerger
 from hiros_mcap.stages.merge import MergeParams, ViewMerger
 from hiros_mcap.stages.unseen import Unseen
@@ -30,7 +33,7 @@ class SightingGatherer:
     ) -> None:
         self._model, self._params = model, params
         self._cameras = cameras or {}
-        self._merge = ViewMerger(model, params)
+        self._merge = ViewMerger(model, params, only_orientations=True)
         self._mirror = symmetry_of(model).mirror
         self._found: list[Sightings] = []
         self._n_instants = 0
@@ -50,7 +53,7 @@ class SightingGatherer:
     def _gather(
         self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
     ) -> None:
-        """Merge; keep what each camera saw. See :data:`hiros_mcap.stages.instants.MergeKernel`."""
+        """Merge links; keep what each camera saw. A ``MergeKernel`` of instants."""
         self._merge(buffers, people, views, out, counts)
         n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
         some = Sightings.allocate(n, m)
@@ -70,3 +73,19 @@ def joined(some: list[Sightings]) -> Sightings:
 def chosen(views: Sightings, rows: Any) -> Sightings:
     """Return some of the sightings: a slice, a mask or indices."""
     return Sightings(*[array[rows] for array in views])
+
+
+def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:
+    """(N,) Row of each view's person and instant among ``instants`` and ``people``; -1 = none."""
+    if not len(people):
+        return np.full(len(views.people), -1)
+    keys = _key(instants, people)
+    order = np.argsort(keys)
+    wanted = _key(views.instants, views.people)
+    rows = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[rows] == wanted, rows, -1)
+
+
+def _key(instants: Stamps, people: Stamps | Ints) -> Stamps:
+    """One number for an instant and a person, whose id has 32 bits."""
+    return instants * (1 << 32) + people

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,13 +25,14 @@ from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.displaced_views import DisplacedViews, excess_of, view_offsets
 from hiros_mcap.stages.fusion_noise import FusionNoise
 from hiros_mcap.stages.pose_error import PoseError
-from hiros_mcap.stages.sightings import chosen, joined
-
-if TYPE_CHECKING:
-    from hiros_mcap.stages.fuse import FuseParams
+from hiros_mcap.stages.sightings import chosen, joined, rows_of
 
 _FOLLOW = 0.05  # share of each interval in the mean of all
 _FORGET = 10.0  # s without a sighting after which a person's filter starts anew
+_MAX_DEVIATION = 0.3
+"""Deviation, m, beyond which a marker is left out: it was not seen for about a second."""
+HALF_CONFIDENCE = 0.02
+"""Deviation s, m, of a marker with confidence 0.5, which is 1 / (1 + (s / HALF_CONFIDENCE)^2)."""
 _ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
 
 
@@ -47,20 +48,36 @@ class _Window(NamedTuple):
     """(K,) at which time, ns."""
 
 
+class WindowTimes(NamedTuple):
+    """How long results wait, s; see FuseParams."""
+
+    window: float
+    lookahead: float
+    max_lag: float
+
+
 class WindowSmoother:
-    """Smooths window after window; the filters go on from one to the next."""
+    """Smooths window after window; the filters go on from one to the next.
+
+    Parameters
+    ----------
+    model, waiting, noise : the skeleton; how long results wait; what is assumed of the cameras.
+    freedom : degrees of freedom of the noise. pose_error : what the cameras' poses add.
+    cameras : source -> (3,) position, m, as far as known.
+    """
 
     def __init__(
         self,
         model: SkeletonModel,
-        params: FuseParams,
+        waiting: WindowTimes,
         noise: FusionNoise,
+        freedom: float,
+        pose_error: PoseError,
         cameras: Mapping[str, Floats],
     ) -> None:
-        self._params, self._noise, self._places = params, noise, cameras
-        self._motion = noise.motion(params.freedom)
-        angle, shift = np.radians(params.pose_angle), params.pose_shift
-        self._pose_error = PoseError(float(angle), shift, cameras, noise.to_given)
+        self._waiting, self._noise, self._places = waiting, noise, cameras
+        self._motion = noise.motion(freedom)
+        self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
         self._held: list[Part] = []
@@ -80,7 +97,7 @@ class WindowSmoother:
     def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Block]:
         """Add instants; yield those whose window is complete."""
         self._make_room(names)
-        patience = round((self._params.window + self._params.lookahead) * 1e9)
+        patience = round((self._waiting.window + self._waiting.lookahead) * 1e9)
         bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
         times = zip(block.stamps.tolist(), block.log_times.tolist(), strict=True)
         for i, (stamp, log_time) in enumerate(times):
@@ -91,7 +108,7 @@ class WindowSmoother:
             self._count += 1
             self._count_on(log_time)
             while self._held and (stamp - self._stamp(0) >= patience or self._is_due(log_time)):
-                yield self._smooth(self._stamp(0) + round(self._params.window * 1e9))
+                yield self._smooth(self._stamp(0) + round(self._waiting.window * 1e9))
 
     def _count_on(self, log_time: int) -> None:
         """Measure how regularly instants come."""
@@ -104,7 +121,7 @@ class WindowSmoother:
     def _is_due(self, log_time: int) -> bool:
         """Whether the first instant would be too late if it waited for one more."""
         next_time = log_time + self._interval + 2 * self._jitter
-        return next_time > self._stamp(0) + self._params.max_lag * 1e9
+        return next_time > self._stamp(0) + self._waiting.max_lag * 1e9
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""
@@ -150,7 +167,7 @@ class WindowSmoother:
         """Smooth a window. Cameras that prove to be displaced lose their weight."""
         views, new = window.views, window.new
         white = self._noise.variances(views, self._names, self._places)
-        ahead = self._params.window > 0
+        ahead = self._waiting.window > 0
         excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
         for person in np.unique(window.people).tolist():
             self._bank.row(person, boundary)
@@ -221,30 +238,21 @@ class WindowSmoother:
 
     def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
         """Write poses, confidences and uncertainty."""
-        people, params = out.people, self._params
+        people = out.people
         shared = self._pose_error.variances(poses.positions, seen, self._names)
         variances = poses.variances + shared
-        unknown = ~(variances <= params.max_deviation**2)
+        unknown = ~(variances <= _MAX_DEVIATION**2)
         variances[unknown] = np.nan
         for columns, values in ((POSITION, poses.positions), (VELOCITY, poses.velocities)):
             values[unknown] = np.nan
             people.markers[:, :, columns] = values
-        people.marker_confidences[:] = 1 / (1 + variances / params.half_confidence**2)
+        people.marker_confidences[:] = 1 / (1 + variances / HALF_CONFIDENCE**2)
         known = (~unknown).sum(axis=1)
         total = np.nansum(people.marker_confidences, axis=1)
         people.confidences[:] = np.where(known > 0, total / np.maximum(known, 1), np.nan)
         uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
         log_times = np.full(len(out), log_time, np.int64)
         return replace(out, log_times=log_times, uncertainty=uncertainty)
-
-
-def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:
-    """(N,) Row of each view's person and instant among ``instants`` and ``people``; -1 = none."""
-    row_of = {
-        key: row for row, key in enumerate(zip(instants.tolist(), people.tolist(), strict=True))
-    }
-    keys = zip(views.instants.tolist(), views.people.tolist(), strict=True)
-    return np.array([row_of.get(key, -1) for key in keys], np.int64)
 
 
 def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:

@@ -79,7 +79,7 @@ SYSTEMS: dict[str, System] = {
         ("associate",),
     ),
     "lee": System(
-        "Lee 2022: sides re-arranged, joints clustered, Kalman filter",
+        "Lee 2022, its A5: sides re-arranged, joints clustered, Kalman filter",
         lee,
         _LEE,
         ("track", "cluster", "predict"),
@@ -91,9 +91,6 @@ SYSTEMS: dict[str, System] = {
     "lee-a3": System("Lee's A3: sides re-arranged, DBSCAN", lee, _LEE[:2], ("track", "cluster")),
     "lee-a4": System(
         "Lee's A4: A3 with the previous position", lee, _LEE[:2], ("track", "cluster")
-    ),
-    "lee-a5": System(
-        "Lee's A5: A4 and the Kalman filter", lee, _LEE, ("track", "cluster", "predict")
     ),
 }
 

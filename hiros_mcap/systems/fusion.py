@@ -12,7 +12,6 @@ def fuse(run: Run) -> Stages:
     from hiros_mcap.stages.constrain import constrain_blocks
     from hiros_mcap.stages.filter import filter_blocks
     from hiros_mcap.stages.fuse import fuse_blocks, noise_of
-    from hiros_mcap.stages.live_bodies import constrain_live
     from hiros_mcap.stages.track import track_blocks
 
     config = run.config
@@ -21,9 +20,7 @@ def fuse(run: Run) -> Stages:
         fuse_blocks, config.fuse, merging=merging, fixed_frame=run.fixed_frame,
         cameras=run.cameras, noise=noise_of(run.model, config.fuse, run.noise, run.to_given),
     )  # fmt: skip
-    waits = config.constrain.window > 0
-    constrain = constrain_blocks if waits else constrain_live
-    bodies = run.stage(constrain, config.constrain, limbs=run.limbs)
+    bodies = run.stage(constrain_blocks, config.constrain, limbs=run.limbs)
     derivatives = run.stage(filter_blocks, config.filter, keep_positions=True)
     return {
         "tracked": run.stage(track_blocks, config.track, cameras=run.cameras),

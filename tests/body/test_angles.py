@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiros_mcap.body.angles import ANGLES, euler_zxy, joint_links, link_flexions, wrapped
+from hiros_mcap.body.angles import ANGLES, euler_zxy, joint_links, link_angles, wrapped
 from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.skeletons import SkeletonModel
 
@@ -54,6 +54,6 @@ def test_eq21_is_the_z_angle_of_the_distal_link_in_the_proximal_one() -> None:
     upper = Rotation.from_euler("xyz", [0.3, -1.0, 2.0])
     bend = Rotation.from_euler("ZXY", [1.2, 0.2, -0.4])
     turns = np.stack([upper.as_quat(), (upper * bend).as_quat()])
-    angles = link_flexions(model, turns)
+    angles = link_angles(model, turns)[:, 0]
     assert angles[ANGLES.index("right elbow")] == pytest.approx(1.2)
     assert np.isnan(np.delete(angles, ANGLES.index("right elbow"))).all()

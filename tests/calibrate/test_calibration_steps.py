@@ -11,7 +11,7 @@ from stick_figures import MIRROR, MODEL, POSE, person
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.calibrate.camera_graph import spanning_tree
+from hiros_mcap.calibrate.camera_graph import coarse_clocks, spanning_tree
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.floor import find_floor
@@ -86,6 +86,25 @@ def test_the_lag_of_two_clocks_needs_no_pose() -> None:
     best = lag_candidates(*(signatures_of(camera, landmarks) for camera in cameras))[0]
     assert best.seconds == pytest.approx(-1.4, abs=0.05)
     assert best.pairs == [(0, 0)]
+
+
+@pytest.mark.parametrize(("clock", "hint"), [(1.4, 0.0), (6.0, 6.05), (0.0, 0.2)])
+def test_at_given_poses_the_lag_is_where_people_fit(clock: float, hint: float) -> None:
+    turn, shift = Rotation.from_euler("xyz", [0.3, 1.2, -0.8]), np.array([1.0, 2.0, 3.0])
+    cameras = [view("a", Rotation.identity(), np.zeros(3)), view("b", turn, shift, clock=clock)]
+    rig = Rig.alone(2)
+    rig.rotations[1], rig.shifts[1] = turn.as_matrix(), shift
+    found = coarse_clocks(cameras, rig, [0.0, hint], landmarks_of(MODEL), SIDES)
+    assert found == pytest.approx([0.0, clock], abs=0.06)
+
+
+def test_people_who_stand_still_fit_at_any_lag_and_the_stamps_stay() -> None:
+    seconds = np.arange(0.0, 10.0, 1 / 30)
+    poses = POSE + np.random.default_rng(1).normal(0, 0.01, (len(seconds), *POSE.shape))
+    track = Tracklet(seconds, poses, np.ones(poses.shape[:2]))
+    cameras = [CameraView(name, name, [track], 0.0, 0.1) for name in "ab"]
+    found = coarse_clocks(cameras, Rig.alone(2), [0.0, 0.5], landmarks_of(MODEL), SIDES)
+    assert found.tolist() == [0.0, 0.0]
 
 
 @settings(max_examples=10, deadline=None)

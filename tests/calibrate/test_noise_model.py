@@ -11,7 +11,9 @@ from hiros_cli.app import run
 from hiros_mcap.calibrate.noise_model import USUAL_POWER, measure_noise_model
 from hiros_mcap.config import load_config, to_toml
 from hiros_mcap.io.log import open_log
-from hiros_mcap.running.pipeline import ProcessOptions, set_up
+from hiros_mcap.running.preparation import prepare, set_up
+from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.fusion_noise import FusionNoise
 
@@ -68,10 +70,11 @@ def measured(tmp_path: Path) -> Path:
 def test_fuse_reads_what_is_written(measured: Path, walking: Path) -> None:
     config = load_config(measured, system="fuse")
     with open_log(walking) as log:
-        noise = set_up(log, config, ProcessOptions("fuse")).noise
+        prepared = prepare(log, config, ProcessOptions("fuse"), Stopwatch())
+        noise = set_up(prepared).noise
         pelvis, head = (log.model.marker_names.index(name) for name in ("PELVIS", "HEAD"))
         usual = FusionNoise.default(log.model)
-        assert set_up(log, config, ProcessOptions("hiros")).noise is None
+        assert set_up(prepared, options=ProcessOptions("hiros")).noise is None
     assert np.sqrt(noise.joints[pelvis]) == pytest.approx(0.004, rel=0.15)
     assert np.sqrt(noise.joints[head] / noise.joints[pelvis]) == pytest.approx(2.0, rel=0.1)
     assert noise.power == pytest.approx(1.5, abs=0.15)

@@ -22,9 +22,21 @@ from hiros_mcap.evaluate.comparison import (
     comparison,
     run_task,
 )
-from hiros_mcap.evaluate.logs import evaluate_log, find_truth
+from hiros_mcap.evaluate.leave_one_out import leave_one_out
+from hiros_mcap.evaluate.logs import (
+    consistency,
+    evaluate_log,
+    find_truth,
+    output_channels,
+    read_channel,
+)
+from hiros_mcap.evaluate.scored import results_of
+from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame
+from hiros_mcap.summary import plain
 from hiros_mcap.systems import SYSTEMS
 from hiros_mcap.systems.run import System
 
@@ -39,18 +51,41 @@ def test_entries_are_read_and_checked() -> None:
             Entry.parse(text)
 
 
-def test_the_scores_are_those_of_processing_and_evaluating(walking: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording with wrong poses and wrong clocks."""
+    path = tmp_path_factory.mktemp("faulty") / "log.mcap"
+    scene = {"cameras": 3, "seconds": 12.0, "seed": 5, "calibration_error": 4.0}
+    write_log(path, SimulateParams.model_validate({**scene, "rig": {"clock_offset": 0.2}}))
+    return path
+
+
+@pytest.mark.parametrize("name", ["fuse", "fuse-realtime", "malaguti"])
+def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, name: str) -> None:
+    """Clocks and poses are corrected alike in all of them."""
     out = tmp_path / "out.mcap"
-    exact = load_config(overrides=["output.precision=full"], system="malaguti")
-    process(walking, out, config=exact, options=ProcessOptions(system="malaguti", keep=()))
-    truth = find_truth(walking)
+    config = load_config(overrides=["output.precision=full"], system=name)
+    summary = process(faulty, out, config=config, options=ProcessOptions(name))
+    if name == "fuse":
+        assert any(camera.used for camera in summary.poses)
+        assert any(fault.corrected for camera in summary.cameras for fault in camera.clock)
+    truth = find_truth(faulty)
     assert truth is not None
-    expected = evaluate_log(out, truth)["/hiros/optimized"].scores
-    outcome = run_task(Task(walking, Entry("malaguti")))
-    assert outcome.scores is not None
-    assert outcome.scores.mean == pytest.approx(expected.mean)
-    assert outcome.scores.tracking == expected.tracking
-    assert outcome.milliseconds > 0
+    expected = numbers(list(evaluate_log(out, truth).values())[-1].scores)
+    compared = run_task(Task(faulty, Entry(name)))
+    assert numbers(compared.scores) == expected
+    assert compared.milliseconds > 0
+    with results_of(faulty, config, None, name) as (results, globs):
+        assert numbers(list(evaluate_log(results, truth, globs).values())[-1].scores) == expected
+    alone = leave_one_out(faulty, config=config, options=ProcessOptions(name))
+    frames, model, _ = read_channel(out, output_channels(out)[-1])
+    assert alone.consistency == consistency(frames, model)
+
+
+def numbers(scores: Scores | None) -> str:
+    """All scores as text, where two NaN are equal."""
+    assert scores is not None
+    return json.dumps(plain(scores))
 
 
 def test_side_by_side_as_one_after_the_other(walking: Path) -> None:

@@ -10,19 +10,20 @@ import pytest
 from odd_logs import changed, later
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.verdict import Verdict
+from hiros_mcap.calibrate.verdict import UNLINKED, Verdict
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.events import events_from_json
+from hiros_mcap.io.camera_clock import CameraTimes
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_static_poses
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.io.overview import look
+from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame
@@ -226,27 +227,67 @@ def test_a_healthy_log_keeps_all_stamps(walk: Path, tmp_path: Path) -> None:
     assert [camera.clock for camera in summary.cameras] == [()] * 3
 
 
+def three(**lags: float) -> ClockAlignment:
+    """Cameras with messages every tenth of a second that are logged so late, s."""
+    stamps = S + np.arange(0, 10 * S, S // 10)
+    times = {name: CameraTimes(stamps, stamps + round(lag * S)) for name, lag in lags.items()}
+    return ClockAlignment(times=times)
+
+
 @pytest.mark.parametrize(
     ("ms", "error_ms", "verdict", "corrected"),
-    [(40, 1, "good", True), (9, 1, "good", False), (40, 14, "good", False), (40, 1, "doubtful", 0)],
+    [
+        (40, 1, "good", True),
+        (9, 1, "good", None),
+        (40, 14, "good", None),
+        (40, 1, "doubtful", False),
+    ],
 )
-def test_only_a_significant_offset_of_a_camera_that_fits_is_corrected(
-    ms: float, error_ms: float, verdict: Verdict, corrected: bool
+def test_a_significant_offset_is_corrected_or_a_fault_says_why_not(
+    ms: float, error_ms: float, verdict: Verdict, corrected: bool | None
 ) -> None:
-    cameras = [
+    clocks = three(right=0.0, wrong=0.0)
+    reason = "only 3 s of common view" if verdict == "doubtful" else ""
+    clocks.take_offsets([
         PoseSummary("right", "good", clock_ms=0.0, error_ms=1.0),
-        PoseSummary("wrong", verdict, clock_ms=ms, error_ms=error_ms),
-    ]
-    found = PoseAlignment(cameras).clock_offsets(())
-    assert found == ({"wrong": -ms / 1000} if corrected else {})
+        PoseSummary("wrong", verdict, reason, clock_ms=ms, error_ms=error_ms),
+    ])  # fmt: skip
+    assert [(f.camera, f.corrected, f.reason) for f in clocks.faults] == (
+        [] if corrected is None else [("wrong", corrected, reason)]
+    )
+    moved = clocks.corrected_times("wrong").stamps - clocks.times["wrong"].stamps
+    assert (moved == (round(ms * 1e6) if corrected else 0)).all()
 
 
 def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks() -> None:
-    cameras = [
+    clocks = three(moved=0.0, a=0.0, b=0.0)
+    clocks.take_offsets([
         PoseSummary("moved", "good", clock_ms=40.0, error_ms=1.0),
         PoseSummary("moved", "good", clock_ms=60.0, error_ms=9.0),
-    ]
-    assert PoseAlignment(cameras).clock_offsets(()) == {"moved": -0.04}
+        PoseSummary("a", "good", clock_ms=0.0, error_ms=1.0),
+        PoseSummary("b", "good", clock_ms=0.0, error_ms=1.0),
+    ])  # fmt: skip
+    assert [fault.seconds for fault in clocks.faults] == [-0.04]
+
+
+def test_of_two_cameras_the_one_logged_nearer_to_its_stamps_is_right() -> None:
+    clocks = three(a=-0.07, b=0.03)
+    clocks.take_offsets([
+        PoseSummary("a", "good", clock_ms=-50.0, error_ms=1.0),
+        PoseSummary("b", "good", clock_ms=50.0, error_ms=1.0),
+    ])  # fmt: skip
+    assert [(fault.camera, fault.seconds) for fault in clocks.faults] == [("a", 0.1)]
+
+
+def test_the_lag_of_a_camera_that_shares_no_view_is_named_with_the_reason() -> None:
+    clocks = three(a=0.0, b=0.0, alone=0.3)
+    clocks.take_offsets([
+        PoseSummary("a", "good", clock_ms=0.0, error_ms=1.0),
+        PoseSummary("b", "good", clock_ms=0.0, error_ms=1.0),
+        PoseSummary("alone", "impossible", UNLINKED),
+    ])  # fmt: skip
+    (fault,) = clocks.faults
+    assert (fault.camera, fault.corrected, fault.reason) == ("alone", False, UNLINKED)
 
 
 @pytest.mark.parametrize("poses", ["absent", "wrong"])

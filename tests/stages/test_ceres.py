@@ -5,11 +5,14 @@ import pytest
 from skeleton_makers import energies, energy_of, random_model, random_poses, scene_of
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.energy import STIFFNESS, Energy
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.stages import ceres
 from hiros_mcap.stages.ceres import CeresSolver, Residuals
-from hiros_mcap.stages.optimize import OptimizeParams, block_solver, optimize
+from hiros_mcap.stages.optimize import OptimizeParams, block_solver, optimize_blocks
+
+optimize = by_frame(optimize_blocks)
 
 
 @pytest.mark.parametrize("exact", [False, True])

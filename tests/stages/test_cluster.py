@@ -16,9 +16,18 @@ from sklearn.cluster import DBSCAN
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.clustering import ClusterWork, dbscan, reference_positions
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.cluster import LEE_JOINTS, ClusterParams, cluster, lee_joints, pairs_of
+from hiros_mcap.stages.cluster import (
+    LEE_JOINTS,
+    ClusterParams,
+    cluster_blocks,
+    lee_joints,
+    pairs_of,
+)
+
+cluster = by_frame(cluster_blocks)
 
 WRIST, OTHER_WRIST = 6, 7
 NO_HELP = ClusterParams(reference_helps=False, previous_helps=False)

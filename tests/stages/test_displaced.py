@@ -11,9 +11,13 @@ from stick_figures import MIRROR, MODEL, PERIOD, POSE, at, person, seen
 from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame
 from hiros_mcap.stages.likeness import Displacement, likeness
-from hiros_mcap.stages.track import TrackParams, track
+from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.track_params import TrackParams
+
+track = by_frame(track_blocks)
 
 SIDES = np.array(MIRROR, np.int32)
 TURN = to_matrix(from_vector(np.radians([8.0, 0.0, 25.0])))

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.displaced import CAMERA_DISPLACED
 from hiros_mcap.stages.displaced_views import LIMIT, SHARE, DisplacedViews, excess_of
-from hiros_mcap.stages.fuse import FuseParams, fuse
+from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
+
+fuse = by_frame(fuse_blocks)
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
 REALTIME = {"lookahead": 0.1, "max_lag": 0.1, "window": 0.0}

@@ -9,10 +9,12 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.kernels.link_lengths import project
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.filter import FilterParams, _SkeletonFilter, filter_blocks, filter_frames
+from hiros_mcap.stages.filter import FilterParams, _SkeletonFilter, filter_blocks
+
+filter_frames = by_frame(filter_blocks)
 
 MODEL = SkeletonModel.of(["root", "hand"], [("arm", 0, 1)])
 METHODS = [("state_space", 2), ("state_space", 3)] + [("butterworth", n) for n in (1, 2, 3, 4, 8)]

@@ -11,17 +11,18 @@ from builders import Room, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
-from hiros_mcap.frames import Block, by_frame
+from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.constrain import ConstrainParams, constrain, measured_lengths
-from hiros_mcap.stages.fuse import FuseParams, fuse
-from hiros_mcap.stages.fusion_noise import FusionNoise
-from hiros_mcap.stages.learn_noise import learn_noise
-from hiros_mcap.stages.merge import MergeParams
+from hiros_mcap.stages.constrain import ConstrainParams, constrain_blocks
+from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
+from hiros_mcap.stages.pair_lengths import measured_lengths
 from hiros_mcap.stages.pose_prior import shrink_noise
 from hiros_mcap.systems import Run, system
+
+fuse = by_frame(fuse_blocks)
+constrain = by_frame(constrain_blocks)
 
 START = 1_700_000_000_000_000_000  # ns
 POINT = SkeletonModel.of(["A"], [])
@@ -174,7 +175,7 @@ def test_the_prior_takes_noise_off_and_keeps_motion() -> None:
     swing = np.sin(np.arange(90) / 8)[:, None, None] * rng.normal(0, 0.1, (1, 12, 3))
     pose = rng.normal(0, 0.5, (1, 12, 3)) + swing
     noisy = pose + rng.normal(0, 0.02, pose.shape)
-    found = shrink_noise(noisy, np.full((90, 12), 0.02**2), np.zeros((0, 2), np.int32))
+    found = shrink_noise(noisy, np.full((90, 12), 0.02**2))
     assert (found - pose).std() < 0.6 * (noisy - pose).std()
 
 
@@ -182,7 +183,7 @@ def test_the_prior_leaves_small_movements_of_who_stands_to_them() -> None:
     rng = np.random.default_rng(3)
     sway = 0.004 * np.sin(np.arange(90) / 6)[:, None, None] * rng.normal(0, 1, (1, 12, 3))
     pose = rng.normal(0, 0.5, (1, 12, 3)) + sway
-    found = shrink_noise(pose, np.full((90, 12), 0.02**2), np.zeros((0, 2), np.int32))
+    found = shrink_noise(pose, np.full((90, 12), 0.02**2))
     assert (found - pose).std() < 0.2 * sway.std()
 
 
@@ -262,25 +263,6 @@ def test_no_result_is_logged_before_its_look_ahead() -> None:
     late = np.array([f.log_time - f.stamp for f in frames[:-10]])
     assert (late >= 100_000_000).all()
     assert np.median(late) < 400_000_000  # of which the tracker has a part
-
-
-def test_the_learned_white_noise_is_the_simulated_one() -> None:
-    rng = np.random.default_rng(3)
-    frames = [
-        Frame.empty(1, POINT, stamp=33_000_000 * k + 5_000_000 * c + 10**9, source="ab"[c])
-        for k in range(400)
-        for c in range(2)
-    ]
-    for k, frame in enumerate(frames):
-        frame.ids[:] = 0
-        frame.markers[0, 0, :3] = np.sin(k / 100) + rng.normal(0, [0.004, 0.008][k % 2], 3)
-        frame.marker_confidences[:] = frame.confidences[:] = 0.9
-    noise = learn_noise(map(Block.of, frames), POINT, MergeParams(), {})
-    ratio = noise.cameras["b"] / noise.cameras["a"]
-    assert isinstance(noise, FusionNoise)
-    assert np.sqrt(ratio) == pytest.approx(2, rel=0.15)
-    white = np.sqrt(noise.joints[0] * noise.cameras["a"])
-    assert white == pytest.approx(0.004, rel=0.15)
 
 
 def test_the_causal_variant_knows_nothing_of_the_future() -> None:

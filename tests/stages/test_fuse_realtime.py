@@ -10,12 +10,24 @@ from builders import Room, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
-from hiros_mcap.frames import Block, by_frame, frames_of
+from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels import fusing
-from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
-from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.constrain import ConstrainParams, measured_lengths
-from hiros_mcap.stages.live_bodies import RecentMotion, RunningLengths, constrain_live
+from hiros_mcap.kernels.fusing import (
+    POSE,
+    FusedPoses,
+    FusionWork,
+    JointNoise,
+    JointStates,
+    Sightings,
+    Steps,
+)
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.constrain import ConstrainParams, constrain_blocks
+from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.pair_lengths import RunningLengths, measured_lengths
+from hiros_mcap.stages.pose_prior import RecentMotion
+from hiros_mcap.stages.running_noise import RunningNoise
+from hiros_mcap.stages.sightings import chosen
 from hiros_mcap.systems import Run, system
 
 MS = 1_000_000
@@ -125,10 +137,10 @@ def test_running_lengths_become_those_of_the_whole() -> None:
     poses[17] = np.nan
     pairs = np.array([[0, 1]], np.int32)
     running = RunningLengths(pairs, np.arange(2, dtype=np.int32))
-    for k, pose in enumerate(poses):
-        running.update(pose, variances[k])
-    assert running.lengths == pytest.approx(measured_lengths(poses, variances, pairs), abs=0.002)
-    assert running.lengths == pytest.approx(0.25, abs=0.003)
+    running.update(poses, variances)
+    lengths = running.result().lengths
+    assert lengths == pytest.approx(measured_lengths(poses, variances, pairs), abs=0.002)
+    assert lengths == pytest.approx(0.25, abs=0.003)
 
 
 def swinging(seconds: float) -> tuple[Floats, Floats]:
@@ -163,9 +175,29 @@ def test_a_motion_that_was_never_seen_is_not_held_back() -> None:
 def test_lengths_stay_once_they_are_known() -> None:
     frames = result(walk(), walk().frames, "hiros-realtime")
     params = ConstrainParams(window=0.0, enough=1.5)
-    out = list(frames_of(constrain_live(map(Block.of, frames), walk().model, params)))
+    out = list(by_frame(constrain_blocks)(frames, walk().model, params))
     assert [f.log_time for f in out] == [f.log_time for f in frames]
     links = walk().model.links
     poses = np.array([f.positions[f.ids == 0][0] for f in out[60:] if 0 in f.ids])
     lengths = np.linalg.norm(poses[:, links[:, 0]] - poses[:, links[:, 1]], axis=2)
     assert (np.nanstd(lengths, axis=0) / np.nanmean(lengths, axis=0) < 0.02).all()
+
+
+def test_a_camera_with_twice_the_noise_gets_four_times_the_variance() -> None:
+    rng = np.random.default_rng(3)
+    n = 3600
+    instants, cameras = np.arange(n), np.arange(n) % 2
+    views = Sightings.allocate(n, 1)._replace(
+        instants=instants,
+        people=np.zeros(n, np.int64),
+        cameras=cameras,
+        stamps=10**9 + 16_500_000 * instants,
+        positions=np.sin(instants / 200)[:, None, None]
+        + rng.normal(size=(n, 1, 3)) * np.array([0.004, 0.008])[cameras][:, None, None],
+        confidences=np.full((n, 1), 0.9),
+    )
+    model = SkeletonModel.of(["A"], [])
+    noise = RunningNoise.of(FusionNoise.default(model))
+    for part in np.array_split(instants, 60):
+        noise.variances(chosen(views, part), ["a", "b"], {})
+    assert noise.cameras["b"] / noise.cameras["a"] == pytest.approx(4.0, rel=0.2)

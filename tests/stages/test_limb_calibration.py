@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block
+from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.limb_calibration import (
     Calibration,
@@ -17,7 +17,9 @@ from hiros_mcap.stages.limb_calibration import (
     mean_lengths,
     moments_of,
 )
-from hiros_mcap.stages.optimize import OptimizeParams, optimize
+from hiros_mcap.stages.optimize import OptimizeParams, optimize_blocks
+
+optimize = by_frame(optimize_blocks)
 
 ARM = SkeletonModel.of(
     ["shoulder", "elbow", "wrist", "hand"],

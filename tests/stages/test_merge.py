@@ -15,10 +15,12 @@ from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.kernels import merging
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.merge import MergeParams, merge, merge_blocks
+from hiros_mcap.stages.merge import MergeParams, merge_blocks
+
+merge = by_frame(merge_blocks)
 
 PLAIN = MergeParams(
     robust_scale=0.0, confidence_power=1.0, past_votes=False, offset_time=0.0, bridge=0.0

@@ -9,6 +9,7 @@ from skeleton_makers import energies, energy_of, lengths_of, random_model, rando
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.energy import (
     W_DISTAL,
     W_LENGTH,
@@ -20,7 +21,9 @@ from hiros_mcap.kernels.energy import (
 from hiros_mcap.kernels.normal_equations import NormalEquations, solve_equations
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.elimination import topology_of
-from hiros_mcap.stages.optimize import OptimizeParams, block_solver, optimize
+from hiros_mcap.stages.optimize import OptimizeParams, block_solver, optimize_blocks
+
+optimize = by_frame(optimize_blocks)
 
 MODEL = SkeletonModel.of(
     ["pelvis", "chest", "shoulder", "elbow", "wrist", "hand", "hip", "knee"],

@@ -9,10 +9,13 @@ import pytest
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, by_frame, join
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.merge import merge
-from hiros_mcap.stages.plausible import PlausibleParams, drop_implausible, drop_implausible_blocks
+from hiros_mcap.stages.merge import merge_blocks
+from hiros_mcap.stages.plausible import PlausibleParams, drop_implausible_blocks
+
+merge = by_frame(merge_blocks)
+drop_implausible = by_frame(drop_implausible_blocks)
 
 CAMERAS = {"a": np.array([-3.0, 0.0, 1.0]), "b": np.array([0.0, -3.0, 1.0])}
 WRIST = MODEL.marker_names.index("WRIST_LEFT")

@@ -11,7 +11,7 @@ from builders import same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, frames_of, join
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.pipeline import process
 from hiros_mcap.running.process_options import ProcessOptions
@@ -19,9 +19,11 @@ from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.fuse import FuseParams, fuse, fuse_blocks
+from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.log_histograms import histograms, medians
 from hiros_mcap.summary import ScatterSummary, Summary
+
+fuse = by_frame(fuse_blocks)
 
 BODY = SkeletonModel.of([f"m{k}" for k in range(8)], [])
 CAMERAS = "abc"

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import by_frame
 from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
@@ -35,7 +36,10 @@ from hiros_mcap.skeletons import (
     People,
 )
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.stages.track import TrackParams, track
+from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.track_params import TrackParams
+
+track = by_frame(track_blocks)
 
 settings_of_hypothesis = hypothesis_settings(deadline=None, max_examples=25)
 AT_ONCE = TrackParams(
@@ -788,7 +792,7 @@ def test_a_doubted_person_who_walks_after_all_has_the_old_id() -> None:
     events = Events()
     tracked = list(track(frames, MODEL, events=events, cameras=CAMERAS))
     of_hidden = [f.ids[2] for f in tracked if f.n_people == 3]
-    assert "track withdrawn" in {event.kind for event in events.log}
+    assert any(event.kind == "track withdrawn" and event.is_warning for event in events.log)
     assert of_hidden[-1] >= 0
     assert len({i for i in of_hidden if i >= 0}) == 1
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import re
-from io import BytesIO
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +21,9 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
 from hiros_viewer import curves  # noqa: E402
-from hiros_viewer.figures import with_gaps  # noqa: E402
-from hiros_viewer.hover import curves_json  # noqa: E402
+from hiros_viewer.figures import new_axes, with_gaps  # noqa: E402
+from hiros_viewer.interactive import curves_json  # noqa: E402
+from hiros_viewer.page import Page  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -92,10 +95,12 @@ def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: P
     page = tmp_path / "a.html"
     assert run(["plot", str(processed), "-o", str(page), "-q"]) == 0
     text = page.read_text(encoding="utf-8")
-    assert text.count("<svg") == 6
+    assert text.count('<div class="curves"') == 6
+    assert len(text) < 4e6
     assert "Person 0" in text
     assert "Person 1" in text
-    assert not re.findall(r"""(?:src|href)=["'](?!#)""", text)
+    outside = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    assert not re.findall(r"""(?:src|href)=["'](?!#)""", outside)
 
 
 def test_a_page_says_of_what_it_is_and_how_good(processed: Path, tmp_path: Path) -> None:
@@ -111,19 +116,43 @@ def test_a_page_says_of_what_it_is_and_how_good(processed: Path, tmp_path: Path)
         assert fact in text
 
 
-def test_curves_have_their_values_under_the_pointer(processed: Path) -> None:
-    data = collected(processed)
-    figure = curves.figure_of(data, "angles", 1)
-    figure.savefig(BytesIO(), format="svg")
-    plots = json.loads(curves_json(figure))
-    assert len(plots) == 14
-    true, result = plots[0]["curves"]
-    assert (true["name"], result["name"]) == ("truth", "result")
-    drawn = np.asarray(figure.axes[0].lines[-1].get_ydata())
-    shown = np.array([np.nan if y is None else y for y in result["y"]])
-    assert np.allclose(shown, drawn, rtol=1e-4, equal_nan=True)
-    width = 72 * figure.get_figwidth()
-    assert all(0 < plot["left"] < plot["right"] <= width for plot in plots)
+def curves_in(text: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The x and y of every curve of a page's plots."""
+
+    def objects(node: object) -> Iterator[dict]:
+        if isinstance(node, dict):
+            yield node
+        children = node.values() if isinstance(node, dict) else node
+        for child in children if isinstance(node, dict | list) else ():
+            yield from objects(child)
+
+    def values(array: dict) -> np.ndarray:
+        return np.frombuffer(
+            gzip.decompress(base64.b64decode(array["array"]["data"])), array["dtype"]
+        )
+
+    sources = [n for n in objects(json.loads(text)) if n.get("name") == "ColumnDataSource"]
+    columns = [dict(n["attributes"]["data"]["entries"]) for n in sources]
+    return [(values(c["x"]), values(c["y"])) for c in columns]
+
+
+def test_a_page_holds_the_values_of_its_curves(processed: Path) -> None:
+    figure = curves.figure_of(collected(processed), "angles", 1)
+    shown = curves_in(curves_json(figure, "f1"))
+    assert len(shown) == 28  # truth and result of 14 angles
+    for line in (line for axes in figure.axes for line in axes.lines[1:]):
+        drawn = np.asarray(line.get_ydata(), np.float32)
+        assert any(np.array_equal(y, drawn, equal_nan=True) for _, y in shown)
+
+
+def test_a_long_curve_is_thinned_and_the_page_says_so() -> None:
+    page = Page("long")
+    figure, axes = new_axes(8, 3)
+    axes.plot(np.arange(9000) / 30, np.sin(np.arange(9000)), label="knee")
+    page.figure(figure, "Angles.")
+    (points,) = {len(x) for x, _ in curves_in(curves_json(figure, "f1"))}
+    assert points == 4500
+    assert "Angles. 1 of 2 instants is drawn." in page.html()
 
 
 @pytest.mark.parametrize(

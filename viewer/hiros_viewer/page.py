@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hiros_mcap.outputs import HTML_MARK, write_text
-from hiros_viewer.hover import SCRIPT, STYLE, curves_json
+from hiros_viewer.interactive import curves_json, has_curves, library, thinned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,8 +39,7 @@ figure { margin: 1rem 0; } figure svg { max-width: 100%; height: auto; }
   body { color: #dde3ea; background: #14171a; }
   .about, caption, figcaption { color: #9aa4af; }
   th, td { border-color: #2c333b; } th { border-color: #57606a; }
-  figure svg { filter: invert(.92) hue-rotate(180deg); }
-  .at { background: #2c333b; }
+  figure > svg, .curves { filter: invert(.92) hue-rotate(180deg); }
 }
 """
 
@@ -54,6 +53,8 @@ class Page:
         """Lines below the title: of which log, when, how, and the verdict."""
         self._parts: list[str] = []
         self._figures = 0
+        self._curves: dict[str, str] = {}
+        """Element -> its plots."""
 
     def heading(self, text: str) -> None:
         """Start a section."""
@@ -78,26 +79,34 @@ class Page:
         )
 
     def figure(self, figure: Figure, caption: str = "") -> None:
-        """Add a matplotlib figure as inline SVG; the same figure gives the same bytes.
+        """Add a matplotlib figure; the same figure gives the same bytes.
 
-        Where curves have names, their values are shown under the pointer.
+        Where curves have names the plot can be zoomed and read; others are SVG pictures.
         """
         self._figures += 1
+        name = f"f{self._figures}"
+        if has_curves(figure):
+            if (step := thinned(figure)) > 1:
+                caption = f"{caption} 1 of {step} instants is drawn.".strip()
+            self._curves[name] = curves_json(figure, name)
+            drawn = f'<div class="curves" id="{name}"></div>'
+        else:
+            drawn = _svg(figure, name)
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-        svg = _svg(figure, f"f{self._figures}")
-        curves = curves_json(figure)
-        data = f' data-curves="{escape(curves)}"' if curves else ""
-        self._parts.append(f"<figure{data}>{svg}{below}</figure>")
+        self._parts.append(f"<figure>{drawn}{below}</figure>")
 
     def html(self) -> str:
         """Return the page."""
         parts = "\n".join(self._parts)
         about = "".join(f'<p class="about">{escape(line)}</p>\n' for line in self.about if line)
-        script = f"<script>{SCRIPT}</script>\n" if "data-curves=" in parts else ""
+        script = ""
+        if self._curves:
+            plots = "".join(f"Bokeh.embed.embed_item({each});\n" for each in self._curves.values())
+            script = _script(library()) + _script(plots.replace("</", "<\\/"))
         return (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{STYLE}{_STYLE}</style>"
+            f"{HTML_MARK}\n<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>"
             f"</head>\n<body><h1>{escape(self.title)}</h1>\n{about}{parts}\n{script}</body></html>\n"
         )
 
@@ -107,6 +116,10 @@ class Page:
         Raises LogError if the file cannot be written.
         """
         write_text(path, self.html())
+
+
+def _script(text: str) -> str:
+    return f"<script>{text}</script>\n"
 
 
 def _svg(figure: Figure, prefix: str) -> str:

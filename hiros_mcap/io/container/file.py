@@ -83,6 +83,6 @@ class LogFile:
 
 
 def _refused(path: Path, error: Exception) -> LogError:
-    """LogError that names what the operating system reason."""
+    """LogError with the reason that the operating system gives."""
     reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return LogError(f"cannot be read: {reason}", path=path)

@@ -1,0 +1,212 @@
+"""What a run has to know before its first stage: where the cameras stand, and how their clocks go.
+
+Every run is prepared here: of a file, of live input, of one system among several, and of a
+recording that is scored against itself. :func:`prepare` is the order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.body.transforms import read_clocks
+from hiros_mcap.config import ClockParams, Config
+from hiros_mcap.errors import ConfigError
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.io.log import Log
+from hiros_mcap.running.clock_alignment import ClockAlignment
+from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
+from hiros_mcap.running.pose_follower import PoseFollower
+from hiros_mcap.running.process_options import Calibration, ProcessOptions
+from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.skeletons import Floats
+from hiros_mcap.stages.limb_calibration import calibrate_limbs
+from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
+
+if TYPE_CHECKING:
+    from hiros_mcap.stages.fusion_noise import FusionNoise
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A log, and what is known of its cameras."""
+
+    log: Log
+    config: Config
+    """With the clocks that belong to the poses."""
+    options: ProcessOptions
+    clocks: ClockAlignment
+    poses: PoseAlignment
+    watch: Stopwatch
+
+    def detections(self) -> Iterator[Block]:
+        """Read the log: detections at corrected times, in the fixed frame, where better poses are.
+
+        Raises LogError where the log is damaged.
+        """
+        blocks = self.clocks.correct(self.log.blocks())
+        if _follows_poses(self.config, self.options):
+            blocks = PoseFollower(self.log, self.poses).correct(blocks)
+        return blocks
+
+
+def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch) -> Prepared:
+    """Find out how the cameras of a log stand and how their clocks go.
+
+    Raises
+    ------
+    LogError
+        The cameras' frames are not joined, and the people do not tell their poses either.
+    ConfigError
+        A parameter names a camera that is not there, or contradicts ``--calibrate require``.
+    """
+    mode = _calibration(log, config, options)
+    # Clocks of a file with poses; the user's own come first.
+    config = _with_clocks(config, log, options.extrinsics)
+    # Poses and clocks, by the times of all messages and by the people.
+    with watch.timing("calibrate"):
+        clocks, poses = align_cameras(log, config, mode, _reorder_of(config, options.system))
+    return Prepared(log, config, options, clocks, poses, watch)
+
+
+def preparation_key(config: Config, options: ProcessOptions) -> tuple[object, ...]:
+    """Return what a preparation depends on: runs with equal keys can share one."""
+    reorder = _reorder_of(config, options.system)
+    settings = config.input.model_dump_json(), config.clock.model_dump_json(), reorder
+    return *settings, options.topics, options.extrinsics, options.calibrate, options.recover
+
+
+def set_up(
+    prepared: Prepared,
+    config: Config | None = None,
+    options: ProcessOptions | None = None,
+    read: Callable[[], Iterable[Block]] | None = None,
+) -> Run:
+    """Return what the stages share, after the passes over the log that they need first.
+
+    Parameters
+    ----------
+    prepared : the log.
+    config, options : of the stages, if they are not those of the preparation.
+    read : gives the detections, for a first pass; None reads the log.
+
+    Raises ConfigError for a calibration window that starts after the end of the log, and for a
+    joint with a known noise that the log does not have.
+    """
+    log, config = prepared.log, config or prepared.config
+    options, read = options or prepared.options, read or prepared.detections
+    _check_windows(log, config)
+    run = Run(
+        model=log.model,
+        config=config,
+        limbs=LimbTable.load(options.limbs_in) if options.limbs_in else LimbTable(),
+        cameras=camera_positions(log),
+        fixed_frame=log.fixed_frame,
+        system=options.system,
+        noise=_given_noise(log, config, options),
+        to_given=prepared.poses.to_given,
+    )
+    _calibrate_first(run, chain_of(options.system, options.stages), read)
+    return run
+
+
+def camera_positions(log: Log) -> dict[str, Floats]:
+    """Source -> (3,) position of each camera in the fixed frame, m.
+
+    A camera whose detections already are in the fixed frame has no known position.
+    """
+    poses = [(camera, log.pose_of(camera)) for camera in log.cameras]
+    return {
+        name: pose.translation
+        for camera, pose in poses
+        for name in camera.sources.values()
+        if pose is not None
+    }
+
+
+def stages_of(run: Run, chain: Sequence[str]) -> Stages:
+    """Return the stages of a run by their output channels, in order."""
+    table = system(run.system).stages(run)
+    return {name: table[name] for name in chain}
+
+
+def _calibration(log: Log, config: Config, options: ProcessOptions) -> Calibration:
+    """Return how the poses are refined before a run: a causal or published one does not wait."""
+    given = config.input.poses == "given"
+    if config.input.clocks != "causal" and not given and not log.is_live:
+        return options.calibrate
+    if options.calibrate == "require":
+        raise ConfigError(
+            "--calibrate require contradicts input.poses=given, which the presets paper and "
+            "upstream set"
+            if given
+            else "--calibrate require needs the whole log at once, and a causal run refines poses "
+            "as it goes on; find them with hiros calibrate people and pass them with --extrinsics"
+        )
+    return "off"
+
+
+def _follows_poses(config: Config, options: ProcessOptions) -> bool:
+    """Whether a run refines the poses as it goes on, by what was seen before."""
+    causal = config.input.clocks == "causal" and config.input.poses != "given"
+    return causal and options.calibrate != "off"
+
+
+def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
+    """Add the clocks of a file with poses to the configuration, whose own come first."""
+    names = {name for camera in log.cameras for name in camera.sources.values()}
+    clocks = read_clocks(extrinsics) if extrinsics is not None else {}
+    used = {name: seconds for name, seconds in clocks.items() if name in names}
+    if not used:
+        return config
+    clock = ClockParams.model_validate({**used, **config.clock.seconds})
+    return config.model_copy(update={"clock": clock})
+
+
+def _reorder_of(config: Config, name: str) -> float:
+    """Return the longest time, s, by which a system's first stage takes messages that are late."""
+    first = config.track if "track" in sections_of(name) else config.associate
+    return first.reorder
+
+
+def _check_windows(log: Log, config: Config) -> None:
+    start, end = log.span
+    seconds = (end - start) / 1e9
+    for first, last in config.optimize.calibration_windows:
+        if 0 < first >= seconds:
+            raise ConfigError(
+                f"{log.path}: ends after {seconds:.1f} s, before the calibration window "
+                f"{first:g}:{last:g} starts"
+            )
+
+
+def _given_noise(log: Log, config: Config, options: ProcessOptions) -> FusionNoise | None:
+    """Return the measured noise of the detectors, if the configuration has some and it is used.
+
+    Raises ConfigError for a joint that the log's skeleton does not have.
+    """
+    if "fuse" not in sections_of(options.system) or not config.noise.model_extra:
+        return None
+    from hiros_mcap.stages.fusion_noise import FusionNoise
+
+    fuse, noise = config.fuse, config.noise
+    usual = FusionNoise.default(log.model, fuse.acceleration, fuse.offset, fuse.offset_time)
+    tables = noise.table("joints"), noise.table("cameras")
+    return usual.measured(log.model, noise.numbers, *tables)
+
+
+def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable[Block]]) -> None:
+    """Measure the limbs on the whole log before the run, if it is to have two passes."""
+    wanted = "optimize" in sections_of(run.system) and "optimized" in chain
+    if not wanted or run.config.optimize.calibration != "two-pass" or run.limbs.people:
+        return
+    first_pass = replace(run, events=Events(), limbs=LimbTable())
+    blocks = read()
+    for stage in stages_of(first_pass, chain[: chain.index("optimized")]).values():
+        blocks = stage(blocks)
+    table = calibrate_limbs(frames_of(blocks), run.model, run.config.optimize, run.events)
+    run.limbs.people.update(table.people)

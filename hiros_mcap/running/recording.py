@@ -1,0 +1,109 @@
+"""A recording in memory: read and prepared once, then run by several systems or on some cameras.
+
+::
+
+    recording = Recording.read("lab.mcap", config, options)
+    everybody = recording.run(config, options)["filtered"]
+    others = recording.run(config, options, recording.sources - {"camera_0"})["filtered"]
+
+Clocks and poses are those that :func:`hiros_mcap.running.pipeline.process` uses, and so are the
+results, before they are rounded for a file. Poses and clocks come from all cameras, also where a
+run has some of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hiros_mcap.config import Config
+from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.running.pipeline import open_input, stream
+from hiros_mcap.running.preparation import Prepared, prepare, set_up
+from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.stopwatch import Stopwatch
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.systems import chain_of
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The detections of a log, at corrected times and in the fixed frame."""
+
+    prepared: Prepared
+    blocks: Sequence[Block]
+
+    @classmethod
+    def read(
+        cls, source: str | os.PathLike[str], config: Config, options: ProcessOptions
+    ) -> Recording:
+        """Read a log as a run with these settings does.
+
+        Raises LogError and ConfigError as :func:`hiros_mcap.running.pipeline.process` does.
+        """
+        with open_input(source, config, options) as log:
+            prepared = prepare(log, config, options, Stopwatch())
+            _ = log.span  # needs the file
+            return cls(prepared, tuple(prepared.detections()))
+
+    @property
+    def model(self) -> SkeletonModel:
+        """Of the detections and of all results."""
+        return self.prepared.log.model
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Camera -> its topic, in the order of the log's channels."""
+        cameras = self.prepared.log.cameras
+        return {name: c.channel.topic for c in cameras for name in c.sources.values()}
+
+    @property
+    def sources(self) -> frozenset[str]:
+        """Cameras that sent anything."""
+        return frozenset(source for block in self.blocks for source in block.sources)
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the detections."""
+        return frames_of(self.blocks)
+
+    def head(self, messages: int) -> Recording:
+        """Return the beginning of the recording, of at least so many messages if it has them."""
+        sizes = np.cumsum([len(block) for block in self.blocks])
+        return replace(self, blocks=self.blocks[: int(np.searchsorted(sizes, messages)) + 1])
+
+    def run(
+        self, config: Config, options: ProcessOptions, sources: Collection[str] | None = None
+    ) -> dict[str, list[Frame]]:
+        """Run the stages; return what comes out of each, by the name of its channel.
+
+        Parameters
+        ----------
+        config, options : of the stages; the preparation stays as it is.
+        sources : cameras to use, None = all.
+
+        Raises ConfigError for a parameter that does not fit the log.
+        """
+        chain = chain_of(options.system, options.stages)
+        results: dict[str, list[Frame]] = {name: [] for name in chain}
+
+        def keep(channel: str, block: Block) -> None:
+            if channel in results:
+                results[channel] += block.frames()
+
+        read: Callable[[], Iterator[Block]] = partial(self._blocks_of, sources)
+        run = set_up(self.prepared, config, options, read)
+        for _ in stream(read(), run, chain, [keep], Stopwatch()):
+            pass
+        return results
+
+    def _blocks_of(self, sources: Collection[str] | None) -> Iterator[Block]:
+        """Yield the detections of some cameras."""
+        for block in self.blocks:
+            if sources is None or set(block.sources) <= set(sources):
+                yield block
+            elif rows := [i for i, source in enumerate(block.sources) if source in sources]:
+                yield block.select(rows, block.log_times[rows].tolist())

@@ -1,0 +1,192 @@
+"""Distances of markers that a body keeps constant: of links, and within head, thorax and pelvis.
+
+Noise of variance v along each axis lengthens them: L^2 = mean |d|^2 - 3 v. They are measured from
+many poses at once (:class:`AllPoses`) or on the way (:class:`RunningLengths`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
+from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
+
+_SURE = 0.005  # m; added to the deviations that weight a length
+_OUTLIER = 4.0  # robust standard deviations
+_FEWEST = 30  # poses that give a length
+
+
+class MeasuredLengths(NamedTuple):
+    """The K distances of one person."""
+
+    lengths: Floats
+    """(K,) m; 0 = unknown."""
+    deviations: Floats
+    """(K,) Standard deviations of the distances as they were seen, m."""
+    counts: Ints
+    """(K,) poses with both ends."""
+
+
+def without_noise(squares: Floats, varied: Floats, stated: Floats) -> Floats:
+    """Lengths, m, from mean ``squares`` of distances, m2.
+
+    The variance of the noise is that ``stated``, m2, and at most that by which the distance itself
+    ``varied``: an overstated one would shorten.
+    """
+    return np.asarray(np.sqrt(np.maximum(squares - 3 * np.minimum(stated, varied), 0.0)))
+
+
+def measured_lengths(positions: Floats, variances: Floats, pairs: Ints) -> Floats:
+    """(K,) Distances of markers without the part that noise adds, m; NaN = unknown.
+
+    Parameters
+    ----------
+    positions : (T, M, 3) m. variances : (T, M) m2 along each axis. pairs : (K, 2) slots.
+    """
+    a, b = pairs[:, 0], pairs[:, 1]
+    squares = ((positions[:, a] - positions[:, b]) ** 2).sum(axis=2)
+    noise = variances[:, a] + variances[:, b]
+    known = ~np.isnan(squares)
+    squares = np.where(known, squares, np.nan)
+    enough = known.sum(axis=0) >= _FEWEST
+    lengths = np.full(len(pairs), np.nan)
+    if not enough.any():
+        return lengths
+    squares, noise, known = squares[:, enough], noise[:, enough], known[:, enough]
+    middle = np.nanmedian(squares, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(squares - middle), axis=0)
+    clipped = np.clip(squares, middle - _OUTLIER * spread, middle + _OUTLIER * spread)
+    weights = known / (noise + 2 * _SURE**2)
+    mean = np.nansum(weights * clipped, axis=0) / weights.sum(axis=0)
+    stated = np.nansum(weights * noise, axis=0) / weights.sum(axis=0)
+    lengths[enough] = without_noise(mean, np.nanvar(np.sqrt(clipped), axis=0), stated)
+    return lengths
+
+
+class AllPoses:
+    """Measures distances from all poses of a person.
+
+    Parameters
+    ----------
+    pairs : (K, 2) slots.
+    """
+
+    def __init__(self, pairs: Ints) -> None:
+        self._pairs = pairs
+        self._poses: list[Floats] = []
+        self._variances: list[Floats] = []
+
+    def update(self, positions: Floats, variances: Floats) -> None:
+        """Take poses: (T, M, 3) m, (T, M) m2 along each axis."""
+        self._poses.append(positions)
+        self._variances.append(variances)
+
+    def result(self) -> MeasuredLengths:
+        """Return what the poses so far show."""
+        poses, variances = np.concatenate(self._poses), np.concatenate(self._variances)
+        lengths = np.nan_to_num(measured_lengths(poses, variances, self._pairs))
+        return MeasuredLengths(lengths, *_deviations(poses, self._pairs))
+
+
+class RunningLengths:
+    """Measures distances by running means, so the first poses use what there is.
+
+    Both sides of a body have the same lengths.
+
+    Parameters
+    ----------
+    pairs : (K, 2) slots. mirror : (M,) slot of the same joint on the other side.
+    """
+
+    def __init__(self, pairs: Ints, mirror: Ints) -> None:
+        self._a, self._b = pairs[:, 0], pairs[:, 1]
+        places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
+        others = np.sort(mirror[pairs], axis=1).tolist()
+        self._other = np.array([places.get((a, b), k) for k, (a, b) in enumerate(others)], np.int64)
+        """(K,) the same pair on the other side."""
+        self._counts = np.zeros(len(pairs), np.int32)
+        self._weight = np.zeros(len(pairs))
+        self._means = np.zeros((4, len(pairs)))
+        """Of the square of the distance, its square, the distance, and the noise."""
+
+    def update(self, positions: Floats, variances: Floats) -> None:
+        """Take poses: (T, M, 3) m, (T, M) m2 along each axis."""
+        for pose, noise in zip(positions, variances, strict=True):
+            self._add(pose, noise[self._a] + noise[self._b])
+
+    def _add(self, pose: Floats, noise: Floats) -> None:
+        squares = ((pose[self._a] - pose[self._b]) ** 2).sum(axis=1)
+        known = ~np.isnan(squares)
+        squares = np.where(known, squares, 0.0)
+        mean, mean_square = self._means[:2]
+        spread = np.sqrt(np.maximum(mean_square - mean**2, 0.0))
+        clipped = np.clip(squares, mean - _OUTLIER * spread, mean + _OUTLIER * spread)
+        squares = np.where(self._counts >= _FEWEST, clipped, squares)
+        new = known / (noise + 2 * _SURE**2)
+        self._weight += new
+        gain = new / np.maximum(self._weight, 1e-12)
+        values = np.stack([squares, squares**2, np.sqrt(squares), noise])
+        self._means += gain * (values - self._means)
+        self._counts += known
+
+    def result(self) -> MeasuredLengths:
+        """Return what the poses so far show."""
+        square, _, distance, stated = self._means
+        varied = np.maximum(square - distance**2, 0.0)
+        squares = without_noise(square, varied, stated) ** 2
+        weight, other = self._weight, self._other
+        both = np.maximum(weight + weight[other], 1e-12)
+        lengths = np.sqrt((weight * squares + weight[other] * squares[other]) / both)
+        return MeasuredLengths(lengths, np.sqrt(varied), self._counts)
+
+
+class PairLimbs:
+    """The lengths of links in the limb table of a run, as distances of pairs of markers.
+
+    Parameters
+    ----------
+    model : the skeleton. pairs : (K, 2) slots with a constant distance. limbs : known from before.
+    """
+
+    def __init__(self, model: SkeletonModel, pairs: Ints, limbs: LimbTable) -> None:
+        self._limbs, self._keys = limbs, link_keys(model)
+        places = {(a, b): k for k, (a, b) in enumerate(pairs.tolist())}
+        ends = np.sort(model.links, axis=1).tolist()
+        self._places = {
+            key: places.get((a, b)) for key, (a, b) in zip(self._keys, ends, strict=True)
+        }
+        self._given = {person: limbs.lengths(person, model) for person in limbs.people}
+
+    def given_or(self, person: int, lengths: Floats) -> Floats:
+        """Return (K,) lengths, m, with those that the person had before."""
+        if person not in self._given:
+            return lengths
+        out = lengths.copy()
+        for key, length in zip(self._keys, self._given[person].tolist(), strict=True):
+            place = self._places[key]
+            if place is not None and not np.isnan(length):
+                out[place] = length
+        return out
+
+    def keep(self, person: int, measured: MeasuredLengths) -> None:
+        """Put what was measured into the table, unless the person's lengths were given."""
+        if person in self._given:
+            return
+        lengths, deviations, frames = measured
+        self._limbs.people[person] = {
+            key: Limb(float(lengths[k]), float(deviations[k]), int(frames[k]))
+            for key, k in self._places.items()
+            if k is not None and lengths[k] > 0
+        }
+
+
+def _deviations(poses: Floats, pairs: Ints) -> tuple[Floats, Ints]:
+    """(K,) Standard deviations of the distances of pairs, m, and the number of poses with each."""
+    distances = np.linalg.norm(poses[:, pairs[:, 0]] - poses[:, pairs[:, 1]], axis=2)
+    known = ~np.isnan(distances)
+    n = np.maximum(known.sum(axis=0), 1)
+    means = np.where(known, distances, 0.0).sum(axis=0) / n
+    squares = np.where(known, (distances - means) ** 2, 0.0).sum(axis=0) / n
+    return np.sqrt(squares), known.sum(axis=0).astype(np.int32)
