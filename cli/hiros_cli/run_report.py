@@ -159,6 +159,7 @@ def _people(people: Sequence[PersonSummary]) -> Table | Text:
         ">Person",
         ">Seconds",
         ">Frames",
+        ">Predicted",
         ">Cameras",
         "Limb lengths",
         rows=[
@@ -166,6 +167,7 @@ def _people(people: Sequence[PersonSummary]) -> Table | Text:
                 str(person.id),
                 number(person.seconds, 1),
                 str(person.frames),
+                str(person.predicted),
                 str(len(person.cameras)),
                 _limbs(person.limbs),
             )

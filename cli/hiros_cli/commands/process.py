@@ -251,8 +251,8 @@ def process(
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
     from hiros_cli.compiling import prepare, run_roots
-    from hiros_cli.progress import bar
     from hiros_mcap.io.remote import is_remote
+    from hiros_mcap.running.progress_bar import bar
 
     many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
     source, wanted = Path(logs[0]), STREAM
