@@ -158,6 +158,8 @@ class PersonSummary:
     """Frames of the last stage that contain the person."""
     cameras: tuple[str, ...]
     """Names of the cameras that saw the person."""
+    predicted: int = 0
+    """Frames with a confidence below 0.1: nobody saw the person, who was predicted."""
     limbs: LimbSummary | None = None
     """None when the chain has no optimizer or the person was never calibrated."""
 

@@ -33,17 +33,17 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4300,
+    "hiros_cli": 4250,
     "hiros_viewer": 4500,
     "hiros_mcap": 2300,
     "body": 1800,
     "calibrate": 5400,
     "evaluate": 3000,
-    "io": 11400,
+    "io": 11750,
     "kernels": 10100,
     "many": 1200,
     "regression": 1700,
-    "running": 3000,
+    "running": 3080,
     "simulate": 2900,
     "stages": 7800,
     "systems": 400,

@@ -181,6 +181,7 @@ def _people(people: Sequence[PersonSummary]) -> Table | None:
         (">Person", lambda p: p.id),
         (">Seconds", lambda p: number(p.seconds, 1)),
         (">Frames", lambda p: p.frames),
+        (">Predicted", lambda p: p.predicted),
         (">Cameras", lambda p: len(p.cameras)),
         ("Limb lengths", lambda p: _limbs(p.limbs)),
     )

@@ -109,8 +109,8 @@ class Survey:
 
     def _read(self, spans: Sequence[Span], times: list[Stamps] | None = None) -> dict[str, Seen]:
         parts: dict[str, list[Seen]] = {}
-        parts = self.log.read(fixed=self.fixed, spans=spans, step=SPACING_NS, times=times)
-        for _, block in parts:
+        blocks = self.log.read(fixed=self.fixed, spans=spans, step=SPACING_NS, times=times)
+        for _, block in blocks:
             sources = np.array(block.sources)
             inside = np.zeros(len(block), np.bool_)
             for begin, end in spans:

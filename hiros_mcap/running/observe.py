@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import UNTRACKED
 
@@ -82,10 +83,12 @@ class Presence:
     first: int
     last: int
     frames: int = 0
+    predicted: int = 0
 
-    def add(self, stamp: int) -> None:
+    def add(self, stamp: int, *, is_predicted: bool) -> None:
         """Take note of a frame."""
         self.frames += 1
+        self.predicted += is_predicted
         self.first = min(self.first, stamp)
         self.last = max(self.last, stamp)
 
@@ -119,10 +122,16 @@ class Observer:
             for source, ids in zip(block.sources, _ids(block), strict=True):
                 self.seen_by[source].update(ids)
         if channel == self.chain[-1]:
-            for stamp, ids in zip(block.stamps.tolist(), _ids(block), strict=True):
-                for person in ids:
-                    if person != UNTRACKED:
-                        self.people.setdefault(person, Presence(stamp, stamp)).add(stamp)
+            self._count(block)
+
+    def _count(self, block: Block) -> None:
+        """Take note of who is in the frames of the last stage."""
+        ids, unseen = block.people.ids.tolist(), block.people.confidences < LEAST_CONFIDENCE
+        for stamp, (begin, end) in zip(block.stamps.tolist(), block.rows.tolist(), strict=True):
+            for row in range(begin, end):
+                if ids[row] != UNTRACKED:
+                    presence = self.people.setdefault(ids[row], Presence(stamp, stamp))
+                    presence.add(stamp, is_predicted=bool(unseen[row]))
 
     def cameras_of(self, person: int) -> tuple[str, ...]:
         """Return the sorted names of the cameras that saw a person."""

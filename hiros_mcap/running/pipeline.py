@@ -13,10 +13,12 @@ live input (:mod:`hiros_mcap.running.process_live`) differ in their output alone
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError, LogError
@@ -48,9 +50,10 @@ def process(
     *,
     config: Config | None = None,
     options: ProcessOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool = False,
     watcher: Watcher | None = None,
     force: bool = False,
+    **choices: Any,
 ) -> Summary:
     """Turn the detections of a log into clean skeletons.
 
@@ -60,8 +63,10 @@ def process(
     target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
         a ROS 2 bag.
     config : parameters of the stages. options : what is read, run and written.
-    progress : follows how far the run is. watcher : sees every frame on the way.
+    progress : follows how far the run is; True shows a bar. watcher : sees every frame on the way.
     force : replace files that hiros did not write.
+    choices : fields of :class:`ProcessOptions`, in place of those of ``options``:
+        ``process("lab.mcap", "clean.mcap", system="hiros", calibrate="off")``.
 
     Raises
     ------
@@ -69,9 +74,9 @@ def process(
         ``source`` is damaged, holds no skeletons or lacks a transform; ``target`` cannot be
         written, is ``source``, or exists and was not written by hiros.
     ConfigError
-        a parameter or a side file is wrong.
+        a parameter or a side file is wrong, or there is no such field.
     """
-    options = options or ProcessOptions()
+    options = _chosen(options or ProcessOptions(), choices)
     config = config or load_config(system=options.system)
     check_limbs(options)
     kind = "log" if target is None else target_kind(target)
@@ -86,8 +91,30 @@ def process(
             kept = kept_channels(log, options)
             refuse_foreign_encodings((i for i in log.channels if i.id in kept), Path(path or ""))
         prepared = prepare(log, config, options, watch)
-        report = run_log(prepared, partial(open_output, path), watcher, progress)
+        with _following(progress) as follower:
+            report = run_log(prepared, partial(open_output, path), watcher, follower)
         return report.summary(None if target is None else str(target))
+
+
+def _chosen(options: ProcessOptions, choices: Mapping[str, Any]) -> ProcessOptions:
+    """Replace fields; raises ConfigError for one that does not exist."""
+    known = [field.name for field in fields(ProcessOptions)]
+    for name in choices:
+        if name not in known:
+            raise ConfigError(f"process has no option {name!r} (there are: {', '.join(known)})")
+    return replace(options, **choices)
+
+
+@contextmanager
+def _following(progress: Progress | bool) -> Iterator[Progress | None]:
+    """Yield what follows the run: nothing, what was given, or a bar."""
+    if isinstance(progress, bool):
+        from hiros_mcap.running.progress_bar import bar
+
+        with bar("process", quiet=not progress, always=True) as shown:
+            yield shown
+    else:
+        yield progress
 
 
 def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:

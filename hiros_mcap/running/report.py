@@ -135,6 +135,7 @@ class Report:
             last_ns=presence.last,
             frames=presence.frames,
             cameras=self.observer.cameras_of(person),
+            predicted=presence.predicted,
             limbs=self._limbs(person),
         )
 

@@ -26,7 +26,7 @@ from hiros_cli.commands import app
 from hiros_cli.commands.simulate import _params
 from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.help_page import EXAMPLES
-from hiros_mcap import kernels
+from hiros_mcap import __version__, kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.log import open_log
@@ -358,3 +358,18 @@ def test_help_names_no_python_types(command: str, capsys: pytest.CaptureFixture[
     text = capsys.readouterr().out
     assert not re.findall(r"<\w+|\bPath\b|\{[A-Z]|[<>]=|\[default: \(", text)
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_the_version_and_help_have_the_spellings_that_people_try(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["-V"]) == 0
+    assert capsys.readouterr().out == f"hiros {__version__}\n"
+    assert run(["export", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert run(["help", "export"]) == 0
+    assert capsys.readouterr().out == shown
+    assert run(["help"]) == 0
+    assert "process" in capsys.readouterr().out
+    assert run(["calibrate"]) == 2
+    assert "people" in capsys.readouterr().out

@@ -175,3 +175,12 @@ def test_limb_lengths_are_told_in_words() -> None:
     rejected = LimbSummary(0, np.nan, np.nan, "", accepted=False, reason="seen for 0.3 s")
     assert _limbs(rejected) == "not calibrated, skeletons unchanged: seen for 0.3 s"
     assert _limbs(None) == "-"
+
+
+def test_frames_in_which_a_person_is_merely_predicted_are_counted() -> None:
+    observer = Observer(["filtered"])
+    for k, confidence in enumerate([0.8, 0.3, 0.09, 0.02, np.nan]):
+        frame = seen([person()], at(k))
+        frame = frame.replace(ids=np.array([4], np.int32), confidences=np.array([confidence]))
+        observer.see("filtered", Block.of(frame))
+    assert (observer.people[4].frames, observer.people[4].predicted) == (5, 2)

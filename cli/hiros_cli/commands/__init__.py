@@ -55,7 +55,9 @@ def hiros(
     context: typer.Context,
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", "-V", callback=_show_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
     debug: Annotated[
         bool,
@@ -100,6 +102,8 @@ def dispatch(arguments: list[str]) -> int:
         # As a path it would be the current folder; it is a shell variable that is not set.
         if not argument and not before.startswith("-"):
             raise ConfigError("an argument is empty; is a variable not set?")
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
     command = program()
     if completing.VARIABLE in os.environ:
         return completing.answer(command)

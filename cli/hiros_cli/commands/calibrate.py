@@ -21,12 +21,15 @@ _Report = TypeVar("_Report", "BallReport", "BoardReport")
 STILL_M = 0.1
 """Detections of somebody who stands still scatter by less."""
 
-app = typer.Typer(help="Measure cameras and parameters on a log.", no_args_is_help=True)
+app = typer.Typer(help="Measure cameras and parameters on a log.")
 
 
-@app.callback()
-def calibrate() -> None:
+@app.callback(invoke_without_command=True)
+def calibrate(context: typer.Context) -> None:
     """Measure cameras and parameters on a log."""
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+        raise typer.Exit(2)
 
 
 @app.command(cls=HelpfulCommand)

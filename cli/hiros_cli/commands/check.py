@@ -185,8 +185,8 @@ class _Reports:
 def _run_suite(
     path: Path, options: SuiteOptions, reports: _Reports, *, quiet: bool
 ) -> list[CaseResult]:
-    from hiros_cli.progress import bar
     from hiros_mcap.regression.suite import kept_path, load_suite, run_suite
+    from hiros_mcap.running.progress_bar import bar
 
     suite, keep = load_suite(path), options.keep
     kept = [] if keep is None else [kept_path(keep, case) for case in suite.cases]

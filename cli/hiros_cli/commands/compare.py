@@ -86,8 +86,8 @@ def compare(
     for path in paths:
         check_recording(path)
     prepare(quiet=quiet or json, everything=True)
-    from hiros_cli.progress import bar
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
+    from hiros_mcap.running.progress_bar import bar
 
     with ExitStack() as stack:
         if study == "people":

@@ -252,8 +252,8 @@ def process(
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
     from hiros_cli.compiling import importing, prepare
-    from hiros_cli.progress import bar
     from hiros_mcap.io.remote import is_remote
+    from hiros_mcap.running.progress_bar import bar
 
     many = ManyLogs(logs, output or "", jobs, cluster, csv, force, json, quiet)
     source, wanted = Path(logs[0]), STREAM

@@ -29,9 +29,13 @@ class Bar:
 
 
 @contextmanager
-def bar(label: str, *, quiet: bool) -> Iterator[Bar]:
-    """Show a bar with the time that remains on stderr until the end; nothing in a pipe."""
-    if quiet or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+def bar(label: str, *, quiet: bool, always: bool = False) -> Iterator[Bar]:
+    """Show a bar with the time that remains on stderr until the end.
+
+    In a pipe it shows nothing unless ``always``; a notebook is a pipe that can show it.
+    """
+    is_plain = not sys.stderr.isatty() or os.environ.get("TERM") == "dumb"
+    if quiet or (is_plain and not always):
         yield Bar()
         return
     from rich.console import Console
