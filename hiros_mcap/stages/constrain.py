@@ -129,7 +129,7 @@ class _Waiting:
     def pack(self) -> None:
         """Leave out the columns of markers and links that are NaN everywhere."""
         states = self.block.people.markers, self.block.people.links
-        self._used = [~np.isnan(each).all(axis=(0, 1)) for each in states]
+        self._used = [np.asarray(~np.isnan(each).all(axis=(0, 1))) for each in states]
         self._put(*[each[:, :, used] for each, used in zip(states, self._used, strict=True)])
 
     def whole(self) -> Block:
