@@ -32,8 +32,8 @@ ENOUGH = 0.75
 """If the stretches show people in a smaller share of their time, more of the log is read."""
 MOST_S = 120.0
 SPACING_NS = 60_000_000
-"""One frame in this time, every other one at 30 Hz. More tell little: the slow part of a detector's
-errors is the larger one."""
+"""About one frame in this time, every other one at 30 Hz. More tell little: the slow part of a
+detector's errors is the larger one."""
 ODD_S = 10.0
 
 Span = tuple[int, int]

@@ -385,8 +385,8 @@ class Log:
         ----------
         fixed : in the fixed frame, as :meth:`detections`; otherwise as :meth:`frames`.
         spans : log times, ns; only the parts of the file in which they lie are read.
-        step : ns; of a channel of one camera, little more than one message in each such interval
-            is decoded. 0 = all.
+        step : ns; of a channel of one camera, about one message in each such interval is decoded.
+            0 = all.
         times : gets the times of all messages of the log, for :meth:`times`; the whole file is
             then read.
         """
@@ -484,12 +484,16 @@ class Log:
             raise fault
 
 
+_SPARED = 0.75
+"""A message is left out if it comes after a smaller share of the interval: none is regular."""
+
+
 class _Spacing:
-    """Leaves messages out: of a channel of one camera, the first in each interval is kept.
+    """Leaves messages out: of a channel of one camera, those that come soon after a kept one.
 
     Parameters
     ----------
-    step : length of an interval, ns. cameras : the channels.
+    step : usual interval, ns. cameras : the channels.
     spans : log times, ns, outside of which no message is kept; None = all may be.
     """
 
@@ -499,13 +503,12 @@ class _Spacing:
         cameras: Iterable[CameraChannel],
         spans: Sequence[tuple[int, int]] | None = None,
     ) -> None:
-        self._step, self._spans = step, spans
+        self._least, self._spans = round(_SPARED * step), spans
         self._shared = {
             camera.channel.id
             for camera in cameras
             if len(camera.sources) != 1 or camera.channel.topic == f"{OUTPUT_PREFIX}/tracked"
         }
-        self._first: dict[int, int] = {}
         self._last: dict[int, int] = {}
 
     def thinned(
@@ -525,12 +528,12 @@ class _Spacing:
             inside |= (begin <= log_times) & (log_times <= end)
         if channel in self._shared:
             return inside
-        # Intervals count from the first message: a clock that is off gives the same messages.
-        first = self._first.setdefault(channel, int(times[0]) if len(times) else 0)
-        cells = (times - first) // self._step
-        before = np.append(self._last.get(channel, -1), cells[:-1])
-        self._last[channel] = int(cells[-1]) if len(cells) else -1
-        return np.asarray(inside & (cells != before[: len(cells)]))
+        last = self._last.get(channel, -self._least)
+        for k in np.flatnonzero(inside).tolist():
+            inside[k] = not 0 <= times[k] - last < self._least
+            last = int(times[k]) if inside[k] else last
+        self._last[channel] = last
+        return inside
 
 
 def _times_of(rows: Iterable[tuple[str, int, int, int]]) -> dict[str, CameraTimes]:
