@@ -19,8 +19,10 @@ import fsspec
 import pytest
 
 from hiros_cli.app import run
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io import remote
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.remote import local_copy
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +100,17 @@ def test_one_log_of_the_store(
     out = tmp_path / "out.mcap"
     assert run(["process", "s3://lab/in/mon/walk.mcap", "-o", str(out), "-q"]) == 0
     assert out.stat().st_size > 1_000_000
+
+
+def test_an_error_names_the_address_and_not_the_copy(walking: Path) -> None:
+    fsspec.filesystem("memory").pipe_file("/lab/cut.mcap", walking.read_bytes()[:300_000])
+    address = "memory://lab/cut.mcap"
+    with pytest.raises(LogError) as caught, local_copy(address) as path, McapReader(path):
+        pass
+    assert str(caught.value).startswith(f"{address}: truncated")
+    assert f"hiros recover {address}" in str(caught.value)
+    with pytest.raises(ConfigError, match=f"^{address}: no camera"), local_copy(address) as path:
+        raise ConfigError(f"{path}: no camera")
 
 
 def test_a_failed_log_leaves_nothing_in_the_store(store: Any, walking: Path) -> None:

@@ -7,11 +7,13 @@ during the imports of a command already finds its handler.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import signal
 import sys
 import time
+import warnings
 from types import FrameType
 from typing import NoReturn
 
@@ -32,7 +34,16 @@ class Interrupted(BaseException):
 
 def main() -> NoReturn:
     """Run the program with the arguments of the process and exit."""
+    if "--debug" not in sys.argv:
+        _silence_libraries()
     sys.exit(run(sys.argv[1:]))
+
+
+def _silence_libraries() -> None:
+    """Keep warnings of libraries from the user, here and in the processes that work for us."""
+    warnings.simplefilter("ignore")
+    sys.warnoptions.append("ignore")
+    logging.lastResort = None
 
 
 def run(arguments: list[str]) -> int:

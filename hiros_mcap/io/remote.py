@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _BLOCK = 8 << 20  # bytes
@@ -135,7 +135,16 @@ def local_copy(log: str) -> Iterator[Path]:
                     _fetch(system, row["name"], target / PurePosixPath(row["name"]).name, log)
             else:
                 _fetch(system, path, target, log)
-        yield target
+        try:
+            yield target
+        except LogError as error:
+            raise type(error)(
+                error.fault.replace(str(target), log),
+                path=str(error.path or log).replace(str(target), log),
+                topic=error.topic,
+            ) from None
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(str(target), log)) from None
 
 
 def _fetch(system: Any, path: str, target: Path, address: str) -> None:

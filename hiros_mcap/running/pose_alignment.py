@@ -98,6 +98,11 @@ class PoseAlignment:
                     f"{camera.name}: its pose does not fit the people ({camera.reason}); hiros "
                     "kept it. Calibrate the camera anew, or pass its pose with --extrinsics FILE"
                 )
+            elif self._is_unconfirmed(camera):
+                yield (
+                    f"{camera.name} {camera.reason}; if it should, its pose is wrong, and people "
+                    "may appear twice. hiros calibrate people may find it"
+                )
 
     def notes(self) -> Iterator[str]:
         """Yield what was done."""
@@ -111,12 +116,10 @@ class PoseAlignment:
                 "hiros moved the cameras to where they see the same people at the same place; "
                 "--calibrate off keeps the log's poses"
             )
-        for camera in self.cameras:
-            if camera.reason == UNLINKED and len(self.cameras) > 1:
-                yield (
-                    f"{camera.name} {UNLINKED}; if it should, its pose is wrong, and hiros "
-                    "calibrate people may find it"
-                )
+
+    def _is_unconfirmed(self, camera: PoseSummary) -> bool:
+        """Whether others see people, but not those whom the camera sees."""
+        return camera.reason == UNLINKED and len(self.cameras) > 1
 
 
 def align_cameras(
