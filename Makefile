@@ -50,6 +50,7 @@ $(BIN)/python:
 
 $(VENV)/.installed: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(BIN)/hiros warmup
 	@touch $@
 
 $(VENV)/.installed-dev: $(BIN)/python pyproject.toml

@@ -15,7 +15,8 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
-from hiros_mcap.stages.optimize import OptimizeParams, optimize_blocks
+from hiros_mcap.stages.optimize import optimize_blocks
+from hiros_mcap.stages.optimize_params import OptimizeParams
 
 optimize = by_frame(optimize_blocks)
 

@@ -35,7 +35,7 @@ COUNTS: Counter[str] = Counter()
 
 def count() -> None:
     """Count from here on what every reader opens and decompresses."""
-    opened, load = McapReader.__init__, McapReader.load
+    opened, load = McapReader.__init__, McapReader._read_chunk
 
     def counted_open(self: McapReader, *args: object, **options: object) -> None:
         COUNTS["opened"] += 1
@@ -46,7 +46,7 @@ def count() -> None:
         return load(self, chunk)
 
     McapReader.__init__ = counted_open  # type: ignore[method-assign, assignment]
-    McapReader.load = counted_load  # type: ignore[method-assign]
+    McapReader._read_chunk = counted_load  # type: ignore[method-assign]
 
 
 def main() -> None:

@@ -78,7 +78,7 @@ def repeat(minute: Path, target: Path, minutes: int) -> None:
     """Write a minute again and again; detections move to the fixed frame."""
     with open_log(minute, topics=["*"], output_prefix="/none") as log, McapWriter(target) as writer:
         encoder = Encoder(log.model, precision="micrometre")
-        parts = [part for both in log.blocks_by_topic() for part in by_topic(*both)]
+        parts = [part for both in log.read() for part in by_topic(*both)]
         parts = [part for part in parts if not part[0].startswith("/truth")]
         topics = dict.fromkeys(topic for topic, _ in parts)
         channels = {topic: add_skeleton_channel(writer, topic) for topic in topics}

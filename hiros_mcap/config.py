@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import math
 import textwrap
-import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -20,26 +19,26 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from hiros_mcap._version import __version__
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.outside import parse, read_toml
 from hiros_mcap.params import Params, advanced, explain, is_advanced
-from hiros_mcap.stages.associate import AssociateParams
-from hiros_mcap.stages.cluster import ClusterParams
-from hiros_mcap.stages.constrain import ConstrainParams
-from hiros_mcap.stages.filter import FilterParams
-from hiros_mcap.stages.fuse import FuseParams
-from hiros_mcap.stages.kalman import KalmanParams
-from hiros_mcap.stages.merge import MergeParams
-from hiros_mcap.stages.moving_average import MovingAverageParams
-from hiros_mcap.stages.optimize import OptimizeParams
-from hiros_mcap.stages.plausible import PlausibleParams
-from hiros_mcap.stages.predict import PredictParams
-from hiros_mcap.stages.sides import SidesParams
-from hiros_mcap.stages.straighten import StraightenParams
+from hiros_mcap.stages.associate_params import AssociateParams
+from hiros_mcap.stages.cluster_params import ClusterParams
+from hiros_mcap.stages.constrain_params import ConstrainParams
+from hiros_mcap.stages.filter_params import FilterParams
+from hiros_mcap.stages.fuse_params import FuseParams
+from hiros_mcap.stages.kalman_params import KalmanParams
+from hiros_mcap.stages.merge_params import MergeParams
+from hiros_mcap.stages.moving_average_params import MovingAverageParams
+from hiros_mcap.stages.optimize_params import OptimizeParams
+from hiros_mcap.stages.plausible_params import PlausibleParams
+from hiros_mcap.stages.predict_params import PredictParams
+from hiros_mcap.stages.sides_params import SidesParams
+from hiros_mcap.stages.straighten_params import StraightenParams
 from hiros_mcap.stages.track_params import TrackParams
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
 
-MAX_BYTES = 1 << 20
 WIDTH = 80
 
 
@@ -97,7 +96,7 @@ class NoiseParams(Params):
     """White noise of the detectors, as ``hiros calibrate noise`` writes it; what is given counts.
 
     sigma, power, guessed and the tables joints and cameras; see
-    :class:`hiros_mcap.calibrate.noise_model.NoiseModel`.
+    :class:`hiros_mcap.calibrate.noise.NoiseModel`.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -389,20 +388,6 @@ def load_config(
         raise _explained(error, origins) from None
 
 
-def read_toml(path: Path) -> Table:
-    """Read a TOML file of at most :data:`MAX_BYTES`; raises ConfigError naming it."""
-    try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-        if len(raw) > MAX_BYTES:
-            raise ConfigError(f"{path}: is no configuration: larger than {MAX_BYTES >> 20} MiB")
-        return tomllib.loads(raw.decode())
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
-
-
 def _assignment(text: str) -> Table:
     name, equals, value = text.partition("=")
     section, dot, param = name.strip().partition(".")
@@ -414,8 +399,8 @@ def _assignment(text: str) -> Table:
 def _value(text: str) -> Any:
     """Return ``text`` read as a TOML value, itself if it is none (``state_space``, ``a/b``)."""
     try:
-        table = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+        table = parse(f"value = {text}", "TOML", "--set")
+    except ConfigError:
         return text
     return table["value"] if len(table) == 1 else text
 

@@ -6,6 +6,9 @@ import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Annotated
+
+from pydantic import Field, TypeAdapter
 
 from hiros_mcap.skeletons import Stamps
 from hiros_mcap.summary import quantity
@@ -57,7 +60,7 @@ _WARNING_WORDS = "lost", "withdrawn", "rejected", "clock", "moved", "displaced",
 class Event:
     """Something that happened at an instant and that a user may want to see."""
 
-    stamp: int
+    stamp: Annotated[int, Field(ge=0, lt=1 << 63)]
     """ns since the epoch."""
     kind: str
     """"track born", "track lost", "flip", "limbs calibrated", ..."""
@@ -116,5 +119,5 @@ class Events:
 
 
 def events_from_json(text: str) -> list[Event]:
-    """Read what :meth:`Events.to_json` returns; ValueError or TypeError if it is something else."""
-    return [Event(**row) for row in json.loads(text)]
+    """Read what :meth:`Events.to_json` returns; ValueError if it is something else."""
+    return TypeAdapter(list[Event]).validate_json(text)

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
 _UNKNOWN = "extra_forbidden"
 _PLAIN = {_UNKNOWN: "there is no such key", "missing": "is missing"}
+
+
+Seconds = Annotated[float, Field(ge=0, le=86_400)]
+"""A time that a stage waits or remembers, s. A day stands for "for ever": no recording is as long,
+and it fits into the nanoseconds of stamps."""
+_LARGEST = 1e9
+"""No number of any parameter is larger, unless it is infinite."""
+_LARGEST_INTEGER = 1 << 53
 
 
 class Params(BaseModel):
@@ -21,6 +30,15 @@ class Params(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
+
+    @field_validator("*")
+    @classmethod
+    def _is_in_range(cls, value: object) -> object:
+        if isinstance(value, float | int) and value != math.inf:
+            largest = _LARGEST if isinstance(value, float) else _LARGEST_INTEGER
+            if not -largest <= value <= largest:
+                raise ValueError(f"should be a number of at most {largest:g}")
+        return value
 
 
 def advanced(default: Any, **options: Any) -> Any:

@@ -18,7 +18,7 @@ NOTES = (
     "hiros_mcap/running/report.py",
     "hiros_mcap/running/clock_alignment.py",
     "hiros_mcap/running/pose_alignment.py",
-    "hiros_mcap/running/fixed_cameras.py",
+    "hiros_mcap/calibrate/survey.py",
     "hiros_mcap/running/moved_cameras.py",
     "hiros_mcap/running/observe.py",
     "hiros_mcap/evaluate/remarks.py",

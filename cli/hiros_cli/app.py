@@ -64,7 +64,10 @@ def _run(arguments: list[str]) -> int:
     open_missing_streams()
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
-    from hiros_cli.commands import dispatch
+    from hiros_cli.compiling import importing
+
+    with importing():
+        from hiros_cli.commands import dispatch
 
     code = dispatch(arguments)
     sys.stdout.flush()

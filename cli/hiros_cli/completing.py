@@ -1,27 +1,25 @@
 """What the shell offers when Tab is pressed: systems, presets, parameters, topics of a log.
 
 A completion must not take longer than a key stroke, so nothing here imports the library's stages,
-which load compiled code: names are read from their sources. A completion never fails. At worst it
-offers nothing, and the shell falls back on file names.
+which load compiled code. A completion never fails. At worst it offers nothing, and the shell falls
+back on file names.
 """
 
 from __future__ import annotations
 
-import ast
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import typer
 
-import hiros_mcap
+from hiros_mcap.defaults import SYSTEM_NAMES
 
 VARIABLE = "_HIROS_COMPLETE"
 """The shell asks for completions by this environment variable, as typer defines it."""
 SHELLS = ("bash", "zsh", "fish")
-_LIBRARY = Path(hiros_mcap.__file__).parent
 
 
 def script_of(shell: str, command: Any) -> int:
@@ -60,17 +58,23 @@ def _environment(**values: str) -> Iterator[None]:
 
 def systems(incomplete: str) -> list[str]:
     """Names for --system."""
-    return _starting(incomplete, _keys("systems/__init__.py", "SYSTEMS"))
+    return _starting(incomplete, SYSTEM_NAMES)
 
 
 def presets(incomplete: str) -> list[str]:
     """Names for --preset."""
-    return _starting(incomplete, _keys("config.py", "PRESETS"))
+    from hiros_mcap.config import PRESETS
+
+    return _starting(incomplete, PRESETS)
 
 
 def parameters(incomplete: str) -> list[str]:
     """Names for --set, each with its equals sign."""
-    names = [f"{section}.{name}=" for section, name in parameter_names()]
+    from hiros_mcap.config import Config
+    from hiros_mcap.params import Params
+
+    sections = [(name, params) for name, params in Config() if isinstance(params, Params)]
+    names = [f"{name}.{field}=" for name, params in sections for field in type(params).model_fields]
     return _starting(incomplete, names)
 
 
@@ -83,42 +87,6 @@ def topics(context: typer.Context, incomplete: str) -> list[str]:
     paths = [path for one in given for path in (one if isinstance(one, list | tuple) else [one])]
     logs = [Path(path) for path in paths if path and Path(path).exists()]
     return _starting(incomplete, _skeleton_topics(logs[0]) if logs else [])
-
-
-def parameter_names() -> Iterator[tuple[str, str]]:
-    """Yield section and name of every parameter, from the sources of their classes."""
-    classes = {
-        node.name: node
-        for path in (_LIBRARY / "config.py", *sorted((_LIBRARY / "stages").glob("*.py")))
-        for node in ast.parse(path.read_text(encoding="utf-8")).body
-        if isinstance(node, ast.ClassDef)
-    }
-    for section, kind in _fields("Config", classes):
-        yield from ((section, name) for name, _ in _fields(kind, classes))
-
-
-def _fields(name: str, classes: Mapping[str, ast.ClassDef]) -> Iterator[tuple[str, str]]:
-    """Yield name and type of each field of a class and of those that it extends."""
-    if name not in classes:
-        return
-    for base in classes[name].bases:
-        yield from _fields(ast.unparse(base), classes)
-    for line in classes[name].body:
-        if not (isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)):
-            continue
-        if not line.target.id.startswith("__"):
-            yield line.target.id, ast.unparse(line.annotation)
-
-
-def _keys(path: str, name: str) -> list[str]:
-    """Return the keys of a table in a source."""
-    for node in ast.parse((_LIBRARY / path).read_text(encoding="utf-8")).body:
-        targets = [node.target] if isinstance(node, ast.AnnAssign) else getattr(node, "targets", [])
-        if any(isinstance(t, ast.Name) and t.id == name for t in targets):
-            value = getattr(node, "value", None)
-            keys = value.keys if isinstance(value, ast.Dict) else []
-            return [key.value for key in keys if isinstance(key, ast.Constant)]  # type: ignore[misc]
-    return []
 
 
 def _skeleton_topics(path: Path) -> list[str]:
@@ -137,5 +105,5 @@ def _skeleton_topics(path: Path) -> list[str]:
     return sorted({c.topic for c in summary.channels.values() if c.schema_id in skeletons})
 
 
-def _starting(incomplete: str, names: list[str]) -> list[str]:
+def _starting(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from hiros_cli.run_report import console, note, say, show_table, table
+from hiros_cli.run_report import console, note, page, say, show_table, table
 from hiros_mcap.evaluate import Truth, score_tables
 from hiros_mcap.evaluate.leave_one_out import SelfScores
 from hiros_mcap.evaluate.logs import ChannelResult
@@ -21,24 +21,28 @@ def show_truth(
     joints: bool,
 ) -> None:
     """Print the scores of every channel, and the angles of the last one."""
-    out = console()
     seconds = number((truth.stamps[-1] - truth.stamps[0]) / 1e9, 1)
     n = len(truth.people)
     people = f"{n} of the people" if truth.partial else "1 person" if n == 1 else f"{n} people"
-    say(out, f"{log}: against the truth, {people}, {seconds} s", "bold")
     scores = {topic: result.scores for topic, result in results.items()}
-    show_table(out, "Joint error, mm", score_tables.error_table(scores))
-    show_table(out, "Motion", score_tables.motion_table(scores))
-    show_table(out, "People", score_tables.people_table(scores))
     last, result = list(results.items())[-1]
-    title = f"{score_tables.BENDING} of {last}, degrees: error"
-    show_table(out, title, score_tables.angle_table(result.scores))
-    if joints:
-        title = f"Signed joint angles of {last}, degrees: error"
-        show_table(out, title, score_tables.signed_angle_table(result.scores))
-        show_table(out, f"Joints of {last}, mm", score_tables.joint_table(result.scores.joints))
-    for text in notes:
-        note(out, text)
+    signed = f"Signed joint angles of {last}, degrees: error"
+    of_joints = (
+        (signed, score_tables.signed_angle_table(result.scores)),
+        (f"Joints of {last}, mm", score_tables.joint_table(result.scores.joints)),
+    )
+    page(
+        f"{log}: against the truth, {people}, {seconds} s",
+        ("Joint error, mm", score_tables.error_table(scores)),
+        ("Motion", score_tables.motion_table(scores)),
+        ("People", score_tables.people_table(scores)),
+        (
+            f"{score_tables.BENDING} of {last}, degrees: error",
+            score_tables.angle_table(result.scores),
+        ),
+        *(of_joints if joints else ()),
+        notes=notes,
+    )
 
 
 def show_self(log: Path, scores: SelfScores, *, joints: bool) -> None:

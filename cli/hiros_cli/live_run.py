@@ -53,6 +53,11 @@ def check_live(logs: Sequence[str], output: str | None, *, follow: bool) -> None
         raise ConfigError(f"{source}: only an MCAP file can be followed")
     if not is_file(source) and output is None:
         raise ConfigError(f"{source}: name the output: -o FILE, or -o - for a pipe")
+    # Python knows the streams that were closed when it started.
+    if source == STREAM and sys.__stdin__ is None:
+        raise ConfigError("-: the standard input is closed; pipe an MCAP into hiros")
+    if output == STREAM and sys.__stdout__ is None:
+        raise ConfigError("-o -: the standard output is closed; pipe it into a program")
     if source == STREAM and sys.stdin.isatty():
         raise ConfigError("-: the standard input is a terminal; pipe an MCAP into hiros")
     if output == STREAM and sys.stdout.isatty():
@@ -84,7 +89,7 @@ def run_live(
     with _input(source, options) as stream:
         return process_live(
             stream,
-            sys.__stdout__.fileno() if wanted == STREAM and sys.__stdout__ else Path(wanted),
+            sys.__stdout__.fileno() if sys.__stdout__ and wanted == STREAM else Path(wanted),
             config=config,
             options=options,
             watcher=watcher,
@@ -114,10 +119,10 @@ def _input(source: str, options: ProcessOptions) -> Iterator[LiveInput]:
     with contextlib.ExitStack() as stack:
         stream: LiveInput
         if source.startswith(SOCKETS):
-            from hiros_mcap.io.foxglove import FoxgloveInput
+            from hiros_mcap.io.foxglove import LARGEST, FoxgloveInput
             from hiros_mcap.running.process_live import subscription
 
-            stream = FoxgloveInput(source, subscription(options))
+            stream = FoxgloveInput(source, subscription(options), int(options.memory * LARGEST))
         elif source == STREAM:
             stream = McapInput(sys.stdin.fileno(), _name(source))
         else:

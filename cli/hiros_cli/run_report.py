@@ -1,16 +1,17 @@
-"""The summary of a run, for a person."""
+"""The printer of all reports: headline, tables, lines, notes. And the summary of a run, by it."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hiros_cli.printable import printable
+from hiros_cli.printable import LINE_LIMIT, printable
 from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,
@@ -18,6 +19,10 @@ from hiros_mcap.summary import (
     Summary,
     number,
 )
+
+Item = TypeVar("Item")
+Content = tuple[Sequence[str], Sequence[Sequence[str]]]
+"""Header and rows: the first column is text, the others are numbers."""
 
 PIPE_WIDTH = 1000
 _SPACE = 2
@@ -29,24 +34,33 @@ def console() -> Console:
     return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
 
 
-def show(summary: Summary) -> None:
-    """Print cameras, people, times and what was written."""
+def page(
+    headline: str | Sequence[str],
+    *parts: Table | Sequence[str] | tuple[str, Content] | None,
+    notes: Iterable[str] = (),
+) -> None:
+    """Print a report: tables, lines and tables with a title, an empty line before each; notes."""
     out = console()
-    out.print(Text(_headline(summary), style="bold"), soft_wrap=True)
-    parts = (_cameras(summary.cameras), _poses(summary), _people(summary.people))
-    for part in (*filter(None, parts), _times(summary)):
-        out.print()
-        out.print(part)
-    out.print()
-    for channel, messages in summary.written.items():
-        say(out, f"wrote {messages} messages to {channel}")
-    for text in summary.notes:
+    for line in [headline] if isinstance(headline, str) and headline else headline:
+        say(out, line, "bold")
+    for part in parts:
+        if isinstance(part, tuple):
+            show_table(out, *part)
+        elif part is not None:
+            if headline or part is not parts[0]:
+                out.print()
+            if isinstance(part, Table):
+                out.print(part)
+                continue
+            for line in part:
+                say(out, line)
+    for text in notes:
         note(out, text)
 
 
 def say(out: Console, text: object, style: str = "", before: str = "") -> None:
     """Print a line that may hold anything from outside, behind ``before``."""
-    out.print(Text(before + printable(text, 500), style=style), soft_wrap=True)
+    out.print(Text(before + printable(text, LINE_LIMIT), style=style), soft_wrap=True)
 
 
 def note(out: Console, text: str) -> None:
@@ -54,10 +68,8 @@ def note(out: Console, text: str) -> None:
     say(out, text, "yellow", "note: ")
 
 
-def show_table(
-    out: Console, title: str, content: tuple[Sequence[str], Sequence[Sequence[str]]]
-) -> None:
-    """Print a title and a table, header and rows: the first column is text, the others numbers.
+def show_table(out: Console, title: str, content: Content) -> None:
+    """Print a title and a table.
 
     Columns for which the terminal is too narrow follow below, beside the first column again.
     """
@@ -92,38 +104,47 @@ def table(*columns: str, rows: Iterable[Sequence[str]]) -> Table:
     return result
 
 
-def _headline(summary: Summary) -> str:
-    target = "" if summary.target is None else f" -> {printable(summary.target, 500)}"
-    speed = number(summary.times_real_time, 1)
-    system = f" with {summary.system}" if summary.system else ""
-    return (
-        f"{printable(summary.source, 500)}{target}\n"
-        f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s{system}: "
-        f"{speed} times real time"
+def listing(items: Iterable[Item], *columns: tuple[str, Callable[[Item], object]]) -> Table:
+    """Return a table with a row per item, by each column's title and what it shows of an item."""
+    titles, cells = zip(*columns, strict=True)
+    return table(*titles, rows=[[str(cell(item)) for cell in cells] for item in items])
+
+
+def show(summary: Summary) -> None:
+    """Print cameras, people, times and what was written."""
+    page(
+        _headline(summary),
+        _cameras(summary.cameras),
+        _poses(summary),
+        _people(summary.people) or ["Nobody was seen."],
+        listing(  # in the order in which a frame passes them
+            summary.stages,
+            ("Step", lambda step: step.name),
+            (">CPU time", lambda step: number(step.cpu_s, 3, " s")),
+        ),
+        [f"wrote {n} messages to {channel}" for channel, n in summary.written.items()],
+        notes=summary.notes,
     )
 
 
+def _headline(summary: Summary) -> tuple[str, str]:
+    target = "" if summary.target is None else f" -> {summary.target}"
+    speed = number(summary.times_real_time, 1)
+    system = f" with {summary.system}" if summary.system else ""
+    times = f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s"
+    return f"{summary.source}{target}", f"{times}{system}: {speed} times real time"
+
+
 def _cameras(cameras: Sequence[CameraSummary]) -> Table:
-    return table(
-        "Camera",
-        ">Rate",
-        ">Messages",
-        ">Used",
-        ">Flips",
-        ">Outliers",
-        "Skipped",
-        rows=[
-            (
-                camera.topic,
-                number(camera.rate_hz, 1, " Hz"),
-                str(camera.messages),
-                str(camera.used),
-                str(camera.flips),
-                str(camera.outliers),
-                ", ".join(f"{n} {reason}" for reason, n in camera.skipped.items()) or "-",
-            )
-            for camera in cameras
-        ],
+    return listing(
+        cameras,
+        ("Camera", lambda c: c.topic),
+        (">Rate", lambda c: number(c.rate_hz, 1, " Hz")),
+        (">Messages", lambda c: c.messages),
+        (">Used", lambda c: c.used),
+        (">Flips", lambda c: c.flips),
+        (">Outliers", lambda c: c.outliers),
+        ("Skipped", lambda c: ", ".join(f"{n} {why}" for why, n in c.skipped.items()) or "-"),
     )
 
 
@@ -152,27 +173,17 @@ def period(since_s: float, until_s: float) -> str:
     return "" if math.isnan(since_s) else f" from {since_s:.1f} s"
 
 
-def _people(people: Sequence[PersonSummary]) -> Table | Text:
+def _people(people: Sequence[PersonSummary]) -> Table | None:
     if not people:
-        return Text("Nobody was seen.")
-    return table(
-        ">Person",
-        ">Seconds",
-        ">Frames",
-        ">Predicted",
-        ">Cameras",
-        "Limb lengths",
-        rows=[
-            (
-                str(person.id),
-                number(person.seconds, 1),
-                str(person.frames),
-                str(person.predicted),
-                str(len(person.cameras)),
-                _limbs(person.limbs),
-            )
-            for person in people
-        ],
+        return None
+    return listing(
+        people,
+        (">Person", lambda p: p.id),
+        (">Seconds", lambda p: number(p.seconds, 1)),
+        (">Frames", lambda p: p.frames),
+        (">Predicted", lambda p: p.predicted),
+        (">Cameras", lambda p: len(p.cameras)),
+        ("Limb lengths", lambda p: _limbs(p.limbs)),
     )
 
 
@@ -191,9 +202,3 @@ def _limbs(limbs: LimbSummary | None) -> str:
 
 def _percent(ratio: float) -> str:
     return number(100 * ratio, 0, " %")
-
-
-def _times(summary: Summary) -> Table:
-    """Return the steps in the order in which a frame passes them."""
-    rows = [(step.name, number(step.cpu_s, 3, " s")) for step in summary.stages]
-    return table("Step", ">CPU time", rows=rows)

@@ -11,7 +11,6 @@ The file is TOML that people can read and edit::
 from __future__ import annotations
 
 import math
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -23,6 +22,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.outside import parse, read_text
 from hiros_mcap.outputs import LIMBS_MARK, write_text
 from hiros_mcap.params import Params, explain
 from hiros_mcap.skeletons import Floats, SkeletonModel
@@ -120,13 +120,7 @@ class LimbTable:
         ConfigError
             The message names the file, and the person and link if one is at fault.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror}") from error
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"{path}: not a TOML file: {error}") from error
-        return cls.from_toml(text, str(path))
+        return cls.from_toml(read_text(path), str(path))
 
     @classmethod
     def from_toml(cls, text: str, origin: str) -> LimbTable:
@@ -138,9 +132,7 @@ class LimbTable:
             As :meth:`load` does.
         """
         try:
-            people = _LimbFile.model_validate(tomllib.loads(text)).person
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"{origin}: not a TOML file: {error}") from error
+            people = _LimbFile.model_validate(parse(text, "TOML", origin)).person
         except ValidationError as error:
             where, what = explain(error)
             names = [name for name in where if name != "[key]"]

@@ -56,6 +56,18 @@ def angle(a_xyzw: Floats, b_xyzw: Floats) -> Floats:
     return np.asarray(2.0 * np.arctan2(sine, np.abs(relative[..., 3])))
 
 
+def nearest_rotation(covariances: Floats, *, mirrors: bool = False) -> Floats:
+    """Return the rotations R that maximise trace(R C) for C, (..., 3, 3) each (Kabsch 1976).
+
+    With C = sum source target', they bring the source nearest to the target. With ``mirrors``, they
+    are improper: their determinant is -1.
+    """
+    u, _, vt = np.linalg.svd(covariances)
+    signs = np.ones(u.shape[:-1])
+    signs[..., 2] = np.sign(np.linalg.det(u @ vt)) * (-1.0 if mirrors else 1.0)
+    return np.asarray(np.swapaxes(vt, -1, -2) @ (signs[..., None] * np.swapaxes(u, -1, -2)))
+
+
 def to_matrix(xyzw: Floats) -> Floats:
     """Rotation matrices, (..., 3, 3), of unit quaternions, (..., 4)."""
     rows = rotate(np.asarray(xyzw)[..., None, :], np.eye(3))

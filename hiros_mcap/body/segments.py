@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hiros_mcap.body.rotations import to_matrix
+from hiros_mcap.body.rotations import nearest_rotation, to_matrix
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.skeletons import Flags, Floats, SkeletonModel
 
@@ -212,8 +212,7 @@ def _link_slots(model: SkeletonModel) -> dict[str, int]:
 
 def _mean_rotation(rotations: Floats) -> Floats:
     """(3, 3) rotation nearest to the sum of (T, 3, 3) (Moakher 2002, projected mean)."""
-    u, _, vt = np.linalg.svd(rotations.sum(axis=0))
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+    return nearest_rotation(rotations.sum(axis=0).T)
 
 
 def _complete(frames: Floats) -> Flags:

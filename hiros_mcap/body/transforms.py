@@ -11,17 +11,15 @@ or 0, and repeat it.
 
 from __future__ import annotations
 
-import json
 import math
 import struct
-import tomllib
 from array import array
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -29,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
+from hiros_mcap.io.outside import parse, read_text
 from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Frame
@@ -495,18 +494,12 @@ def _or_nan(value: float | None) -> float:
 
 def _extrinsics(path: Path) -> _Extrinsics:
     """Read a file with the cameras' poses; raises ConfigError naming the file and the key."""
+    raw = parse(read_text(path), "JSON" if path.suffix.lower() == ".json" else "TOML", path)
     try:
-        text = path.read_text(encoding="utf-8")
-        raw: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
         return _Extrinsics.model_validate(raw)
     except ValidationError as error:
         where, message = explain(error)
         raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise ConfigError(f"{path}: not a {kind} file: {error}") from None
 
 
 def _add_camera(tree: TransformTree, camera: _Camera, where: str) -> None:

@@ -14,7 +14,9 @@ from hiros_mcap.body.rotations import Rigid, rotate, to_matrix
 from hiros_mcap.calibrate.camera_result import CameraResult
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.registration import common_frames, rigid_fit
+from hiros_mcap.calibrate.robust import jackknife
 from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.spanning_tree import links_from
 from hiros_mcap.calibrate.verdict import Verdict
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps
@@ -181,7 +183,7 @@ def _described(camera: BallCamera, against: str, placement: Placement) -> BallCa
 def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
     """Register every camera but the first: camera -> the other camera, and its pose in the first.
 
-    Prim's algorithm: always the pair with most centres in common is next.
+    Pairs with most centres in common come first.
     """
     shared = {
         (a, b): common_frames(
@@ -190,13 +192,9 @@ def _chain(tracks: Sequence[BallTrack]) -> dict[int, tuple[int, Placement]]:
         for a, b in combinations(range(len(tracks)), 2)
     }
     found: dict[int, tuple[int, Placement]] = {}
-    while len(found) < len(tracks) - 1:
-        placed = {0, *found}
-        edges = [pair for pair in shared if len(placed & set(pair)) == 1]
-        pair = max(edges, key=lambda p: (shared[p].centres.shape[1], -p[0], -p[1]))
-        a, b = pair if pair[0] in placed else pair[::-1]
+    for a, b in links_from(0, sorted(shared, key=lambda pair: -shared[pair].centres.shape[1])):
         names = tracks[a].camera, tracks[b].camera
-        both = shared[pair].centres[:: 1 if pair[0] == a else -1]
+        both = shared[min(a, b), max(a, b)].centres[:: 1 if a < b else -1]
         placement = place(both[0], both[1], names)
         found[b] = a, _after(found[a][1], placement) if a else placement
     return found
@@ -346,8 +344,7 @@ def _standard_errors(source: Floats, target: Floats, pose: Rigid) -> tuple[float
         part = rigid_fit(np.delete(source, block, axis=0), np.delete(target, block, axis=0))
         turn = Rotation.from_quat(part.xyzw) * Rotation.from_quat(pose.xyzw).inv()
         steps.append([*turn.as_rotvec(), *(part.translation - pose.translation)])
-    deviations = np.array(steps) - np.mean(steps, axis=0)
-    variances = (BLOCKS - 1) / BLOCKS * np.sum(deviations**2, axis=0)
+    variances = jackknife(np.array(steps) - np.mean(steps, axis=0))
     turn_error, shift_error = np.sqrt(variances[:3].sum()), np.sqrt(variances[3:].sum())
     return float(np.degrees(turn_error)), float(shift_error)
 

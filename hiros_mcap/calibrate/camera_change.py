@@ -103,19 +103,18 @@ def with_times(
     cameras: Sequence[CalibratedCamera],
     moves: Mapping[str, CameraChange],
     span: tuple[int, int],
-    origin: int,
 ) -> list[CalibratedCamera]:
     """Return the cameras with the times at which they were moved.
 
     Parameters
     ----------
-    cameras : those that were moved twice, one behind the other. span : of the log, ns.
-    origin : log time, ns, at which seconds are 0.
+    cameras : those that were moved twice, one behind the other.
+    span : of the log, ns.
     """
     timed = list(cameras)
     for c, (one, other) in enumerate(pairwise(cameras)):
         if one.name == other.name:
-            at = origin + round(1e9 * moves[one.name].seconds)
+            at = sum(span) // 2 + round(1e9 * moves[one.name].seconds)
             seconds = (at - span[0]) / 1e9
             timed[c] = replace(one, until_s=seconds)
             timed[c + 1] = replace(other, since_s=seconds, since=at)

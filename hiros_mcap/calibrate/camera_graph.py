@@ -9,9 +9,9 @@ from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import Landmarks, lag_candidates, signatures_of
 from hiros_mcap.calibrate.pair_pose import PairFit, best_lag
 from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.spanning_tree import Pair, links_from
 from hiros_mcap.skeletons import Floats, Ints
 
-Pair = tuple[int, int]
 Fits = Mapping[Pair, list[PairFit]]
 """Cameras a < b -> poses of b in a that differ, the best first."""
 
@@ -35,47 +35,28 @@ def ambiguous(fits: list[PairFit]) -> bool:
 def spanning_tree(fits: Fits, cameras: list[int]) -> tuple[list[Pair], list[int]]:
     """Return the best links that join cameras, and the cameras of the largest connected part.
 
-    The maximum spanning forest of the pairs' qualities (Kruskal 1956), ambiguous pairs last.
+    The links lead from the first of these cameras to the others. Ambiguous pairs come last.
     """
-    part = {c: c for c in cameras}
-    tree: list[Pair] = []
     ranked = sorted(
         (pair for pair, each in fits.items() if usable(each)),
         key=lambda pair: (ambiguous(fits[pair]), -fits[pair][0].quality),
     )
-    for a, b in ranked:
-        if part[a] != part[b]:
-            tree.append((a, b))
-            joined = part[b]
-            part = {c: part[a] if each == joined else each for c, each in part.items()}
-    parts = [[c for c in cameras if part[c] == one] for one in sorted(set(part.values()))]
-    largest = max(parts, key=len, default=[])
-    return [pair for pair in tree if pair[0] in largest], largest
+    trees = {c: links_from(c, ranked) for c in cameras}
+    root = max(trees, key=lambda c: len(trees[c]), default=0)
+    return trees.get(root, []), sorted({root, *(b for _, b in trees[root])}) if trees else []
 
 
-def chained(tree: list[Pair], fits: Fits, cameras: list[int], n_cameras: int) -> Rig:
-    """Return poses and clocks of all cameras, the first of ``cameras`` at the origin."""
+def chained(tree: list[Pair], fits: Fits, n_cameras: int) -> Rig:
+    """Return poses and clocks of all cameras; that from which the links lead is at the origin."""
     rig = Rig.alone(n_cameras)
-    known = {cameras[0]}
-    waiting = list(tree)
-    while waiting:
-        a, b = next(pair for pair in waiting if (pair[0] in known) != (pair[1] in known))
-        waiting.remove((a, b))
-        turn, shift = fits[a, b][0].rig.rotations[1], fits[a, b][0].rig.shifts[1]
-        clock = fits[a, b][0].rig.clocks[1]
-        if a in known:
-            _place(rig, a, b, turn, shift, clock)
-            known.add(b)
-        else:
-            _place(rig, b, a, turn.T, -turn.T @ shift, -clock)
-            known.add(a)
+    for a, b in tree:
+        link = fits[min(a, b), max(a, b)][0].rig
+        if a > b:
+            link = link.select([1, 0]).anchored()
+        rig.rotations[b] = rig.rotations[a] @ link.rotations[1]
+        rig.shifts[b] = rig.rotations[a] @ link.shifts[1] + rig.shifts[a]
+        rig.clocks[b] = rig.clocks[a] + link.clocks[1]
     return rig
-
-
-def _place(rig: Rig, known: int, new: int, turn: Floats, shift: Floats, clock: float) -> None:
-    rig.rotations[new] = rig.rotations[known] @ turn
-    rig.shifts[new] = rig.rotations[known] @ shift + rig.shifts[known]
-    rig.clocks[new] = rig.clocks[known] + clock
 
 
 def coarse_clocks(
@@ -94,5 +75,5 @@ def coarse_clocks(
         tried = [0.0, lags[b] - lags[a], *(-one.seconds for one in candidates)]
         pair = [views[a], views[b]]
         fits[a, b] = [best_lag(pair, rig.select([a, b]).anchored(), tried, mirror)]
-    tree, cameras = spanning_tree(fits, list(range(len(views))))
-    return chained(tree, fits, cameras, len(views)).clocks
+    tree, _ = spanning_tree(fits, list(range(len(views))))
+    return chained(tree, fits, len(views)).clocks

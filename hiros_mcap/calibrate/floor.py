@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.symmetry import split_side
+from hiros_mcap.calibrate.robust import cauchy
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 LEAN_DEG = 8.0
@@ -94,7 +95,7 @@ def _plane(points: Floats, up: Floats) -> Floor:
         root = np.sqrt(weights)
         slope = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
         errors = heights - design @ slope
-        weights = 1.0 / (1.0 + (errors / (np.median(np.abs(errors)) + 1e-6)) ** 2)
+        weights = cauchy(errors)
     if np.degrees(np.arctan(np.hypot(*slope[:2]))) > STEEP_DEG:
         return Floor(up, level + float(middle @ up))
     normal = _unit((up - across @ slope[:2])[None])[0]

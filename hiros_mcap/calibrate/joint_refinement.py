@@ -16,6 +16,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import from_vector, to_matrix
 from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.robust import jackknife
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, placed, sample
 from hiros_mcap.kernels.grouping import Groups
 from hiros_mcap.kernels.rig_equations import (
@@ -293,7 +294,7 @@ def _jackknife(residuals: RigResiduals, points: Points, free: Flags, clusters: S
     ]
     hessian = np.sum([part for part, _ in equations], axis=0)
     steps = np.stack([_solution(hessian - part, slopes[0]) for part, slopes in equations])
-    return np.asarray((len(steps) - 1) / len(steps) * np.sum(steps**2, axis=0))
+    return jackknife(steps)
 
 
 def _part(residuals: RigResiduals, rows: Stamps) -> RigResiduals:

@@ -17,7 +17,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     refine,
     residuals_of,
 )
-from hiros_mcap.calibrate.registration import kabsch
+from hiros_mcap.calibrate.robust import robust_kabsch
 from hiros_mcap.calibrate.sampling import Rig, Samples, group, instants_of, placed, sample
 from hiros_mcap.skeletons import Floats, Ints
 
@@ -29,7 +29,6 @@ BLIND_PAIRS = 6
 LEAST_INSTANTS = 3
 COARSE_INSTANTS = 50
 """Enough to choose among poses."""
-ROUNDS = 5
 SHARP, SHARPEST_M = 2.5, 0.06
 """Poses are compared at this many times the residual of the best, but at least 6 cm."""
 HOPELESS = 0.4
@@ -175,10 +174,7 @@ def _longest_together(samples: Samples) -> list[tuple[int, int]]:
 def _rigid(
     samples: Samples, tracks: tuple[int, int], start: Rig, mirror: Ints | None
 ) -> Rig | None:
-    """Return the rig that brings one tracklet onto the other; None for too few instants.
-
-    Robust: a joint counts with ``w / (1 + (e / median)^2)``.
-    """
+    """Return the rig that brings one tracklet onto the other; None for too few instants."""
     rows = [
         np.flatnonzero((samples.cameras == c) & (samples.tracks == track))
         for c, track in enumerate(tracks)
@@ -194,13 +190,9 @@ def _rigid(
     seen = weights > 0.0
     goal = samples.lines.positions[a][seen]
     source = samples.lines.positions[b][:, order][seen]
-    weights = robust = weights[seen]
-    if len(weights) < LEAST_INSTANTS:
+    if np.count_nonzero(seen) < LEAST_INSTANTS:
         return None
-    for _ in range(ROUNDS):
-        rotation, shift = kabsch(source, goal, robust)
-        errors = np.linalg.norm(goal - source @ rotation.T - shift, axis=1)
-        robust = weights / (1.0 + (errors / (np.median(errors) + 1e-9)) ** 2)
+    rotation, shift = robust_kabsch(source, goal, weights[seen])
     return start._replace(
         rotations=np.stack([np.eye(3), rotation]), shifts=np.stack([np.zeros(3), shift])
     )

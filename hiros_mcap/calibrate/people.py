@@ -24,9 +24,9 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
-from hiros_mcap.calibrate.camera_graph import Fits, Pair, ambiguous, chained, spanning_tree
+from hiros_mcap.calibrate.camera_graph import Fits, ambiguous, chained, spanning_tree
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
-from hiros_mcap.calibrate.camera_views import CameraView, Correction, camera_views
+from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import full_evidence
 from hiros_mcap.calibrate.floor import find_floor
@@ -41,14 +41,26 @@ from hiros_mcap.calibrate.refinement import (
     refine_together,
 )
 from hiros_mcap.calibrate.sampling import Rig, instants_of
+from hiros_mcap.calibrate.spanning_tree import Pair
+from hiros_mcap.calibrate.survey import (
+    MOST_S,
+    FixedCamera,
+    Survey,
+    check_frames,
+    fixed_cameras,
+    seen_by,
+)
 from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, Verdict, fault, remedy
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Floats, Ints, SkeletonModel
 from hiros_mcap.summary import plain
 
 PAIR_INSTANTS = 100
 """Instants at which two cameras are compared."""
+APART_S, CONSTANT_S = 2.0, 0.1
+"""Lags that differ by more, and vary by less, show a wrong clock."""
 WORLD = "world"
 """Fixed frame of a log without transforms."""
 
@@ -73,15 +85,24 @@ class PeopleCalibration:
         return {**plain(replace(self, cameras=())), "cameras": cameras}
 
 
-def calibrate_people(log: Log, corrected: Correction | None = None) -> PeopleCalibration:
+def calibrate_people(
+    log: Log,
+    survey: Survey | None = None,
+    corrections: Mapping[str, ClockCorrection] | None = None,
+) -> PeopleCalibration:
     """Find the poses and clocks of a log's cameras from the people in it.
 
     The log's transforms are not needed. Where there are some, they place the rig as a whole.
-    ``corrected`` puts right what the times of the messages show of the clocks.
+
+    Parameters
+    ----------
+    survey : of the log, if it is there. corrections : what is known of the clocks, by camera.
 
     Raises LogError for a log of one camera, of cameras that share a frame, or that move.
     """
-    views = camera_views(log, corrected)  # tracklets
+    check_frames(log)
+    survey = survey or Survey(log, MOST_S, fixed=False)
+    views = _views(survey, corrections or {})  # tracklets
     if len(views) < 2:
         raise LogError("has one camera only; poses need two or more", path=log.path)
     mirror = symmetry_of(log.model).mirror
@@ -106,9 +127,51 @@ def calibrate_people(log: Log, corrected: Correction | None = None) -> PeopleCal
     poses = [given.get(c) for c in fit.cameras]
     for c, camera in zip(fit.cameras, cameras_of(fit, rig, poses), strict=True):  # verdict
         cameras[c] = camera
-    cameras = with_times(cameras, moves, log.span, sum(log.span) // 2)
+    cameras = with_times(cameras, moves, log.span)
     joints = _by_joint(fit.refined, log.model)
     return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge)
+
+
+def _views(survey: Survey, corrections: Mapping[str, ClockCorrection]) -> list[CameraView]:
+    """Return what each camera sees, in its own frame."""
+    log, seen = survey.log, survey.many(corrections)
+    mirror = symmetry_of(log.model).mirror
+    if survey.fixed:
+        cameras = sorted(fixed_cameras(log, {}))
+    else:
+        cameras = sorted(
+            FixedCamera(name, next(iter(camera.frames), ""), Rigid.identity())
+            for camera in log.cameras
+            for name in camera.sources.values()
+        )
+    shifts = far_shifts(survey.times, corrections)
+    return [
+        seen_by(camera, seen.get(camera.name, []), mirror, shifts.get(camera.name, 0.0))
+        for camera in cameras
+    ]
+
+
+def far_shifts(
+    times: Mapping[str, CameraTimes], corrections: Mapping[str, ClockCorrection]
+) -> dict[str, float]:
+    """Camera -> s to add to stamps that are seconds away from the others'.
+
+    The difference of log time and stamp shows it to the precision of the transport. A difference
+    that is not constant shows nothing: such a log was not recorded live.
+    """
+    lags = {
+        name: one.corrected(corrections.get(name)).lags
+        for name, one in times.items()
+        if len(one.stamps)
+    }
+    usual = {name: float(np.median(each)) for name, each in lags.items()}
+    nearest = min(usual.values(), key=abs, default=0.0)
+    return {
+        name: usual[name] - nearest
+        for name, each in lags.items()
+        if np.median(np.abs(each - usual[name])) < CONSTANT_S
+        and abs(usual[name] - nearest) > APART_S
+    }
 
 
 def _given_poses(log: Log, views: Sequence[CameraView]) -> tuple[str, dict[int, Rigid]]:
@@ -158,7 +221,7 @@ def _solve(
         tree, cameras = spanning_tree(left, some)
         if len(cameras) < 2:
             return None
-        start = chained(tree, fits, cameras, len(views)).select(cameras)
+        start = chained(tree, fits, len(views)).select(cameras)
         found = refine_together([views[c] for c in cameras], start, mirror, FROM_PAIRS)
         rivals = [_only_ambiguous(c, tree, fits) for c in cameras]
         return FittingRig(cameras, found, full_evidence(found, mirror, rivals))

@@ -113,6 +113,7 @@ def refine_together(
     mirror: Ints,
     effort: Effort,
     movable: Flags | bool = True,
+    seen: Points | None = None,
 ) -> Refinement:
     """Refine the poses and clocks of cameras that see the same people.
 
@@ -120,10 +121,12 @@ def refine_together(
     ----------
     start : about right. mirror : (M,) slot of each joint's counterpart.
     movable : (C,) whether the pose of a camera may change; that of the first one defines the frame.
+    seen : the points of the first gate, if they are there.
     """
     start = start.anchored()
     instants = instants_of(views, effort.instants, start)
-    seen = common_points(views, start, instants, mirror, effort.gates[0])
+    if seen is None:
+        seen = common_points(views, start, instants, mirror, effort.gates[0])
     step = 1 + len(seen.seconds) // effort.points
     instants = instants[::step]
     drifts = effort.drifts and len(instants) > 1 and float(np.ptp(instants)) > DRIFT_S
@@ -283,10 +286,14 @@ def refine_poses(
             return None
         start = Rig.of([given[c] for c in some])
         free = np.array([movable[c] for c in some])
-        found = refine_together([views[c] for c in some], start, mirror, FROM_GIVEN, free)
+        known = points if some == everyone else None
+        found = refine_together([views[c] for c in some], start, mirror, FROM_GIVEN, free, known)
         return FittingRig(some, found, evidence_of(found, mirror))
 
-    for part in _linked(views, Rig.of(given), mirror):
+    everyone = list(range(len(views)))
+    instants = instants_of(views, FROM_GIVEN.instants)
+    points = common_points(views, Rig.of(given), instants, mirror, FROM_GIVEN.gates[0])
+    for part in _linked(points):
         # The first camera defines the common frame.
         fit, faults = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
         for c, reason in faults.items():
@@ -300,13 +307,11 @@ def refine_poses(
     return Estimate(cameras, gains)
 
 
-def _linked(views: Sequence[CameraView], given: Rig, mirror: Ints) -> list[list[int]]:
+def _linked(points: Points) -> list[list[int]]:
     """Return the groups of cameras that are linked by people whom they see in common."""
-    instants = instants_of(views, FROM_GIVEN.instants)
-    points = common_points(views, given, instants, mirror, FROM_GIVEN.gates[0])
     seen = (points.weights > 0.0).astype(np.float64)
     links = seen @ seen.T >= LEAST_LINK
-    for _ in views:
+    for _ in links:
         links = links @ links  # of booleans: who is linked by way of another camera
     groups = {tuple(np.flatnonzero(row).tolist()) for row in links}
     return [list(group) for group in sorted(groups) if len(group) > 1]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.rotations import Rigid, nearest_rotation
 from hiros_mcap.errors import RegistrationError
 from hiros_mcap.skeletons import Flags, Floats, Stamps, nearest_stamps
 
@@ -259,10 +259,7 @@ def kabsch(
     share = weights / weights.sum()
     start, goal = share @ source, share @ target
     covariance = (source - start).T @ (share[:, None] * (target - goal))
-    u, _, vt = np.linalg.svd(covariance)
-    proper = np.sign(np.linalg.det(u @ vt))
-    flip = np.array([1.0, 1.0, -proper if mirrors else proper])
-    rotation = vt.T @ (flip[:, None] * u.T)
+    rotation = nearest_rotation(covariance, mirrors=mirrors)
     return rotation, goal - rotation @ start
 
 

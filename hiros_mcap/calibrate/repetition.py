@@ -13,7 +13,7 @@ import numpy as np
 
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
-from hiros_mcap.calibrate.registration import kabsch
+from hiros_mcap.calibrate.robust import robust_kabsch
 from hiros_mcap.calibrate.sampling import lines_of
 from hiros_mcap.skeletons import Floats, Stamps
 
@@ -73,12 +73,8 @@ def _distance(series: list[Floats], lag: int) -> float:
     some = moving[:: -(-len(moving) // MOST_INSTANTS)]
     now, later, known = now[some], later[some], known[some]
     source, goal = now[known], later[known]
-    weights = np.ones(len(source))
-    for _ in range(ROUNDS):
-        rotation, shift = kabsch(source, goal, weights)
-        errors = goal - source @ rotation.T - shift
-        lengths = np.linalg.norm(errors, axis=1)
-        weights = 1.0 / (1.0 + (lengths / (np.median(lengths) + 1e-9)) ** 2)
+    rotation, shift = robust_kabsch(source, goal, np.ones(len(source)), ROUNDS)
+    errors = goal - source @ rotation.T - shift
     sums = np.zeros((len(now), 3))
     np.add.at(sums, np.nonzero(known)[0], errors)
     middles = sums / known.sum(axis=1)[:, None]

@@ -26,6 +26,7 @@ from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.preparation import preparation_key
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
 from hiros_mcap.running.recording import Recording
+from hiros_mcap.skeletons import Frame
 from hiros_mcap.systems import chain_of
 from hiros_mcap.workers import run_tasks
 
@@ -202,7 +203,7 @@ def _run(task: Task) -> tuple[Outcome, list[Distances]]:
     messages = sum(frame.source in chosen for frame in recording.frames())
     outcome = Outcome(task.log.name, task.entry.name, chosen, 1000 * seconds / max(messages, 1))
     if truth is None:
-        return _without_truth(task, outcome, recording)
+        return _without_truth(task, outcome, recording, frames)
     truth = truth.seen_by(recording.model)
     matches = match(frames, truth)
     scores = score_matches(matches, truth, recording.model)
@@ -257,9 +258,9 @@ def _read(task: Task) -> tuple[Recording, Truth | None]:
 
 
 def _without_truth(
-    task: Task, outcome: Outcome, recording: Recording
+    task: Task, outcome: Outcome, recording: Recording, frames: Sequence[Frame]
 ) -> tuple[Outcome, list[Distances]]:
-    scores, distances = leave_each_out(recording, *_settings(task))
+    scores, distances = leave_each_out(recording, *_settings(task), frames)
     detections = sum(camera.detections for camera in scores.cameras)
     unmatched = sum(camera.unmatched for camera in scores.cameras)
     scored = replace(

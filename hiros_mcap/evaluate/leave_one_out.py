@@ -7,7 +7,6 @@ of ``hiros process``, which all cameras give together; ``input.poses=given`` kee
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -24,6 +23,7 @@ from hiros_mcap.evaluate.same_detections import Distances
 from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
+from hiros_mcap.io.log import Source
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
@@ -87,7 +87,7 @@ class _Residuals:
 
 
 def leave_one_out(
-    source: str | os.PathLike[str],
+    source: Source,
     *,
     config: Config | None = None,
     options: ProcessOptions | None = None,
@@ -108,9 +108,14 @@ def leave_one_out(
 
 
 def leave_each_out(
-    recording: Recording, config: Config, options: ProcessOptions
+    recording: Recording,
+    config: Config,
+    options: ProcessOptions,
+    everybody: Sequence[Frame] | None = None,
 ) -> tuple[SelfScores, list[Distances]]:
     """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
+
+    ``everybody`` is the result of all cameras, if it is there already.
 
     Raises ConfigError for fewer than two cameras' channels.
     """
@@ -121,7 +126,8 @@ def leave_each_out(
         path = recording.prepared.log.path
         raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
     model = recording.model
-    everybody = _fused(recording, config, options, frames_of)
+    if everybody is None:
+        everybody = _fused(recording, config, options, frames_of)
     cameras, distances = [], []
     for topic, frames in frames_of.items():
         others = _fused(recording, config, options, frames_of.keys() - {topic})

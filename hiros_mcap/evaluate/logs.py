@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import glob
 import os
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -24,8 +23,9 @@ from hiros_mcap.evaluate.statistics import mean_of
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.evaluate.truth_files import load_truth
 from hiros_mcap.io.channels import OUTPUT_PREFIX, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
-from hiros_mcap.io.log import open_groups, open_log, open_reader, span_of
-from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, read_uncertainty
+from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.log import Source, open_groups, open_log, reading, span_of
+from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, Deviations, read_uncertainty
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 _FIRST_MESSAGES = 100
@@ -57,128 +57,18 @@ class Consistency:
     """The same by joint."""
 
 
-def has_outputs(path: str | os.PathLike[str]) -> bool:
-    """Whether a log holds a channel that hiros wrote."""
-    with open_reader(path) as reader:
-        return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """What stands on a channel of skeletons, in a log or after a run."""
 
-
-def check_recording(path: str | os.PathLike[str]) -> None:
-    """Raise LogError if a log holds results of hiros or a truth, but no detections."""
-    topics = _skeletons(path)
-    if topics and all(map(_is_ours, topics)):
-        fault = "holds results or a truth, but no detections; name the recording"
-        raise LogError(fault, path=path)
-
-
-def has_cameras(path: str | os.PathLike[str]) -> bool:
-    """Whether a log holds skeletons of cameras, which can be processed."""
-    return any(not _is_ours(topic) for topic, count in _skeletons(path).items() if count)
-
-
-def start_of(path: str | os.PathLike[str]) -> int:
-    """Time, ns, from which times of motion capture files count.
-
-    It is the log time of the first skeleton of a camera. A result without its cameras is logged
-    later than it was seen, so there it is the stamp of its first frame.
-    """
-    with open_groups(path) as reader:
-        start = span_of(reader)[0]
-    if has_cameras(path):
-        return start
-    heard = [topic for topic, n in _skeletons(path, [f"{OUTPUT_PREFIX}/*"]).items() if n]
-    return min((_first_stamp(path, topic) for topic in heard), default=start)
-
-
-def _first_stamp(path: str | os.PathLike[str], topic: str) -> int:
-    with open_log(path, topics=[topic], output_prefix="/none") as log:
-        return min(frame.stamp for frame in islice(log.frames(), _FIRST_MESSAGES))
-
-
-def _skeletons(path: str | os.PathLike[str], globs: Sequence[str] = ("*",)) -> dict[str, int]:
-    """Topic -> number of messages of the log's skeleton channels that a glob matches."""
-    with open_groups(path) as reader:
-        channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
-    return {i.topic: i.count for i in channels if any(fnmatchcase(i.topic, g) for g in globs)}
-
-
-def _is_ours(topic: str) -> bool:
-    return topic.startswith((f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"))
-
-
-def output_channels(path: str | os.PathLike[str], globs: Sequence[str] = ()) -> list[str]:
-    """Topics of a log's output channels in the order of the stages, or those that globs name.
-
-    Raises LogError if there is none.
-    """
-    if not globs and not has_outputs(path):
-        raise LogError("holds no results of hiros; run `hiros process` first", path=path)
-    with open_log(path, topics=list(globs) or [f"{OUTPUT_PREFIX}/*"], output_prefix="/none") as log:
-        return _in_order(camera.channel.topic for camera in log.cameras)
-
-
-def _in_order(topics: Iterable[str]) -> list[str]:
-    order = {topic: k for k, topic in enumerate(OUTPUT_TOPICS)}
-    return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
-
-
-def _scored_channels(path: str | os.PathLike[str], globs: Sequence[str]) -> list[str]:
-    """Topics to score, also of channels without any message: those miss everybody."""
-    counts = _skeletons(path, list(globs) or [f"{OUTPUT_PREFIX}/*"])
-    heard = output_channels(path, globs) if any(counts.values()) or not counts else []
-    return _in_order({*heard, *(topic for topic, count in counts.items() if not count)})
-
-
-def find_truth(path: str | os.PathLike[str], named: str | None = None) -> Truth | None:
-    """Return the truth that the user names (a file, or a topic of the log), else the log's own.
-
-    None if nothing was named and the log has no /truth channel.
-
-    Raises LogError or ConfigError if what was named does not exist or cannot be read.
-    """
-    if named is not None and Path(named).is_file():
-        return load_truth(named)
-    if named is not None:
-        if not named.startswith("/"):
-            raise ConfigError(f"the truth {named!r} is neither a file nor a channel (/...)")
-        return load_truth(path, named)
-    with open_reader(path) as reader:
-        own = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in channels_of(reader))
-    return load_truth(path) if own else None
-
-
-def fused_topics(path: str | os.PathLike[str], truth: str | None) -> tuple[str, ...]:
-    """Topics of the cameras to fuse when a camera of the log is the truth; () = all.
-
-    A camera that is the reference must not be in what is compared with it (Lee 2022, section 2.3).
-
-    Raises
-    ------
-    LogError
-        The log cannot be read.
-    ConfigError
-        The truth is the only camera.
-    """
-    if truth is None or not truth.startswith("/"):
-        return ()
-    with open_log(path) as log:
-        topics = tuple(camera.channel.topic for camera in log.cameras)
-    others = tuple(topic for topic in topics if not fnmatchcase(topic, truth))
-    if not others:
-        raise ConfigError(f"{path}: no camera is left besides the truth {truth}")
-    return () if others == topics else others
-
-
-def read_channel(
-    path: str | os.PathLike[str], topic: str
-) -> tuple[list[Frame], SkeletonModel, dict[str, int]]:
-    """Frames of an output channel, their model, and how many messages were skipped, by reason."""
-    with open_log(path, topics=[topic], output_prefix="/none") as log:
-        frames = list(log.frames())
-        skipped: Counter[str] = Counter()
-        for account in log.accounts.values():
-            skipped.update(account.skipped)
-        return frames, log.model, dict(skipped)
+    path: Path
+    """The log."""
+    frames: Sequence[Frame]
+    model: SkeletonModel
+    skipped: Mapping[str, int] = field(default_factory=dict)
+    """Messages that gave no frame, by reason."""
+    deviations: Deviations = field(default_factory=dict)
+    """What it states of its uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +84,155 @@ class ChannelResult:
     """Whether its uncertainty is right; None if it states none."""
 
 
+def has_outputs(source: Source) -> bool:
+    """Whether a log holds a channel that hiros wrote."""
+    with reading(source) as reader:
+        return any(fnmatchcase(c.topic, f"{OUTPUT_PREFIX}/*") for c in channels_of(reader))
+
+
+def check_recording(path: str | os.PathLike[str]) -> None:
+    """Raise LogError if a log holds results of hiros or a truth, but no detections."""
+    topics = _skeletons(path)
+    if topics and all(map(_is_ours, topics)):
+        fault = "holds results or a truth, but no detections; name the recording"
+        raise LogError(fault, path=path)
+
+
+def has_cameras(source: Source) -> bool:
+    """Whether a log holds skeletons of cameras, which can be processed."""
+    return any(not _is_ours(topic) for topic, count in _skeletons(source).items() if count)
+
+
+def start_of(source: Source) -> int:
+    """Time, ns, from which times of motion capture files count.
+
+    It is the log time of the first skeleton of a camera. A result without its cameras is logged
+    later than it was seen, so there it is the stamp of its first frame.
+    """
+    with reading(source) as reader:
+        heard = [topic for topic, n in _skeletons(reader, [f"{OUTPUT_PREFIX}/*"]).items() if n]
+        if not has_cameras(reader) and heard:
+            return min(_first_stamp(reader, topic) for topic in heard)
+        with open_groups(reader) as groups:
+            return span_of(groups)[0]
+
+
+def _first_stamp(reader: McapReader, topic: str) -> int:
+    with open_log(reader, topics=[topic], output_prefix="/none") as log:
+        return min(frame.stamp for frame in islice(log.frames(), _FIRST_MESSAGES))
+
+
+def _skeletons(source: Source, globs: Sequence[str] = ("*",)) -> dict[str, int]:
+    """Topic -> number of messages of the log's skeleton channels that a glob matches."""
+    with open_groups(source) as reader:
+        channels = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    return {i.topic: i.count for i in channels if any(fnmatchcase(i.topic, g) for g in globs)}
+
+
+def _is_ours(topic: str) -> bool:
+    return topic.startswith((f"{OUTPUT_PREFIX}/", f"{TRUTH_PREFIX}/"))
+
+
+def output_channels(source: Source, globs: Sequence[str] = ()) -> list[str]:
+    """Topics of a log's output channels in the order of the stages, or those that globs name.
+
+    Raises LogError if there is none.
+    """
+    with reading(source) as reader:
+        if not globs and not has_outputs(reader):
+            raise LogError("holds no results of hiros; run `hiros process` first", path=reader.path)
+        topics = list(globs) or [f"{OUTPUT_PREFIX}/*"]
+        with open_log(reader, topics=topics, output_prefix="/none") as log:
+            return _in_order(camera.channel.topic for camera in log.cameras)
+
+
+def _in_order(topics: Iterable[str]) -> list[str]:
+    order = {topic: k for k, topic in enumerate(OUTPUT_TOPICS)}
+    return sorted(topics, key=lambda topic: (order.get(topic, len(order)), topic))
+
+
+def find_truth(source: Source, named: str | None = None) -> Truth | None:
+    """Return the truth that the user names (a file, or a topic of the log), else the log's own.
+
+    None if nothing was named and the log has no /truth channel.
+
+    Raises LogError or ConfigError if what was named does not exist or cannot be read.
+    """
+    if named is not None and Path(named).is_file():
+        return load_truth(named)
+    if named is not None:
+        if not named.startswith("/"):
+            raise ConfigError(f"the truth {named!r} is neither a file nor a channel (/...)")
+        return load_truth(source, named)
+    with reading(source) as reader:
+        has_truth = any(info.topic.startswith(f"{TRUTH_PREFIX}/") for info in channels_of(reader))
+        return load_truth(reader) if has_truth else None
+
+
+def fused_topics(source: Source, truth: str | None) -> tuple[str, ...]:
+    """Topics of the cameras to fuse when a camera of the log is the truth; () = all.
+
+    A camera that is the reference must not be in what is compared with it (Lee 2022, section 2.3).
+
+    Raises
+    ------
+    LogError
+        The log cannot be read.
+    ConfigError
+        The truth is the only camera.
+    """
+    if truth is None or not truth.startswith("/"):
+        return ()
+    with open_log(source) as log:
+        topics = tuple(camera.channel.topic for camera in log.cameras)
+        path = log.path
+    others = tuple(topic for topic in topics if not fnmatchcase(topic, truth))
+    if not others:
+        raise ConfigError(f"{path}: no camera is left besides the truth {truth}")
+    return () if others == topics else others
+
+
+def read_channel(source: Source, topic: str) -> tuple[list[Frame], SkeletonModel, dict[str, int]]:
+    """Frames of an output channel, their model, and how many messages were skipped, by reason."""
+    (channel,) = _read(source, [glob.escape(topic)]).values()
+    return list(channel.frames), channel.model, dict(channel.skipped)
+
+
+def read_results(source: Source, globs: Sequence[str] = ()) -> dict[str, Channel]:
+    """Read all output channels, or those that globs name, in the order of the stages.
+
+    A channel without any message is in there, too: it misses everybody.
+
+    Raises LogError if the log cannot be read, or there is no such channel.
+    """
+    with reading(source) as reader:
+        counts = _skeletons(reader, list(globs) or [f"{OUTPUT_PREFIX}/*"])
+        topics = output_channels(reader, globs) if any(counts.values()) or not counts else []
+        channels = _read(reader, list(map(glob.escape, topics))) if topics else {}
+        model = next((one.model for one in channels.values()), SkeletonModel.of([], []))
+        channels |= {topic: Channel(reader.path, [], model) for topic, n in counts.items() if not n}
+        if UNCERTAIN_TOPIC in channels:
+            stated = replace(channels[UNCERTAIN_TOPIC], deviations=read_uncertainty(reader))
+            channels[UNCERTAIN_TOPIC] = stated
+        return {topic: channels[topic] for topic in _in_order(channels)}
+
+
+def _read(source: Source, globs: Sequence[str]) -> dict[str, Channel]:
+    """Read some channels in one pass."""
+    with open_log(source, topics=globs, output_prefix="/none") as log:
+        frames: dict[str, list[Frame]] = {camera.channel.topic: [] for camera in log.cameras}
+        for topics, block in log.read(fixed=False):
+            for topic, frame in zip(topics, block.frames(), strict=True):
+                frames[topic].append(frame)
+        skipped = {topic: dict(log.accounts[topic].skipped) for topic in frames}
+        return {
+            topic: Channel(log.path, some, log.model, skipped[topic])
+            for topic, some in frames.items()
+        }
+
+
 def evaluate_log(
-    path: str | os.PathLike[str],
+    source: Source,
     truth: Truth,
     globs: Sequence[str] = (),
     max_distance: float = MATCH_DISTANCE,
@@ -205,24 +242,33 @@ def evaluate_log(
     Raises LogError or ConfigError if the log cannot be read, has no output channel, or shares no
     time or marker with the truth.
     """
+    return evaluate_channels(read_results(source, globs), truth, max_distance)
+
+
+def evaluate_channels(
+    channels: Mapping[str, Channel], truth: Truth, max_distance: float = MATCH_DISTANCE
+) -> dict[str, ChannelResult]:
+    """Topic -> result of every channel against the truth.
+
+    Raises LogError or ConfigError if a channel shares no time or marker with the truth.
+    """
     results = {}
-    for topic in _scored_channels(path, globs):
-        matches, model, skipped = _matched(path, topic, truth, max_distance)
+    for topic, channel in channels.items():
+        matches, model = _matched(topic, channel, truth, max_distance)
         try:
             scores = score_matches(matches, truth, model)
         except ValueError as error:
-            raise LogError(str(error), path=path, topic=topic) from None
-        told = read_uncertainty(path) if topic == UNCERTAIN_TOPIC else {}
-        covered = coverage_of(matches, told, model) if told else None
-        results[topic] = ChannelResult(scores, matches, model, skipped, covered)
+            raise LogError(str(error), path=channel.path, topic=topic) from None
+        stated = channel.deviations
+        covered = coverage_of(matches, stated, model) if stated else None
+        results[topic] = ChannelResult(scores, matches, model, channel.skipped, covered)
     return results
 
 
 def covered_by(
-    path: str | os.PathLike[str],
+    channels: Mapping[str, Channel],
     truth: Truth,
     coverage: str = "auto",
-    globs: Sequence[str] = (),
     max_distance: float = MATCH_DISTANCE,
 ) -> tuple[Truth, tuple[int, ...]]:
     """Return the truth, marked as partial or not, and the ids that show that it is partial.
@@ -230,28 +276,27 @@ def covered_by(
     ``coverage`` is "all", "partial", or "auto": then the last output channel decides, see
     :func:`hiros_mcap.evaluate.partial_truth.people_without_truth`.
 
-    Raises LogError or ConfigError as :func:`evaluate_log` does.
+    Raises LogError or ConfigError as :func:`evaluate_channels` does.
     """
     if coverage != "auto":
         return replace(truth, partial=coverage == "partial"), ()
-    topic = _scored_channels(path, globs)[-1]
-    matches, model, _ = _matched(path, topic, truth, max_distance)
+    topic, channel = list(channels.items())[-1]
+    matches, model = _matched(topic, channel, truth, max_distance)
     others = people_without_truth(matches, truth.seen_by(model), max_distance)
     return replace(truth, partial=bool(others)), others
 
 
 def _matched(
-    path: str | os.PathLike[str], topic: str, truth: Truth, max_distance: float
-) -> tuple[Matches, SkeletonModel, dict[str, int]]:
-    """Return the matches of a channel, its model, and how many messages were skipped, by reason."""
-    if truth.model is not None and not _skeletons(path, [glob.escape(topic)])[topic]:
-        return match([], truth, max_distance), truth.model, {}
-    frames, model, skipped = read_channel(path, topic)
+    topic: str, channel: Channel, truth: Truth, max_distance: float
+) -> tuple[Matches, SkeletonModel]:
+    """Return the matches of a channel, and the model of the true and the matched skeletons."""
+    if truth.model is not None and not channel.frames:
+        return match([], truth, max_distance), truth.model
     try:
-        seen = truth.seen_by(model)
-        return match(frames, seen, max_distance), seen.model or model, skipped
+        seen = truth.seen_by(channel.model)
     except ConfigError as error:
-        raise ConfigError(f"{path}: {topic}: {error}") from None
+        raise ConfigError(f"{channel.path}: {topic}: {error}") from None
+    return match(channel.frames, seen, max_distance), seen.model or channel.model
 
 
 def consistency(frames: Sequence[Frame], model: SkeletonModel) -> Consistency:

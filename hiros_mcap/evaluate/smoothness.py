@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -74,13 +74,23 @@ def lag(matches: Matches, truth: Truth) -> float:
     ]
     if not chosen:
         return np.nan
+    stamps = np.array([matches.stamps[k] for k in chosen], np.int64)
+    rows = np.array([matches.people[k] for k in chosen])
+    poses = np.stack([matches.poses[k] for k in chosen])
+
+    def cost(shift: int) -> float:
+        """Mean squared distance to the truth ``shift`` ms earlier, m2."""
+        squares = (truth.positions_of(rows, stamps - shift * 1_000_000) - poses) ** 2
+        known = ~np.isnan(squares)
+        return float(squares[known].mean()) if known.any() else np.nan
+
     coarse = list(range(-MOST_MS, MOST_MS + 1, _COARSE_MS))
-    costs = np.array([_cost(matches, truth, chosen, shift) for shift in coarse])
+    costs = np.array(list(map(cost, coarse)))
     if np.isnan(costs).any() or costs.max() - costs.min() < _STANDS_STILL:
         return np.nan
     about = coarse[int(np.clip(np.argmin(costs), 1, len(costs) - 2))]
     shifts = range(about - _COARSE_MS, about + _COARSE_MS + 1, _FINE_MS)
-    costs = np.array([_cost(matches, truth, chosen, shift) for shift in shifts])
+    costs = np.array(list(map(cost, shifts)))
     best = int(np.clip(np.argmin(costs), 1, len(costs) - 2))
     left, middle, right = costs[best - 1 : best + 2]
     curvature = left - 2 * middle + right
@@ -93,19 +103,7 @@ def distances_at(matches: Matches, truth: Truth, late_ms: float) -> Floats:
     """(R, M) Distances, m, from the truth at stamps moved by ``late_ms``; NaN if that is NaN."""
     if np.isnan(late_ms) or not matches.stamps:
         return np.zeros((0, 0))
-    late = round(late_ms * 1e6)
-    rows = zip(matches.stamps, matches.people, matches.poses, strict=True)
-    errors = [pose - truth.at(stamp - late)[0][person] for stamp, person, pose in rows]
-    distances: Floats = np.linalg.norm(np.stack(errors), axis=-1)
+    stamps = np.array(matches.stamps, np.int64) - round(late_ms * 1e6)
+    errors = np.stack(matches.poses) - truth.positions_of(np.array(matches.people), stamps)
+    distances: Floats = np.linalg.norm(errors, axis=-1)
     return distances
-
-
-def _cost(matches: Matches, truth: Truth, chosen: Sequence[int], shift: int) -> float:
-    """Mean squared distance to the truth ``shift`` ms earlier, m2."""
-    errors = [
-        truth.at(matches.stamps[k] - shift * 1_000_000)[0][matches.people[k]] - matches.poses[k]
-        for k in chosen
-    ]
-    squares = np.stack(errors) ** 2
-    known = ~np.isnan(squares)
-    return float(squares[known].mean()) if known.any() else np.nan

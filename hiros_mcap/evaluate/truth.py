@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hiros_mcap.body.rotations import multiply
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.skeletons import Floats, Frame, Ints, SkeletonModel, Stamps
 
 MAX_GAP_NS = 500_000_000
 """The truth is not interpolated over a longer pause."""
@@ -86,6 +86,22 @@ class Truth:
         orientations = (1 - part) * first + part * sign * second
         norm = np.linalg.norm(orientations, axis=-1, keepdims=True)
         return positions, orientations / np.where(norm > 0, norm, np.nan)
+
+    def positions_of(self, rows: Ints, stamps: Stamps) -> Floats:
+        """(R, M, 3) positions of one person each, by rows and stamps (R,), as :meth:`at`."""
+        last = len(self.stamps) - 1
+        after = np.searchsorted(self.stamps, stamps)
+        late = np.minimum(after, last)
+        early = np.maximum(late - 1, 0)
+        gap = self.stamps[late] - self.stamps[early]
+        part = ((stamps - self.stamps[early]) / np.maximum(gap, 1))[:, None, None]
+        first, second = self.positions[early, rows], self.positions[late, rows]
+        between: Floats = (1 - part) * first + part * second
+        inside = (after > 0) & (after <= last) & (gap <= MAX_GAP_NS)
+        between[~inside] = np.nan
+        at_instant = self.stamps[late] == stamps
+        between[at_instant] = self.positions[late[at_instant], rows[at_instant]]
+        return between
 
     def moved(self, seconds: float = 0.0, *, start: int | None = None, up: str = "z") -> Truth:
         """Return the truth with other times or axes.

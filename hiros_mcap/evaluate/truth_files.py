@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +16,9 @@ import numpy as np
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth import MAX_GAP_NS, Truth
 from hiros_mcap.io.channels import TRUTH_PREFIX
+from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.joints.trc import lines_of, number_of, read_markers
-from hiros_mcap.io.log import open_log
+from hiros_mcap.io.log import Source, open_log
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 _LAST_TIME = 9e9
@@ -32,7 +32,7 @@ _LINK = ("parent", "child")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 
 
-def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
+def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
     """Read the truth from a log's SkeletonGroup channel, or from a TRC or CSV file.
 
     Parameters
@@ -46,15 +46,16 @@ def load_truth(path: str | os.PathLike[str], topic: str = f"{TRUTH_PREFIX}/*") -
         The file cannot be read, or holds no truth.
     """
     readers = {".trc": read_trc, ".csv": read_csv}
-    if (read := readers.get(Path(path).suffix.lower())) is not None:
-        return read(Path(path))
+    name = path.path if isinstance(path, McapReader) else Path(path)
+    if (read := readers.get(name.suffix.lower())) is not None:
+        return read(name)
     with open_log(path, topics=[topic], output_prefix="/none") as log:
         if len(log.cameras) > 1:
             topics = ", ".join(camera.channel.topic for camera in log.cameras)
-            raise ConfigError(f"{path}: several channels match {topic}: {topics}; name one")
+            raise ConfigError(f"{name}: several channels match {topic}: {topics}; name one")
         frames = list(log.detections())
         if not frames:
-            raise LogError("holds no true skeletons", path=path, topic=topic)
+            raise LogError("holds no true skeletons", path=name, topic=topic)
         return Truth.of(frames, log.model)
 
 

@@ -1,14 +1,13 @@
 """ROS 1 bags and SQLite bags, by the rosbags library, and recordings of several MCAP files.
 
-hiros reads one MCAP file. What is recorded otherwise is rewritten once, the skeletons and the
-transforms of it, into a temporary MCAP file: ROS 2 messages byte for byte, ROS 1 messages as the
-ROS 2 messages of the same fields.
+hiros reads one MCAP file. What is recorded otherwise becomes one in memory, the skeletons and the
+transforms of it: ROS 2 messages byte for byte, ROS 1 messages as the ROS 2 messages of the same
+fields. Chunks are compressed, so that it takes as much memory as the file.
 """
 
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container import McapReader, McapWriter, RecoveringReader, Recovery
+from hiros_mcap.io.container import (
+    McapReader,
+    McapWriter,
+    MemoryWriter,
+    RecoveringReader,
+    Recovery,
+)
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import Damage, joined
 from hiros_mcap.io.detectors.registry import detector_readers
@@ -105,7 +110,7 @@ def _listed(metadata: Path) -> list[str] | None:
 
 
 class BagReader(McapReader):
-    """Reads the skeletons and transforms of a bag, from an MCAP file that ``close`` removes.
+    """Reads the skeletons and transforms of a bag, as an MCAP in memory.
 
     Attributes
     ----------
@@ -119,37 +124,29 @@ class BagReader(McapReader):
     """
 
     def __init__(self, path: Path, kind: str, *, memory: int = MEMORY) -> None:
-        def convert(mcap: Path) -> None:
+        def convert(writer: McapWriter) -> None:
             with open_bag(path, kind) as bag:
-                self._convert(bag, mcap)
+                self._convert(bag, writer)
 
         self._open_converted(path, convert, memory)
 
-    def _open_converted(self, path: Path, convert: Callable[[Path], None], memory: int) -> None:
-        """Let ``convert`` write a temporary MCAP file and open it."""
+    def _open_converted(
+        self, path: Path, convert: Callable[[McapWriter], None], memory: int
+    ) -> None:
+        """Let ``convert`` write an MCAP into memory and open it."""
         self.path = path
         self.left_out: dict[str, tuple[str, int]] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="hiros-")
-        try:
-            mcap = Path(self._folder.name) / f"{path.stem}.mcap"
-            convert(mcap)
-            super().__init__(mcap, memory=memory)
-        except BaseException:
-            self._folder.cleanup()
-            raise
-        self.path = path
+        with MemoryWriter(path) as writer:
+            convert(writer)
+            writer.commit()
+            super().__init__(writer.file, memory=memory)
 
     @property
     def has_checksums(self) -> bool:
         """False: bags have no checksums, and rosbags compares none of the parts of a split one."""
         return False
 
-    def close(self) -> None:
-        """Close and remove the file."""
-        super().close()
-        self._folder.cleanup()
-
-    def _convert(self, bag: Any, mcap: Path) -> None:
+    def _convert(self, bag: Any, writer: McapWriter) -> None:
         wanted = _wanted()
         taken = [c for c in bag.connections if hiros_schemas.short_name(c.msgtype) in wanted]
         for connection in bag.connections:
@@ -161,24 +158,22 @@ class BagReader(McapReader):
             raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
         texts = {connection.msgtype: connection.msgdef.data for connection in taken}
         store = bag.typestore if bag.is2 else types_of(texts)
-        with McapWriter(mcap, compression="") as writer:
-            channels: dict[tuple[str, str], int] = {}
-            schemas: dict[str, int] = {}
-            for connection in taken:
-                name = connection.msgtype
-                if name not in schemas:
-                    text = store.generate_msgdef(name, ros_version=2)[0]
-                    schemas[name] = writer.add_schema(name, text.encode())
-                key = connection.topic, name
-                if key not in channels:
-                    channels[key] = writer.add_channel(
-                        connection.topic, schemas[name], metadata=_metadata(connection)
-                    )
-            for connection, time, data in bag.messages(taken):
-                channel = channels[connection.topic, connection.msgtype]
-                cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
-                writer.write(channel, time, bytes(cdr))
-            writer.commit()
+        channels: dict[tuple[str, str], int] = {}
+        schemas: dict[str, int] = {}
+        for connection in taken:
+            name = connection.msgtype
+            if name not in schemas:
+                text = store.generate_msgdef(name, ros_version=2)[0]
+                schemas[name] = writer.add_schema(name, text.encode())
+            key = connection.topic, name
+            if key not in channels:
+                channels[key] = writer.add_channel(
+                    connection.topic, schemas[name], metadata=_metadata(connection)
+                )
+        for connection, time, data in bag.messages(taken):
+            channel = channels[connection.topic, connection.msgtype]
+            cdr = data if bag.is2 else store.ros1_to_cdr(data, connection.msgtype)
+            writer.write(channel, time, bytes(cdr))
 
 
 class SplitReader(BagReader):
@@ -198,11 +193,9 @@ class SplitReader(BagReader):
         self._checksums = True
         self._recovery: Recovery | None = None
 
-        def convert(mcap: Path) -> None:
-            with McapWriter(mcap, compression="") as writer:
-                found = join(parts, writer, recover=recover, wanted=self._wanted)
-                writer.commit()
-            self._recovery = found if recover else None
+        def convert(writer: McapWriter) -> None:
+            recovery = join(parts, writer, recover=recover, wanted=self._wanted)
+            self._recovery = recovery if recover else None
 
         self._open_converted(path, convert, memory)
 

@@ -10,8 +10,8 @@ camera's clock.
 - **Drift.** The lag grows or shrinks steadily. Delays vary to one side only, so the least lag of
   each second counts.
 - **Offset.** The lag differs from that of the other cameras from the first message on. Times alone
-  cannot tell a wrong clock from a slow delivery; see :mod:`hiros_mcap.calibrate.clock_offset`. Only
-  a difference that no delivery explains is taken as one of the clocks.
+  cannot tell a wrong clock from a slow delivery; the people can, with the cameras' poses. Only a
+  difference that no delivery explains is taken as one of the clocks.
 
 What all cameras share is the recorder's: it may stall, or its clock may be set.
 """
@@ -62,6 +62,12 @@ class CameraTimes:
     def lags(self) -> Floats:
         """(N,) log time - stamp, s."""
         return np.asarray((self.log_times - self.stamps) * 1e-9, np.float64)
+
+    def corrected(self, correction: ClockCorrection | None) -> CameraTimes:
+        """Return the same with corrected stamps."""
+        if correction is None:
+            return self
+        return replace(self, stamps=correction.apply(self.stamps, self.log_times))
 
     def moved(self, seconds: float) -> CameraTimes:
         """Return the same with later stamps."""

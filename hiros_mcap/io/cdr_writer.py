@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from hiros_mcap.skeletons import Floats
 
 HEADER = b"\0\1\0\0"  # CDR, little endian
+TIME_SIZE = 8
+"""Bytes of a Time."""
 
 
 class CdrWriter:
@@ -26,6 +28,10 @@ class CdrWriter:
     def _put(self, form: str, size: int, *values: float) -> None:
         self._body += bytes(-len(self._body) % size)
         self._body += struct.pack(f"<{len(values)}{form}", *values)
+
+    def raw(self, data: bytes) -> None:
+        """Write bytes that another writer made at the same place."""
+        self._body += data
 
     def byte(self, value: int) -> None:
         """Write a uint8 or a bool."""

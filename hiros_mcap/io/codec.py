@@ -27,7 +27,16 @@ from hiros_mcap.io.layout import PUBLISHED, Bytes, Layout
 from hiros_mcap.kernels import batch as batch_kernels
 from hiros_mcap.kernels import cdr, cleaning, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
-from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, Flags, Frame, People, SkeletonModel
+from hiros_mcap.skeletons import (
+    BOX,
+    ORIENTATION,
+    STATE,
+    Flags,
+    Floats,
+    Frame,
+    People,
+    SkeletonModel,
+)
 
 _FAULTS = {
     cdr.TRUNCATED: "message ends in the middle, or claims more elements than it has bytes for",
@@ -305,11 +314,13 @@ class Decoder:
         rows, has_header = self._times(batch)
         return rows[has_header]
 
-    def spaced(self, batch: Batch, kept: Callable[[int, cdr.Table], Flags]) -> Batch:
-        """Return some messages of a batch.
+    def spaced(
+        self, batch: Batch, kept: Callable[[int, cdr.Table, cdr.Table], Flags]
+    ) -> tuple[Batch, cdr.Table]:
+        """Return some messages of a batch, and the times of all, see :meth:`read_times`.
 
-        ``kept(channel, times)`` says which messages of a channel, with these times (n,) in ns:
-        that of the first person, or header.stamp, or the log time.
+        ``kept(channel, times, log_times)`` says which messages of a channel, by these times (n,) in
+        ns: that of the first person, or header.stamp, or the log time; and the log time.
         """
         rows, has_header = self._times(batch)
         logged, headers, sources = rows.T[1:]
@@ -317,12 +328,11 @@ class Decoder:
         chosen = ~has_header  # whoever decodes them says what is wrong
         for channel in np.unique(rows[:, 0]).tolist():
             own = np.flatnonzero(has_header & (rows[:, 0] == channel))
-            chosen[own] = kept(channel, times[own])
+            chosen[own] = kept(channel, times[own], logged[own])
         ends = np.cumsum([len(records.messages) for records in batch.records])[:-1]
         parts = zip(batch.records, np.split(chosen, ends), strict=True)
-        return batch._replace(
-            records=[r._replace(messages=r.messages[flags]) for r, flags in parts]
-        )
+        records = [r._replace(messages=r.messages[flags]) for r, flags in parts]
+        return batch._replace(records=records), rows[has_header]
 
     def _times(self, batch: Batch) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
         """Return the rows of :meth:`read_times` for all messages, and which have a header."""
@@ -464,6 +474,18 @@ def _by_kind(counts: cdr.Table) -> dict[int, Mapping[str, int]]:
         i: {kind: n for kind, n in zip(cleaning.KINDS, counts[i].tolist(), strict=True) if n}
         for i in np.flatnonzero(counts.any(axis=1)).tolist()
     }
+
+
+def rounded(values: Floats, precision: Precision) -> Floats:
+    """Return numbers as :class:`Encoder` writes them."""
+    if precision == "full":
+        return values
+    words = np.ascontiguousarray(values, np.float64).view(np.uint64)
+    sign, unit = np.uint64(1 << 63), np.uint64(1 << _DROPPED)
+    half, kept = unit >> np.uint64(1), ~(unit - np.uint64(1))
+    magnitude = ((words & ~sign) + half) & kept
+    near = (magnitude | (words & sign)).view(np.float64)
+    return np.where(np.isfinite(near), near, values)
 
 
 class Encoder:

@@ -12,12 +12,18 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
+from hiros_mcap.io.outside import parse
 
 _PROTOCOLS: Any = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 _DATA = struct.Struct("<BIQ")
 _PATIENCE = 0.1  # s: how soon a request to stop is heard
+LARGEST = 64 << 20
+"""Bytes of the largest message; one of a camera has less than 1 MiB."""
+_FAREWELL_S = 1.0
+_QUEUED = 4
+"""Messages that wait for a busy run, before the server has to."""
 
 Wanted = Callable[[str, str], bool]
 """Tells from topic and message type whether to subscribe."""
@@ -30,11 +36,14 @@ class FoxgloveInput:
     ----------
     url : ``ws://HOST:PORT`` or ``wss://...``.
     wanted : which channels to subscribe to; others are not sent.
+    largest : bytes of the largest message that is taken.
     """
 
-    def __init__(self, url: str, wanted: Wanted) -> None:
+    def __init__(self, url: str, wanted: Wanted, largest: int = LARGEST) -> None:
         self.name = url
-        self.is_cut = False
+        self.fault = ""
+        self._largest = largest
+        self._connection: Any = None
         self.before_waiting: Callable[[], None] = lambda: None
         self._wanted = wanted
         self._stopped = False
@@ -47,6 +56,11 @@ class FoxgloveInput:
         """End the input here; a signal handler may call it."""
         self._stopped = True
 
+    def close(self) -> None:
+        """Cut the connection, without a farewell, which a server may leave unanswered."""
+        if self._connection is not None:
+            self._connection.close_socket()
+
     def digest(self) -> str:
         """Return "": what came cannot be had again."""
         return ""
@@ -54,10 +68,15 @@ class FoxgloveInput:
     def records(self) -> Iterator[McapRecord]:
         """Subscribe, and yield what comes until the server closes the connection.
 
-        Raises LogError if there is no such server.
+        Raises LogError if there is no such server, or it does not speak the protocol.
         """
         try:
-            from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
+            from websockets.exceptions import (
+                ConnectionClosedError,
+                ConnectionClosedOK,
+                InvalidHandshake,
+                InvalidURI,
+            )
             from websockets.sync.client import connect
         except ImportError:
             raise LogError(
@@ -65,11 +84,19 @@ class FoxgloveInput:
             ) from None
         try:
             with connect(
-                self.name, subprotocols=_PROTOCOLS, max_size=None, compression=None
-            ) as socket:
-                yield from self._received(socket)
-        except ConnectionClosed:
+                self.name,
+                subprotocols=_PROTOCOLS,
+                max_size=self._largest,
+                max_queue=_QUEUED,
+                close_timeout=_FAREWELL_S,
+                compression=None,
+            ) as self._connection:
+                yield from self._received(self._connection)
+        except ConnectionClosedOK:
             return
+        except ConnectionClosedError as error:
+            if not self._stopped:
+                self.fault = f"the connection broke: {error}; what came before was used"
         except (OSError, InvalidHandshake, InvalidURI, TimeoutError) as error:
             raise LogError(
                 f"no Foxglove WebSocket server answers: {error}; start one, for example "
@@ -77,28 +104,28 @@ class FoxgloveInput:
                 path=self.name,
             ) from None
 
-    def _received(self, socket: Any) -> Iterator[McapRecord]:
+    def _received(self, connection: Any) -> Iterator[McapRecord]:
         while not self._stopped:
             self.before_waiting()
             try:
-                data = socket.recv(timeout=_PATIENCE)
+                data = connection.recv(timeout=_PATIENCE)
             except TimeoutError:
                 continue
             if isinstance(data, bytes):
                 yield from self._message(data)
             else:
-                yield from self._advertised(socket, data)
+                yield from self._advertised(connection, data)
 
-    def _advertised(self, socket: Any, text: str) -> Iterator[McapRecord]:
+    def _advertised(self, connection: Any, text: str) -> Iterator[McapRecord]:
         """Subscribe to what is wanted of the advertised channels, and yield the definitions."""
         try:
-            found = json.loads(text)
+            found = parse(text, "JSON", "text")
             channels = found["channels"] if found.get("op") == "advertise" else []
             news = [c for c in channels if c["id"] not in self._ids]
             wanted = [c for c in news if self._wanted(c["topic"], c["schemaName"])]
             numbers = {c["id"]: len(self._ids) + k for k, c in enumerate(wanted, 1)}
             definitions = [_definitions(c, numbers[c["id"]]) for c in wanted]
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ConfigError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise LogError(f"sent an odd message: {error!r}", path=self.name) from None
         if not wanted:
             return
@@ -108,7 +135,7 @@ class FoxgloveInput:
             yield channel
         self._ids |= numbers
         pairs = [{"id": ours, "channelId": theirs} for theirs, ours in numbers.items()]
-        socket.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
+        connection.send(json.dumps({"op": "subscribe", "subscriptions": pairs}))
 
     def _message(self, data: bytes) -> Iterator[Message]:
         if data[:1] != b"\x01" or len(data) < _DATA.size:

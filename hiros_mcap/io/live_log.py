@@ -93,11 +93,8 @@ class LiveLog(Log):
             for topic, n in self._waiting.items()
         ]
         found += [fault for fault in self._refused.values() if fault]
-        if self.reader.source.is_cut:
-            found.append(
-                "the input ended without its end mark; if its writer was not stopped on purpose, "
-                "look for the fault there"
-            )
+        if self.reader.source.fault:
+            found.append(self.reader.source.fault)
         return tuple(found)
 
     @property

@@ -14,7 +14,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from operator import itemgetter
@@ -78,6 +78,8 @@ from hiros_mcap.kernels.record_index import CHANNEL, START
 from hiros_mcap.skeletons import Flags, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.summary import quantity
 
+Source = str | os.PathLike[str] | McapReader
+"""A log: its path, or the open file, which then stays open."""
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
 FAR_FUTURE = "log time after the year 2262"
@@ -143,8 +145,11 @@ class Log:
         model: SkeletonModel,
         transforms: TransformTree,
         fixed_frame: str | None,
+        *,
+        owns_file: bool = True,
     ) -> None:
         self.reader = reader
+        self._owns_file = owns_file
         self.path = reader.path
         self.left_out = reader.left_out if isinstance(reader, BagReader) else {}
         self.channels = channels_of(reader)
@@ -167,8 +172,9 @@ class Log:
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
-        self.reader.close()
+        """Close the file, unless it was open before."""
+        if self._owns_file:
+            self.reader.close()
 
     @cached_property
     def fixed_frame(self) -> str:
@@ -308,7 +314,7 @@ class Log:
         Raises LogError where the file is damaged. A message that cannot be decoded is counted in
         ``accounts`` and skipped, unless ``strict`` is set: then it is a LogError too.
         """
-        for _, block in self._blocks():
+        for _, block in self.read(fixed=False):
             yield from block.frames()
 
     def detections(self) -> Iterator[Frame]:
@@ -318,22 +324,9 @@ class Log:
         """
         return frames_of(self.blocks())
 
-    def blocks_by_topic(
-        self, spans: Sequence[tuple[int, int]] | None = None, step: int = 0
-    ) -> Iterator[tuple[Sequence[str], Block]]:
-        """Yield what :meth:`blocks` does, with the topic of each frame.
-
-        Parameters
-        ----------
-        spans : log times, ns; only the parts of the file in which they lie are read.
-        step : ns; of a channel of one camera, little more than one message in each such interval
-            is decoded. 0 = all.
-        """
-        yield from self._fixed_blocks(spans, step)
-
     def blocks(self) -> Iterator[Block]:
         """Yield what :meth:`detections` does, some chunks' messages at once where that can be."""
-        for _, block in self._fixed_blocks():
+        for _, block in self.read():
             yield block
 
     def camera_blocks(self, spans: Sequence[tuple[int, int]] | None = None) -> Iterator[Block]:
@@ -341,14 +334,19 @@ class Log:
 
         With ``spans`` of log times, ns, only the parts of the file in which they lie are read.
         """
-        for _, block in self._blocks(spans=spans):
+        for _, block in self.read(fixed=False, spans=spans):
             yield block
 
     def use_poses(self, poses: Mapping[str, TimedPoses], fixed: str) -> None:
         """Replace the poses of some cameras' frames in the frame ``fixed``."""
         self.transforms = self.transforms.with_poses(poses, fixed)
 
-    def times(self) -> dict[str, CameraTimes]:
+    @property
+    def has_plain_times(self) -> bool:
+        """Whether the beginnings of the messages show the cameras and the times."""
+        return all(len(c.sources) == 1 and c.layout.is_published for c in self.cameras)
+
+    def times(self, tables: Sequence[Stamps] = ()) -> dict[str, CameraTimes]:
         """Return when the messages of each camera were stamped and logged, in log order.
 
         A stamp is that of a frame (see :meth:`frames`). Where some messages have people with a
@@ -357,38 +355,61 @@ class Log:
 
         Only the beginning of each message is read, if every channel has one camera. Messages that
         are damaged are left out, and so are those without a time.
+
+        ``tables`` are what :meth:`read` has put into ``times``, if the log has plain times.
         """
-        if any(len(c.sources) != 1 or not c.layout.is_published for c in self.cameras):
+        if not self.has_plain_times:
             rows = ((f.source, f.log_time, f.stamp, 0) for f in self.frames())
             return _times_of(sorted(rows, key=itemgetter(1)))
         names = {c.channel.id: next(iter(c.sources.values())) for c in self.cameras}
         decoder = Decoder(self.model)
         with _named(self.path):
-            tables = map(decoder.read_times, self.reader.batches(names))
-            table = np.concatenate([*tables, np.empty((0, 4), np.int64)])
+            parts = tables or map(decoder.read_times, self.reader.batches(names))
+            table = np.concatenate([*parts, np.empty((0, 4), np.int64)])
         table = table[np.argsort(table[:, 1], kind="stable")]
         return {
             name: _camera_times(table[table[:, 0] == ident, 1:]) for ident, name in names.items()
         }
 
-    def _fixed_blocks(
-        self, spans: Sequence[tuple[int, int]] | None = None, step: int = 0
+    def read(
+        self,
+        *,
+        fixed: bool = True,
+        spans: Sequence[tuple[int, int]] | None = None,
+        step: int = 0,
+        times: list[Stamps] | None = None,
     ) -> Iterator[tuple[Sequence[str], Block]]:
-        """Yield the messages as blocks in the fixed frame, with the topic of each frame."""
-        fixed = self.fixed_frame
-        mover = Mover(self.transforms, fixed)
-        poses = RestPoses(fixed, partial(self.transforms.at_rest, fixed=fixed))
+        """Yield the messages as blocks, with the topic of each frame.
+
+        Parameters
+        ----------
+        fixed : in the fixed frame, as :meth:`detections`; otherwise as :meth:`frames`.
+        spans : log times, ns; only the parts of the file in which they lie are read.
+        step : ns; of a channel of one camera, about one message in each such interval is decoded.
+            0 = all.
+        times : gets the times of all messages of the log, for :meth:`times`; the whole file is
+            then read.
+        """
+        if not fixed:
+            yield from self._blocks(None, spans, step, times)
+            return
+        frame = self.fixed_frame
+        mover = Mover(self.transforms, frame)
+        poses = RestPoses(frame, partial(self.transforms.at_rest, fixed=frame))
         with _named(self.path):
-            for topics, block in self._blocks(poses, spans, step):
+            for topics, block in self._blocks(poses, spans, step, times):
                 yield topics, mover.move_block(block)
 
     def _blocks(
         self,
-        poses: RestPoses | None = None,
-        spans: Sequence[tuple[int, int]] | None = None,
-        step: int = 0,
+        poses: RestPoses | None,
+        spans: Sequence[tuple[int, int]] | None,
+        step: int,
+        times: list[Stamps] | None,
     ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages as blocks, with the topic of each frame.
+
+        With ``times``, all messages are read, and their times go there.
 
         A thread reads and decodes, chunk by chunk. Here the messages are put in order, and what
         depends on their order is done: repeats are left out, and every message is accounted for.
@@ -402,10 +423,10 @@ class Log:
             self.use(camera)
         inputs = self._inputs
         decoder = Decoder(self.model, layouts=self._layouts, poses=poses)
-        batches = self.reader.batches(inputs, spans=spans)
+        batches = self.reader.batches(inputs, spans=spans if times is None else None)
         if step:
-            spacing = _Spacing(step, self.cameras)
-            batches = (decoder.spaced(batch, spacing.kept) for batch in batches)
+            spacing = _Spacing(step, self.cameras, None if times is None else spans)
+            batches = spacing.thinned(batches, decoder, times)
         decoded = (d for batch in batches for d in decoder.decode(batch))
         order = LogOrder[Decoded]()
         with _named(self.path):
@@ -463,16 +484,26 @@ class Log:
             raise fault
 
 
+_SPARED = 0.75
+"""A message is left out if it comes after a smaller share of the interval: none is regular."""
+
+
 class _Spacing:
-    """Leaves messages out: of a channel of one camera, the first in each interval is kept.
+    """Leaves messages out: of a channel of one camera, those that come soon after a kept one.
 
     Parameters
     ----------
-    step : length of an interval, ns. cameras : the channels.
+    step : usual interval, ns. cameras : the channels.
+    spans : log times, ns, outside of which no message is kept; None = all may be.
     """
 
-    def __init__(self, step: int, cameras: Iterable[CameraChannel]) -> None:
-        self._step = step
+    def __init__(
+        self,
+        step: int,
+        cameras: Iterable[CameraChannel],
+        spans: Sequence[tuple[int, int]] | None = None,
+    ) -> None:
+        self._least, self._spans = round(_SPARED * step), spans
         self._shared = {
             camera.channel.id
             for camera in cameras
@@ -480,14 +511,29 @@ class _Spacing:
         }
         self._last: dict[int, int] = {}
 
-    def kept(self, channel: int, times: Stamps) -> Flags:
+    def thinned(
+        self, batches: Iterable[Batch], decoder: Decoder, times: list[Stamps] | None
+    ) -> Iterator[Batch]:
+        """Yield the batches with the messages that are kept; the times of all go to ``times``."""
+        for batch in batches:
+            thin, table = decoder.spaced(batch, self._kept)
+            if times is not None:
+                times.append(table)
+            yield thin
+
+    def _kept(self, channel: int, times: Stamps, log_times: Stamps) -> Flags:
         """(n,) which of the next messages of a channel are kept, by their times, ns."""
+        inside = np.full(len(times), self._spans is None)
+        for begin, end in self._spans or ():
+            inside |= (begin <= log_times) & (log_times <= end)
         if channel in self._shared:
-            return np.ones(len(times), np.bool_)
-        cells = times // self._step
-        before = np.append(self._last.get(channel, -1), cells[:-1])
-        self._last[channel] = int(cells[-1]) if len(cells) else -1
-        return np.asarray(cells != before[: len(cells)])
+            return inside
+        last = self._last.get(channel, -self._least)
+        for k in np.flatnonzero(inside).tolist():
+            inside[k] = not 0 <= times[k] - last < self._least
+            last = int(times[k]) if inside[k] else last
+        self._last[channel] = last
+        return inside
 
 
 def _times_of(rows: Iterable[tuple[str, int, int, int]]) -> dict[str, CameraTimes]:
@@ -603,7 +649,7 @@ def _bits(people: People, row: int, time: int) -> tuple[int, bytes, bytes]:
 
 
 def open_log(
-    path: str | os.PathLike[str],
+    path: Source,
     *,
     topics: Sequence[str] | None = None,
     extrinsics: str | os.PathLike[str] | None = None,
@@ -617,8 +663,8 @@ def open_log(
 
     Parameters
     ----------
-    path : an MCAP file, a ROS 1 bag, a SQLite bag (.db3), or a rosbag2 folder. All but MCAP
-        are rewritten into a temporary file first.
+    path : an MCAP file, a ROS 1 bag, a SQLite bag (.db3), or a rosbag2 folder; or one of them
+        that is open (see :func:`open_reader`), so that several logs are read of one file.
     topics : globs of the skeleton channels to read (see channels.select_skeletons).
     extrinsics : file with the cameras' poses, instead of /tf_static and /tf.
     fixed_frame : frame of the results, instead of the root of the transforms.
@@ -638,22 +684,25 @@ def open_log(
         the extrinsics file is wrong.
     """
     tree = None if extrinsics is None else read_extrinsics(Path(extrinsics))
-    reader = open_reader(path, recover=recover, memory=memory)
-    try:
-        with _named(reader.path):
-            selects = partial(is_selected, topics=topics, output_prefix=output_prefix)
-            selection = Selection(selects, skeletons or SkeletonChoice())
-            reader = converted(reader, selection)
+    selects = partial(is_selected, topics=topics, output_prefix=output_prefix)
+    selection = Selection(selects, skeletons or SkeletonChoice())
+    with ExitStack() as stack:
+        if isinstance(path, McapReader):
+            file = path
+        else:
+            file = stack.enter_context(open_reader(path, recover=recover, memory=memory))
+        with _named(file.path):
+            reader = converted(file, selection)
         try:
             found = look_into(reader, tree, topics, output_prefix)
         except _SeveralModelsError:
-            with _named(reader.path):
-                reader = converted(reader, selection._replace(several=True))
+            with _named(file.path):
+                reader = converted(file, selection._replace(several=True))
             found = look_into(reader, tree, topics, output_prefix)
-        return Log(reader, *found, fixed_frame)
-    except BaseException:
-        reader.close()
-        raise
+        owns_file = reader is not path
+        if reader is file:
+            stack.pop_all()
+        return Log(reader, *found, fixed_frame, owns_file=owns_file)
 
 
 def look_into(
@@ -710,16 +759,27 @@ def open_reader(
     return (RecoveringReader if recover else McapReader)(parts[0], memory=memory)
 
 
-def open_groups(path: str | os.PathLike[str]) -> McapReader:
-    """Open a log as SkeletonGroups, also one of other detectors; raises LogError."""
-    reader = open_reader(path)
-    try:
-        with _named(reader.path):
-            selects = partial(is_selected, topics=None, output_prefix=OUTPUT_PREFIX)
-            return converted(reader, Selection(selects))
-    except BaseException:
-        reader.close()
-        raise
+@contextmanager
+def reading(source: Source) -> Iterator[McapReader]:
+    """Yield the open file of a log; close it unless it was open before."""
+    if isinstance(source, McapReader):
+        yield source
+        return
+    with open_reader(source) as reader:
+        yield reader
+
+
+@contextmanager
+def open_groups(source: Source) -> Iterator[McapReader]:
+    """Yield a log as SkeletonGroups, also one of other detectors; raises LogError."""
+    selects = partial(is_selected, topics=None, output_prefix=OUTPUT_PREFIX)
+    with reading(source) as file, _named(file.path):
+        groups = converted(file, Selection(selects))
+        try:
+            yield groups
+        finally:
+            if groups is not file:
+                groups.close()
 
 
 def _layout(reader: McapReader, info: ChannelInfo) -> Layout:
@@ -891,7 +951,7 @@ def _coincide(frames: Sequence[str]) -> str:
 
 
 @contextmanager
-def _named(path: Path, topic: str | None = None) -> Iterator[None]:
+def _named(path: Path | str, topic: str | None = None) -> Iterator[None]:
     """Give the LogErrors of a block the name of the file."""
     try:
         yield

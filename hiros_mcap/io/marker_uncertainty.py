@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from hiros_mcap.io.cdr_writer import CdrWriter
+from hiros_mcap.io.cdr_writer import HEADER, TIME_SIZE, CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX
+from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.ros_messages import open_messages
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
@@ -25,10 +27,10 @@ Deviations = Mapping[tuple[int, int], Mapping[int, float]]
 def uncertainty_message(frame: Frame, model: SkeletonModel) -> bytes:
     """Return a SkeletonGroupUncertainty in CDR; of nobody if the frame has no uncertainty."""
     known = frame.uncertainty
+    names = tuple(known.names) if known else ()
     out = CdrWriter()
-    out.header(frame.stamp, frame.frame_id)
-    out.strings(known.names if known else ())
-    out.int32s(model.marker_ids)
+    out.time(frame.stamp)
+    out.raw(_head(frame.frame_id, names, tuple(model.marker_ids)))
     out.uint32(frame.n_people if known else 0)
     if known:
         n = known.deviations.shape[1]
@@ -40,13 +42,36 @@ def uncertainty_message(frame: Frame, model: SkeletonModel) -> bytes:
     return out.finish()
 
 
-def read_uncertainty(path: str | os.PathLike[str]) -> Deviations:
+@lru_cache(maxsize=8)
+def _head(frame_id: str, names: tuple[str, ...], markers: tuple[int, ...]) -> bytes:
+    """Bytes between the time and the people: those of all messages of a log."""
+    out = CdrWriter()
+    out.header(0, frame_id)
+    out.strings(names)
+    out.int32s(markers)
+    return out.finish()[len(HEADER) + TIME_SIZE :]
+
+
+def deviations_of(frames: Iterable[Frame], model: SkeletonModel) -> Deviations:
+    """Return the standard deviations that the frames of a stage carry."""
+    return {
+        (frame.stamp, person): dict(zip(model.marker_ids, row, strict=True))
+        for frame in frames
+        if frame.uncertainty is not None
+        for person, row in zip(
+            frame.ids.tolist(), frame.uncertainty.deviations.tolist(), strict=True
+        )
+    }
+
+
+def read_uncertainty(source: str | os.PathLike[str] | McapReader) -> Deviations:
     """Read the standard deviations of a result; empty if it states none.
 
     Raises LogError if the log cannot be read.
     """
     found: dict[tuple[int, int], Mapping[int, float]] = {}
-    with open_messages(Path(path)) as messages:
+    log = source if isinstance(source, McapReader) else Path(source)
+    with open_messages(log) as messages:
         if UNCERTAINTY_TOPIC not in messages.types:
             return found
         for message in messages.read({UNCERTAINTY_TOPIC}):

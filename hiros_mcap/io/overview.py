@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import struct
@@ -15,14 +14,14 @@ from typing import Any, Literal
 import numpy as np
 
 import hiros_schemas
-from hiros_mcap.errors import LogError
+from hiros_mcap.errors import ConfigError, LogError
+from hiros_mcap.io.attachments import stored_parameters, stored_report, values_of
 from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
     OUTPUT_PREFIX,
     OUTPUT_TOPICS,
     PROVENANCE,
-    REPORT_ATTACHMENT,
     TRUTH_PREFIX,
     ChannelInfo,
     channels_of,
@@ -31,7 +30,6 @@ from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.chunks import Table
 from hiros_mcap.io.container.records import Bytes
 from hiros_mcap.io.log import Log, open_log, open_reader
-from hiros_mcap.io.stored_parameters import stored_parameters, values_of
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 
@@ -230,7 +228,7 @@ def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
         path=str(path),
         kind=kind,
         seconds=(end - start) / 1e9,
-        megabytes=_size(log.path) / 1e6,
+        megabytes=_size(Path(log.path)) / 1e6,
         has_checksums=log.reader.has_checksums,
         channels=_channel_rows(log.reader, _spans(log.reader)),
         cameras=tuple(
@@ -259,7 +257,7 @@ def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Ove
         path=str(path),
         kind=kind,
         seconds=(end - start) / 1e9,
-        megabytes=_size(reader.path) / 1e6,
+        megabytes=_size(Path(reader.path)) / 1e6,
         has_checksums=reader.has_checksums,
         channels=_channel_rows(reader, spans),
         cameras=(),
@@ -374,7 +372,7 @@ def _run(reader: McapReader) -> RunRow:
     system = facts.get("system", "")
     try:
         preset, changed = _changed(stored_parameters(reader), system)
-    except LogError:
+    except ConfigError:
         preset, changed = "", ()
     return RunRow(
         version=facts.get("version", ""),
@@ -389,11 +387,9 @@ def _run(reader: McapReader) -> RunRow:
 
 def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
     try:
-        report = json.loads(reader.attachment(REPORT_ATTACHMENT) or b"{}")
-    except ValueError:
+        return stored_report(reader).warnings
+    except LogError:
         return ()
-    found = report.get("warnings") if isinstance(report, dict) else None
-    return tuple(map(str, found)) if isinstance(found, list) else ()
 
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
@@ -406,7 +402,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
     found: dict[str, tuple[ParameterRow, ...]] = {}
     for preset in presets_of(system):
         config = load_config(preset=preset, system=system)
-        usual = values_of(to_toml(config, sections_of(system)))
+        usual = values_of(to_toml(config, sections_of(system)), "")
         found[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
             for name, value in values.items()

@@ -10,14 +10,7 @@ from pathlib import Path
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io import remote
-from hiros_mcap.outputs import (
-    HEAD,
-    Kind,
-    check_outputs,
-    may_replace,
-    remove_abandoned,
-    write_text,
-)
+from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, remove_abandoned, write_text
 
 
 def place_of(folder: str) -> Place:

@@ -24,9 +24,10 @@ import hiros_schemas
 from hiros_mcap.body.anatomy import ANGLE_NAMES, anatomical_angles
 from hiros_mcap.body.segments import LinkAxes, link_axes
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.events import Event
+from hiros_mcap.io.attachments import stored_events
 from hiros_mcap.io.bags import kind_of
-from hiros_mcap.io.channels import EVENTS_ATTACHMENT, OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
+from hiros_mcap.io.channels import OUTPUT_TOPICS, TRUTH_PREFIX, channels_of
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log, open_reader, span_of
 from hiros_mcap.io.marker_uncertainty import UNCERTAIN_TOPIC, read_uncertainty
@@ -284,7 +285,7 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         if chosen not in topics:
             raise ConfigError(f"{path}: no channel {chosen!r} (there are: {_listed(topics)})")
         start = span_of(reader)[0]
-        events = (reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()
+        events = stored_events(reader)
     with open_log(path, topics=[escape(chosen)], output_prefix="/none") as log:
         frames = list(log.frames())
         model = log.model
@@ -304,7 +305,7 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
             rows.setdefault(person, []).append(row)
     motions = {person: _motion(person, rows[person], start, model) for person in sorted(rows)}
     fixed = frames[0].frame_id if frames else ""
-    return Result(Path(path), chosen, model, fixed, start, motions, tuple(events_from_json(events)))
+    return Result(Path(path), chosen, model, fixed, start, motions, events)
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:

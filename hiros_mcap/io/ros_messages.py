@@ -111,12 +111,15 @@ class _BagMessages(RosMessages):
 
 
 @contextmanager
-def open_messages(path: Path) -> Iterator[RosMessages]:
-    """Open an MCAP file, a ROS 1 bag, a SQLite bag or a rosbag2 folder.
+def open_messages(path: Path | McapReader) -> Iterator[RosMessages]:
+    """Open an MCAP file, also one that is open, a ROS 1 bag, a SQLite bag or a rosbag2 folder.
 
     Raises LogError if it cannot be read.
     """
     with ExitStack() as stack:
+        if isinstance(path, McapReader):
+            yield _McapMessages([path])
+            return
         parts = parts_of(path)
         if parts:
             yield _McapMessages([stack.enter_context(McapReader(part)) for part in parts])

@@ -1,12 +1,13 @@
-"""Compiled inner loops: ``@njit`` functions on bare arrays, no objects, no input/output.
-
-Importing this package chooses numba's cache folder *before* numba is imported. The folder's name
-holds a hash of every kernel source: numba itself does not notice that a callee in another module
-changed, and would go on running the old code.
+"""Compiled inner loops: numba functions on bare arrays, no objects, no input/output.
 
 Kernels state their signatures, so they are compiled (or loaded) when their module is imported,
 never in the middle of a run, and a wrong array layout is a TypeError rather than a silent second
 compilation.
+
+A wheel brings them compiled (``shipped.py``). Elsewhere numba compiles them once into a folder of
+the user. It has a folder for each module, whose name holds a hash of the module and of all that it
+imports: numba itself does not notice that a callee in another module changed, and would go on
+running the old code.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 
 # A kernel that states its signature; one without is compiled into its callers.
-_SIGNED = re.compile(r"^@(?:kernel|njit)\((?!\s*\w+=)", re.MULTILINE)
+_SIGNED = re.compile(r"^@kernel\((?!\s*\w+=)", re.MULTILINE)
+_IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
+_PACKAGE = Path(__file__).parent.parent
 
 
 def sources() -> Mapping[str, str]:
@@ -29,32 +33,46 @@ def sources() -> Mapping[str, str]:
     return {name: text for name, text in texts.items() if _SIGNED.search(text)}
 
 
-def cache_folder() -> Path:
-    """Folder for compiled kernels of exactly this source, at this place, and this numba.
+def imported(source: str) -> list[str]:
+    """Return the modules of hiros_mcap that a source names in imports at its top level."""
+    modules = []
+    for package, many, few in _IMPORT.findall(source):
+        names = re.findall(r"(\w+)(?: as \w+)?", many or few.partition("#")[0])
+        modules += [package, *(f"{package}.{name}" for name in names)]
+    return modules
 
-    numba takes no kernel that was compiled for a source at another place. In one folder for both,
-    a second installation would seem to be compiled.
-    """
+
+@cache
+def digest(module: str) -> str:
+    """Hash of a module of hiros_mcap and of all modules of it that it imports; "" if none is so."""
+    path = _PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
+    if not path.is_file():
+        return ""
+    source = path.read_text()
+    parts = [source, *map(digest, sorted(set(imported(source))))]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def cache_folder() -> Path:
+    """Folder for what this Python and this numba have compiled on this machine."""
+    import numba
     import platformdirs
 
-    digest = hashlib.sha256(version("numba").encode())
-    digest.update(str(Path(__file__).parent).encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.name.encode())
-        digest.update(source.read_bytes())
-    return Path(platformdirs.user_cache_dir("hiros")) / f"kernels-{digest.hexdigest()[:16]}"
+    root = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("hiros")
+    return Path(root, f"kernels-{sys.implementation.cache_tag}-numba-{numba.__version__}")
+
+
+def folder_of(module: str) -> Path:
+    """Folder for the compiled code of a module of kernels as it is now."""
+    return cache_folder() / f"{module}-{digest(f'{__name__}.{module}')[:16]}"
 
 
 def compiled() -> set[str]:
     """Modules of which a former run on this machine has compiled kernels."""
-    folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    return {path.name.partition(".")[0] for path in folder.rglob("*.nbi")}
+    return {module for module in sources() if folder_of(module).is_dir()}
 
 
 def load(modules: Sequence[str]) -> None:
     """Import modules of kernels, which compiles them unless that was done before."""
     for module in modules:
         import_module(f"{__name__}.{module}")
-
-
-os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))

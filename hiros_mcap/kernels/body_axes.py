@@ -22,6 +22,9 @@ _MEMORY = 0.05  # s: a trunk turns by 20 degrees in it when somebody falls or ro
 _LEAST_SHARE = 0.3  # of each view in the mean: about six views err by less than one
 _AGREEING = 0.5  # length of the mean of unit vectors below which they contradict each other
 _LINE_SHARE = 0.5  # of each view's line: 600 degrees/s stay within 45 degrees at 30 views/s
+_RATE_MEMORY = 0.1  # s: two cameras whose lines differ by 40 degrees make 60 degrees/s of it
+_SLOW, _FAST = math.radians(240.0), math.radians(480.0)
+"""rad/s: a turn that the model of the facing follows itself (8 degrees a cell); one too fast."""
 _SHORTEST = 0.05  # m, of a trunk
 _WALK_SPEED, _ALONG = 0.4, 0.5  # m/s across the trunk; share of it along the trunk
 _FEWEST, _CONCENTRATED = 30.0, 0.8  # trunks that show up, and the length of their mean
@@ -154,35 +157,47 @@ def _complete(x: float, y: float, z: float, axes: Floats) -> None:
 
 @kernel
 def follow_line(
-    line: float, angle: float, reliable: float, trust: float, axes: Floats
-) -> tuple[float, float]:
+    line: Floats, angle: float, reliable: float, seconds: float, trust: tuple[float, float],
+    axes: Floats,
+) -> float:  # fmt: skip
     """Turn a person's axes about the trunk with the line through shoulders and hips.
+
+    A detector that assumes that people face it lets the line swing back where these go on turning.
+    Axes that follow such a swing carry front and back along, the wrong way. So slow turns
+    and fast ones are trusted apart: the facing in the axes can follow a slow turn by itself.
 
     Parameters
     ----------
-    line : angle of the line in the axes so far, rad; NaN = not known.
+    line : (3,) the line's angle in the axes so far, rad, its rate, rad/s, and the sum of the
+        angles by which the axes were turned, rad; NaN = not known; changed.
     angle : of this view's line, rad, modulo half a turn.
     reliable : from 0 to 1, how well this view shows the line.
-    trust : from 0 to 1, the share of the line's turn that the axes follow.
+    seconds : since the last view.
+    trust : from 0 to 1, the shares of slow turns and of fast ones that the axes follow.
     axes : (3, 3) changed.
 
     Returns
     -------
-    The new angle of the line in the axes, rad, and the angle by which these were turned.
+    The angle by which the axes were turned, rad.
     """
-    if math.isnan(line) or math.isnan(axes[0, 0]):
-        return angle, 0.0
-    change = angle - line
+    if math.isnan(line[0]) or math.isnan(axes[0, 0]):
+        line[0], line[1], line[2] = angle, 0.0, 0.0
+        return 0.0
+    change = angle - line[0]
     change -= math.pi * math.floor(change / math.pi + 0.5)
     # A line at a right angle to where it was does not tell which way it turned.
     share = _LINE_SHARE * reliable * ramp(abs(change), 0.5 * math.pi, 0.25 * math.pi)
     change *= share
-    turn = trust * change
+    line[1] += (change - line[1] * seconds) / (seconds + _RATE_MEMORY)
+    slow, fast = trust
+    turn: float = change * (slow + max(fast - slow, 0.0) * ramp(abs(line[1]), _SLOW, _FAST))
     cosine, sine = math.cos(turn), math.sin(turn)
     for c in range(3):
         a, b = axes[0, c], axes[1, c]
         axes[0, c], axes[1, c] = cosine * a + sine * b, cosine * b - sine * a
-    return line + change - turn, turn
+    line[0] += change - turn
+    line[2] += turn
+    return turn
 
 
 # Up, for walking alone.

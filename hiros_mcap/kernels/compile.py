@@ -2,17 +2,73 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from types import FunctionType
 from typing import Any
 
 from numba import njit, types
+from numba.core import caching
+from numba.core.runtime.nrt import rtsys
 
+from hiros_mcap.kernels import folder_of, shipped
 from hiros_mcap.skeletons import People
 
 # Without numba's reference counts, which kernels that make no arrays have no use for, the code is
 # four times as fast.
-_njit: Any = partial(njit, cache=True, nogil=True, error_model="numpy", _nrt=False)
+_njit: Any = partial(njit, nogil=True, error_model="numpy", _nrt=False)
+
+
+class _Folder(caching._CacheLocator):
+    """Tells numba where the code of a kernel lies.
+
+    numba's own setting for that would hold for all other functions of the process, too.
+    """
+
+    def __init__(self, function: FunctionType) -> None:
+        self._module = function.__module__.rpartition(".")[2]
+        self._line = function.__code__.co_firstlineno
+
+    def get_cache_path(self) -> str:
+        return str(shipped.FOLDER if shipped.usable() else folder_of(self._module))
+
+    def get_source_stamp(self) -> str:
+        return ""  # the folder holds code of the present sources only
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, function: FunctionType, _: str) -> _Folder:
+        return cls(function)
+
+
+class _Files(caching.CompileResultCacheImpl):
+    _locator_classes = [_Folder]  # type: ignore[list-item]  # noqa: RUF012
+
+
+class _KernelCache(caching.FunctionCache):
+    """numba's cache of compiled code, which shipped code comes from as well."""
+
+    _impl_class = _Files
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        signature, target, code = super()._index_key(signature, codegen)  # type: ignore[no-untyped-call]
+        if shipped.usable():
+            target = target[0], shipped.CPU, ""  # this processor runs it, whatever its own name is
+        return signature, target, code
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        if not shipped.usable():
+            return super().load_overload(signature, context)  # type: ignore[no-untyped-call]
+        # numba's own way loads all that a compilation would need, a fifth of a second.
+        rtsys.initialize(context)
+        return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        if not shipped.usable():
+            with suppress(OSError):  # the folder cannot be written: the next process compiles again
+                super().save_overload(signature, data)  # type: ignore[no-untyped-call]
 
 
 def kernel(signature: Any, **options: Any) -> Any:
@@ -20,11 +76,26 @@ def kernel(signature: Any, **options: Any) -> Any:
 
     A private one cannot be called from Python (the process would die of it), only from kernels: to
     make them callable, too, would take an eighth of the time that compiling all of them takes.
+    One without a signature must not be called from Python: nothing ships it. ``_nrt=True`` is for a
+    kernel that makes arrays after all.
     """
-    if isinstance(signature, FunctionType):
-        private = signature.__name__.startswith("_")
-        return _njit(no_cpython_wrapper=private, no_cfunc_wrapper=private)(signature)
-    return _njit(signature, **options)
+    if not isinstance(signature, FunctionType):
+        return partial(_with_signature, signature, options)
+    private = signature.__name__.startswith("_")
+    return _cached(signature, no_cpython_wrapper=private, no_cfunc_wrapper=private)
+
+
+def _with_signature(signature: Any, options: dict[str, Any], function: FunctionType) -> Any:
+    compiled = _cached(function, **options)
+    compiled.compile(signature)
+    compiled.disable_compile()
+    return compiled
+
+
+def _cached(function: FunctionType, **options: Any) -> Any:
+    dispatcher = _njit(**options)(function)
+    dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+    return dispatcher
 
 
 def inlined(function: Any) -> Any:
@@ -35,7 +106,7 @@ def inlined(function: Any) -> Any:
     """
     private = function.__name__.startswith("_")
     wrappers = {"no_cpython_wrapper": private, "no_cfunc_wrapper": private}
-    return _njit(forceinline=True, **wrappers)(function)
+    return _cached(function, forceinline=True, **wrappers)
 
 
 def direct(function: Any) -> Any:

@@ -63,9 +63,13 @@ _LONGEST_GAP = 30  # cells
 _TELEPORT = 1e-10  # probability of any other facing
 _WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
 _OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
-_TOES_LABEL = 0.2, 0.5  # agreement of toes: labels say nothing; they say all that labels can
-_TOES_FOLLOW = 0.45, 0.5  # lines say nothing of turns; they do (0.5 = nothing is known yet)
-_TOES_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
+_LABELS = 0.2, 0.5  # honesty with which labels say nothing; they say all that labels can
+_FAST_TURNS = 0.45, 0.5  # lines show no fast turn; they show it (0.5 = nothing is known yet)
+_SLOW_TURNS = 0.45, 0.7  # the same of slow turns: a fifth of them counts while nothing is known
+_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
+_ROUND = math.radians(270.0)  # a turn that a detector never shows if it assumes a facing
+_ROUND_MEMORY = 5.0  # s in which it is made
+_LARGEST_STEP = math.radians(60.0)  # from one view to the next; beyond, labels are exchanged
 _SURE = 0.5  # length of the mean direction of a belief that overrules labels
 _LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
 _PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
@@ -151,6 +155,9 @@ class FacingPast(NamedTuple):
     """(S, VIEWS) the last views, a ring; stamp 0 = none."""
     view_looks: Floats
     """(S, VIEWS, 2 + CUES * 2) their facing and cues."""
+    view_ranges: Floats
+    """(S, VIEWS, 3) their facing, rad, however the axes were turned, and the least and the
+    largest one that the camera showed lately without a step; NaN = not known."""
     next_view: Stamps
     """(S,) place of the next one in the ring."""
     way_cells: Stamps
@@ -166,7 +173,7 @@ class FacingPast(NamedTuple):
     trunk_stamps: Stamps
     """(S,) time of the last view that showed it, ns."""
     lines: Floats
-    """(S,) angle of the line through shoulders and hips in the axes, rad; NaN = not known."""
+    """(S, 3) see body_axes.follow_line; NaN = not known."""
     starts: Stamps
     belief_starts: Stamps
     """(S,) as Looks.starts: of the last view; of the current cell."""
@@ -178,8 +185,9 @@ class FacingPast(NamedTuple):
         views, cells = np.zeros((0, VIEWS), np.int64), np.zeros((0, CELLS), np.int64)
         return cls(
             n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
-            np.zeros((0, VIEWS, 2 + CUES * 2)), n, cells, np.zeros((0, CELLS, 4)), n,
-            np.zeros((0, 3, 3)), np.zeros((0, 3)), n, np.zeros(0), n, n,
+            np.zeros((0, VIEWS, 2 + CUES * 2)), np.zeros((0, VIEWS, 3)), n, cells,
+            np.zeros((0, CELLS, 4)), n, np.zeros((0, 3, 3)), np.zeros((0, 3)), n,
+            np.zeros((0, 3)), n, n,
         )  # fmt: skip
 
 
@@ -193,6 +201,8 @@ class FacingTables(NamedTuple):
     agreement: Floats
     """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
     other, and how often it was asked. It tells physical cues from those that follow the label."""
+    rounds: Floats
+    """(1,) learned: how often labels went round with a person; such labels are honest."""
     up: Floats
     """(4,) learned, see body_axes.learn_up."""
 
@@ -208,6 +218,7 @@ class FacingTables(NamedTuple):
             np.stack([np.cos(angles), np.sin(angles)], axis=1),
             turns + _TELEPORT,
             np.array([[p * _PRIOR_SAMPLES, _PRIOR_SAMPLES] for p in PRIOR_AGREEMENT]),
+            np.zeros(1),
             np.zeros(4),
         )
 
@@ -241,8 +252,10 @@ class Facings(NamedTuple):
 
 MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2, J2)
 _LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2, F3, I1, F1)
-_PAST = named_tuple(FacingPast, I1, F2, F2, F1, I2, I2, F3, I1, I2, F3, I1, F3, F2, I1, F1, I1, I1)
-_TABLES = named_tuple(FacingTables, F2, F2, F2, F1)
+_PAST = named_tuple(
+    FacingPast, I1, F2, F2, F1, I2, I2, F3, F3, I1, I2, F3, I1, F3, F2, I1, F2, I1, I1
+)
+_TABLES = named_tuple(FacingTables, F2, F2, F2, F1, F1)
 _FACINGS = named_tuple(Facings, F2, B1, F1, F1)
 
 
@@ -308,7 +321,10 @@ def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, f
 def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> None:
     """Learn from view ``i``, and write its weight."""
     row, stamp, camera = looks.rows[i], looks.stamps[i], looks.cameras[i]
-    weight: float = _rate_weight(stamp, camera, past, row)
+    last = _last_view(camera, past, row)
+    cells = (stamp - past.view_stamps[row, last]) / CELL if last >= 0 else np.inf
+    # A camera of 30 Hz whose stamps jitter counts as one of 30 Hz.
+    weight: float = min(1.0, 1.25 * max(cells, 0.0))
     looks.weights[i] = weight
     if not math.isnan(looks.facing[i, 0]):
         for v in range(VIEWS):
@@ -319,6 +335,8 @@ def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> None
             ):
                 _compare(looks, i, past.view_looks[row, v], weight, tables.agreement)
     place = past.next_view[row]
+    if _goes_round(looks, i, last, past, past.view_ranges[row, place]):
+        tables.rounds[0] += _SAMPLE * weight
     past.view_stamps[row, place], past.view_cameras[row, place] = stamp, camera
     for c in range(2):
         past.view_looks[row, place, c] = looks.facing[i, c]
@@ -328,15 +346,39 @@ def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> None
 
 
 @kernel
-def _rate_weight(stamp: int, camera: int, past: FacingPast, row: int) -> float:
-    """Time since the camera's last view of the person, in cells, at most 1."""
-    last = 0
+def _last_view(camera: int, past: FacingPast, row: int) -> int:
+    """Return the place of a camera's last view of a person, or -1."""
+    last, stamp = -1, 0
     for v in range(VIEWS):
-        if past.view_cameras[row, v] == camera:
-            last = max(last, past.view_stamps[row, v])
-    # A camera of 30 Hz whose stamps jitter counts as one of 30 Hz.
-    weight: float = min(1.0, 1.25 * max(stamp - last, 0) / CELL)
-    return weight
+        if past.view_cameras[row, v] == camera and past.view_stamps[row, v] > stamp:
+            last, stamp = v, past.view_stamps[row, v]
+    return last
+
+
+@kernel
+def _goes_round(looks: Looks, i: int, last: int, past: FacingPast, out: Floats) -> bool:
+    """Whether the labels of a camera went round with a person; write the range of the facing.
+
+    A detector that assumes that people face it shows at most half a turn, then exchanges labels.
+    """
+    row = looks.rows[i]
+    facing = math.atan2(looks.facing[i, 1], looks.facing[i, 0]) + past.lines[row, 2]
+    if not _line_reliability(looks.widths[i], past.widths[row]) > 0.0:
+        facing = np.nan
+    low = high = facing
+    if last >= 0:
+        before = past.view_ranges[row, last]
+        step = facing - before[0]
+        step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
+        if abs(step) < _LARGEST_STEP:  # False for NaN
+            facing = before[0] + step
+            seconds = 1e-9 * max(looks.stamps[i] - past.view_stamps[row, last], 0)
+            share = min(seconds / _ROUND_MEMORY, 1.0)
+            low = min(facing, before[1] + share * (facing - before[1]))
+            high = max(facing, before[2] + share * (facing - before[2]))
+    out[0], out[1], out[2] = facing, low, high
+    went: bool = high - low > _ROUND
+    return went
 
 
 @kernel
@@ -373,18 +415,26 @@ def _gate(k: int, agreement: Floats) -> float:
 
 @inlined
 def _toes(agreement: Floats) -> float:
-    """How often toes point the same way where labels contradict each other.
-
-    A detector that errs by chance leaves the toes alone.
-    """
+    """How often toes point the same way where labels contradict each other."""
     share: float = agreement[TOES, 0] / agreement[TOES, 1]
     return share
 
 
 @inlined
-def _mistrust(agreement: Floats) -> float:
-    """Probability that a label is wrong: 0.5 for a detector whose toes follow its label."""
-    wrong: float = 0.5 - 0.4 * ramp(_toes(agreement), *_TOES_LABEL)
+def _honesty(tables: FacingTables) -> float:
+    """Whether labels err by chance, from 0 to 1.
+
+    Such a detector leaves the toes alone when it errs, and its labels go round with a person.
+    """
+    same, asked, rounds = tables.agreement[TOES, 0], tables.agreement[TOES, 1], tables.rounds[0]
+    share: float = (same + rounds) / (asked + rounds)
+    return share
+
+
+@inlined
+def _mistrust(tables: FacingTables) -> float:
+    """Probability that a label is wrong: 0.5 for a detector that assumes that people face it."""
+    wrong: float = 0.5 - 0.4 * ramp(_honesty(tables), *_LABELS)
     return wrong
 
 
@@ -399,8 +449,9 @@ def _line_reliability(width: float, usual: float) -> float:
 
 @inlined
 def _follow_body(
-    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int, trust: float
-) -> tuple[float, float]:
+    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int,
+    honesty: float,
+) -> tuple[float, float]:  # fmt: skip
     """Bring a person's axes to a view; return the line through shoulders and hips in them, m."""
     axes = past.axes[row]
     seconds = 1e-9 * max(stamp - past.trunk_stamps[row], 0) if past.starts[row] > 0 else np.inf
@@ -410,14 +461,15 @@ def _follow_body(
     if anew:
         past.starts[row] += 1
         past.lines[row] = np.nan
-        past.view_looks[row] = np.nan
+        past.view_looks[row], past.view_ranges[row] = np.nan, np.nan
     x, y = left_to_right(positions, markers.lateral, axes)
     width = math.sqrt(x * x + y * y)
     if not width > 1e-6:
         return np.nan, np.nan
     _learn_width(width, past, row)
     reliable = _line_reliability(width, past.widths[row])
-    past.lines[row], turn = follow_line(past.lines[row], math.atan2(y, x), reliable, trust, axes)
+    trust = ramp(honesty, *_SLOW_TURNS), ramp(honesty, *_FAST_TURNS)
+    turn = follow_line(past.lines[row], math.atan2(y, x), reliable, seconds, trust, axes)
     cosine, sine = math.cos(turn), math.sin(turn)
     return cosine * x + sine * y, cosine * y - sine * x
 
@@ -429,8 +481,7 @@ def _measure(
 ) -> None:  # fmt: skip
     """Measure what view ``i`` shows in the person's axes, and learn from it."""
     positions, row = people.markers[view], looks.rows[i]
-    trust = ramp(_toes(tables.agreement), *_TOES_FOLLOW)
-    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, trust)
+    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, _honesty(tables))
     width = math.sqrt(x * x + y * y)
     looks.widths[i], looks.facing[i, 0], looks.facing[i, 1] = width, -y / width, x / width
     looks.starts[i] = past.starts[row]
@@ -471,7 +522,7 @@ def _weigh(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Fl
     """Write the logarithm of the likelihood of view ``i`` for every facing."""
     x, y, cues, weight = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i], looks.weights[i]
     reliable = _line_reliability(looks.widths[i], past.widths[looks.rows[i]])
-    wrong, sharpness = _mistrust(tables.agreement), 2.0 * _LINE_SHARPNESS * reliable
+    wrong, sharpness = _mistrust(tables), 2.0 * _LINE_SHARPNESS * reliable
     for b in range(_HALF if reliable > 0.0 else 0):
         cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
         # cos(2 a) - 1 = 2 (cos(a)^2 - 1). The line has twice the weight of the label: a square.
@@ -667,10 +718,10 @@ def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: F
     x, y = looks.facing[i, 0], looks.facing[i, 1]
     fx, fy = out.facing[i, 0], out.facing[i, 1]
     sure = max(math.sqrt(fx * fx + fy * fy), 1e-12)
-    if math.isnan(x) or (sure < _SURE and _mistrust(tables.agreement) < 0.5):
+    if math.isnan(x) or (sure < _SURE and _mistrust(tables) < 0.5):
         return
     cosine, sine = (fx * x + fy * y) / sure, (fx * y - fy * x) / sure
-    honesty = ramp(_toes(tables.agreement), *_TOES_HONEST)
+    honesty = ramp(_honesty(tables), *_HONEST)
     right = 0.5 + 0.4 * honesty
     odds = math.log(right / (1.0 - right)) if honesty > 0.0 else 0.0
     usual = past.widths[looks.rows[i]]

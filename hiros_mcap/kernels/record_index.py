@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit, types
+from numba import types
+
+from hiros_mcap.kernels.compile import kernel
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -21,7 +23,7 @@ _HEAD = 9
 _FIXED = 22
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _number(data, at, width):  # type: ignore[no-untyped-def]
     value = np.uint64(0)
     for k in range(width):
@@ -29,7 +31,7 @@ def _number(data, at, width):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
     """Fill the tables as far as they reach; return status, where, and how many there are."""
     n_messages, n_definitions, size = 0, 0, len(data)
@@ -66,7 +68,7 @@ def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
     return OK, at, n_messages, n_definitions
 
 
-@njit([_RESULT(_BYTES)], cache=True, nogil=True)
+@kernel(_RESULT(_BYTES), _nrt=True)
 def index_records(
     data: npt.NDArray[np.uint8],
 ) -> tuple[int, int, npt.NDArray[np.uint64], npt.NDArray[np.uint64]]:

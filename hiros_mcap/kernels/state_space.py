@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from hiros_mcap.kernels import kalman_filter
 from hiros_mcap.kernels.compile import F2, PEOPLE, kernel, named_tuple
@@ -312,7 +312,7 @@ def estimate(
                 fill_confidence(group, k, slot)
 
 
-@njit("float64(int64, float64, float64, int64, float64)", cache=True, nogil=True)
+@kernel("float64(int64, float64, float64, int64, float64)")
 def gain_at(order: int, noise: float, dt: float, ahead: int, frequency: float) -> float:
     """Magnitude response of the steady filter (``ahead`` = 0) or fixed-lag smoother.
 
@@ -348,7 +348,7 @@ def gain_at(order: int, noise: float, dt: float, ahead: int, frequency: float) -
     return float(abs(predicted + before[0] * a0 + before[1] * a1 + before[2] * a2))
 
 
-@njit("float64(int64, float64, float64, int64)", cache=True, nogil=True)
+@kernel("float64(int64, float64, float64, int64)")
 def tune(order: int, cutoff: float, dt: float, ahead: int) -> float:
     """Noise ratio that puts the -3 dB point of :func:`gain_at` at ``cutoff``, Hz."""
     low = 2 * order * np.log(2.0 * np.pi * cutoff) + np.log(dt)

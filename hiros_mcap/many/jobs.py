@@ -17,11 +17,13 @@ from hiros_mcap.config import Config
 from hiros_mcap.defaults import DEFAULT_SYSTEM, LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
-from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
+from hiros_mcap.evaluate.logs import covered_by, evaluate_channels, find_truth, start_of
 from hiros_mcap.evaluate.remarks import warnings_of
-from hiros_mcap.evaluate.scored import check_scorable, results_of
+from hiros_mcap.evaluate.scored import check_scorable, results_of, settings_of
+from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.export.files import export
 from hiros_mcap.io.export.marker_set import load_marker_set, renamed
+from hiros_mcap.io.log import open_reader
 from hiros_mcap.io.overview import look
 from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
@@ -127,6 +129,8 @@ class EvalJob:
     up: str = "z"
     system: str = DEFAULT_SYSTEM
     """What recordings are processed with."""
+    asked: bool = False
+    """Whether the user named the system or a parameter; otherwise results keep their own."""
 
     command: ClassVar[str] = "eval"
     kind: ClassVar[Kind] = "log"
@@ -145,24 +149,24 @@ class EvalJob:
     def run(self, log: Path, target: Path) -> Finding:
         """Score the last channel against the truth, or each camera against the others' result."""
         named = self._truth_file(base_name(log.name)) or self.truth
-        truth = (
-            None if self.leave_one_out else find_truth(log, None if named is None else str(named))
-        )
-        check_scorable(log, self.truth, has_truth=truth is not None)
-        if truth is None:
-            return self._by_itself(log)
-        truth = truth.moved(self.shift, start=start_of(log), up=self.up)
-        with results_of(log, self.config, self.truth, self.system) as (result, default):
-            globs = list(self.channels) or default
-            truth, others = covered_by(result, truth, self.covers, globs, self.match_distance)
-            results = evaluate_log(result, truth, globs, self.match_distance)
+        file = None if named is None else str(named)
+        with open_reader(log) as reader:
+            truth = None if self.leave_one_out else find_truth(reader, file)
+            check_scorable(reader, self.truth, has_truth=truth is not None)
+            if truth is None:
+                return self._by_itself(reader)
+            truth = truth.moved(self.shift, start=start_of(reader), up=self.up)
+            channels = results_of(reader, self.config, self.truth, self.channels, self.system)
+        truth, others = covered_by(channels, truth, self.covers, self.match_distance)
+        results = evaluate_channels(channels, truth, self.match_distance)
         scores = list(results.values())[-1].scores
         values = {name: m.of(scores) for name, m in METRICS.items() if m.of is not None}
         warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
         return Finding({"people": len(truth.people), **values}, warnings=tuple(warnings))
 
-    def _by_itself(self, log: Path) -> Finding:
-        scores = leave_one_out(log, config=self.config, options=ProcessOptions(self.system))
+    def _by_itself(self, log: McapReader) -> Finding:
+        config, options = settings_of(log, self.config, self.system, asked=self.asked)
+        scores = leave_one_out(log, config=config, options=options)
         medians = [camera.median for camera in scores.cameras]
         values = {
             "people": len(scores.consistency.people),

@@ -14,6 +14,7 @@ from pathlib import Path
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import Scores, Truth
 from hiros_mcap.evaluate.logs import consistency, evaluate_log, find_truth, read_channel
+from hiros_mcap.io.outside import parse, read_text
 from hiros_mcap.outputs import write_text
 from hiros_mcap.regression.differences import Difference
 from hiros_mcap.regression.provenance import Provenance
@@ -192,12 +193,7 @@ def load_metrics(path: Path) -> GoldenMetrics:
     Raises ConfigError if the file is not what :func:`save_metrics` writes, or names a metric that
     does not exist.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: not JSON: {error}") from error
+    data = parse(read_text(path), "JSON", path)
     values = data.get("metrics") if isinstance(data, dict) else None
     if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
         raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")

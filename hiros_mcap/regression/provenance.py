@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.attachments import stored_parameters
 from hiros_mcap.io.channels import PROVENANCE
 from hiros_mcap.io.log import open_reader
-from hiros_mcap.io.stored_parameters import stored_parameters
 from hiros_mcap.regression.differences import Difference
 
 _RUN = {

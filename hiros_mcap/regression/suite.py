@@ -25,11 +25,12 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hiros_mcap.config import load_config, read_toml
+from hiros_mcap.config import load_config
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
+from hiros_mcap.io.outside import read_toml
 from hiros_mcap.outputs import check_outputs
 from hiros_mcap.params import Params, explain
 from hiros_mcap.regression.differences import Difference, Divergence, compare_logs

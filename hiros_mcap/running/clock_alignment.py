@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -81,10 +81,7 @@ class ClockAlignment:
 
     def corrected_times(self, camera: str) -> CameraTimes:
         """Return the times of a camera's messages with corrected stamps."""
-        times, correction = self.times[camera], self.corrections.get(camera)
-        if correction is None:
-            return times
-        return replace(times, stamps=correction.apply(times.stamps, times.log_times))
+        return self.times[camera].corrected(self.corrections.get(camera))
 
     def take_offsets(self, cameras: Iterable[PoseSummary]) -> None:
         """Correct the offsets that the people prove; note which others stay, and why.
@@ -151,10 +148,15 @@ class ClockAlignment:
             events.note(fault.at_ns, fault.kind, source=fault.camera, detail=detail)
 
 
-def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
+def align_clocks(
+    log: Log, config: Config, reorder: float, times: Mapping[str, CameraTimes] | None = None
+) -> ClockAlignment:
     """Find what the times of the messages show of the clocks of a log.
 
-    ``reorder`` is the longest time, s, by which the stages take messages that are late.
+    Parameters
+    ----------
+    reorder : the longest time, s, by which the stages take messages that are late.
+    times : of all messages, by camera; None = each message is corrected by those before it.
 
     Raises ConfigError if the configuration corrects a camera that the log does not have.
     """
@@ -162,9 +164,8 @@ def align_clocks(log: Log, config: Config, reorder: float) -> ClockAlignment:
     if config.input.clocks == "off":
         plain = {name: ClockCorrection().plus(s) for name, s in given.items()}
         return ClockAlignment(plain, given=given, reorder=reorder)
-    if config.input.clocks == "causal":
+    if times is None or config.input.clocks == "causal":
         return ClockAlignment(given=given, reorder=reorder, causal=True)
-    times = log.times()
     judged = judge_clocks(times, given)
     corrections = {
         name: one for name, one in judged.corrections.items() if one.changes(times[name])

@@ -31,17 +31,9 @@ from hiros_mcap.calibrate.refinement import (
     refine_together,
 )
 from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
 from hiros_mcap.calibrate.verdict import SURE
-from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment
-from hiros_mcap.running.fixed_cameras import (
-    MOST_S,
-    STRETCHES,
-    FixedCamera,
-    read_sightings,
-    seen_by,
-    stretches,
-)
 from hiros_mcap.skeletons import Ints
 
 GAIN = 0.3
@@ -89,21 +81,22 @@ class PosedViews:
     moves: tuple[Move, ...] = ()
 
 
-def split_moved(log: Log, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
+def split_moved(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
     """Return the cameras, those that were moved as two, each part with its own pose.
 
     Where no camera was moved, or the log does not tell, ``posed`` itself is returned.
     """
+    log = survey.log
     mirror = symmetry_of(log.model).mirror
     left = suspects(posed, log.fixed_frame)
     if not left:
         return posed
-    seen = read_sightings(log, clocks, stretches(*log.span, MOST_S, STRETCHES))
+    seen = survey.many(clocks.corrections)
     views = [
         seen_by(camera, seen.get(camera.name, []), mirror, view.shift)
         for camera, view in zip(posed.cameras, posed.views, strict=True)
     ]
-    splitter = _Splitter(log, clocks, mirror, {view.name: view.shift for view in views})
+    splitter = _Splitter(survey, clocks, mirror, {view.name: view.shift for view in views})
     result = PosedViews(posed.cameras, views, posed.found, posed.gains)
     tried: set[str] = set()
     while left:
@@ -133,10 +126,10 @@ class _Splitter:
     """Splits the views of cameras that were moved in a log."""
 
     def __init__(
-        self, log: Log, clocks: ClockAlignment, mirror: Ints, shifts: Mapping[str, float]
+        self, survey: Survey, clocks: ClockAlignment, mirror: Ints, shifts: Mapping[str, float]
     ) -> None:
-        self._log, self._clocks, self._mirror = log, clocks, mirror
-        self._fixed, self._shifts = log.fixed_frame, shifts
+        self._survey, self._clocks, self._mirror = survey, clocks, mirror
+        self._fixed, self._shifts = survey.log.fixed_frame, shifts
 
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
@@ -167,9 +160,7 @@ class _Splitter:
                 break
             name = posed.cameras[pair[0]].name
             ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
-            seen = read_sightings(
-                self._log, self._clocks, stretches(ends[0], ends[1], LOOK_S, STRETCHES)
-            )
+            seen = self._survey.between((ends[0], ends[1]), LOOK_S, self._clocks.corrections)
             views = [
                 seen_by(
                     posed.cameras[k],
@@ -222,10 +213,10 @@ class _Splitter:
     def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
         """Corrected stamp and log time, ns, of a camera's first message from some time on.
 
-        Seconds count from the start of the log.
+        Seconds count from the middle of the log.
         """
         times = self._clocks.corrected_times(name)
-        since = self._log.span[0] + round(1e9 * (seconds - self._shifts[name]))
+        since = self._survey.middle + round(1e9 * (seconds - self._shifts[name]))
         k = int(np.argmax(times.stamps >= since))
         return int(times.stamps[k]), int(times.log_times[k])
 

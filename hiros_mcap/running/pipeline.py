@@ -24,7 +24,7 @@ from hiros_mcap.config import Config, load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
-from hiros_mcap.io.log import DAMAGED, Log, open_log
+from hiros_mcap.io.log import DAMAGED, Log, Source, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.observe import DETECTIONS, Observer
@@ -117,7 +117,7 @@ def _following(progress: Progress | bool) -> Iterator[Progress | None]:
         yield progress
 
 
-def open_input(source: str | os.PathLike[str], config: Config, options: ProcessOptions) -> Log:
+def open_input(source: Source, config: Config, options: ProcessOptions) -> Log:
     """Open a log as a run with these options reads it; see :func:`hiros_mcap.io.log.open_log`."""
     return open_log(
         source,

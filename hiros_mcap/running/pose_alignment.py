@@ -24,6 +24,15 @@ from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.calibrate.survey import (
+    MOST_S,
+    FixedCamera,
+    Survey,
+    camera_faults,
+    fixed_cameras,
+    moves,
+    seen_by,
+)
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
@@ -31,17 +40,6 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
-from hiros_mcap.running.fixed_cameras import (
-    STRETCHES,
-    FixedCamera,
-    best_sightings,
-    camera_faults,
-    fixed_cameras,
-    moves,
-    read_sightings,
-    seen_by,
-    stretches,
-)
 from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
 from hiros_mcap.running.process_options import Calibration
 from hiros_mcap.summary import PoseSummary
@@ -134,14 +132,16 @@ def align_cameras(
     "require" and they do not confirm a camera's pose, or if the log has no frame of the name that
     the user gave for the results.
     """
-    clocks = align_clocks(log, config, reorder)
-    if clocks.causal or (mode == "off" and not clocks.times):
-        return clocks, PoseAlignment()
+    way = config.input.clocks
+    if way == "causal" or (mode == "off" and way == "off"):
+        return align_clocks(log, config, reorder), PoseAlignment()
     missing = None if mode == "off" else _missing_poses(log)
+    survey = Survey(log, None if missing is None else MOST_S, fixed=missing is None)
+    clocks = align_clocks(log, config, reorder, survey.times)
     if missing is not None:
-        poses = _from_nothing(log, clocks, missing)
+        poses = _from_nothing(survey, clocks, missing)
     else:
-        poses = _refined_poses(log, clocks, mode)
+        poses = _refined_poses(survey, clocks, mode)
     if clocks.times:
         clocks.take_offsets(poses.cameras)
     return clocks, PoseAlignment() if mode == "off" else poses
@@ -160,8 +160,9 @@ def _missing_poses(log: Log) -> LogError | None:
     return None
 
 
-def _refined_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
+def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) -> PoseAlignment:
     """Compare the log's poses with those that the people give; use the better ones."""
+    log = survey.log
     faults = camera_faults(log)
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
     if len(free) == 1:
@@ -172,14 +173,14 @@ def _refined_poses(log: Log, clocks: ClockAlignment, mode: Calibration) -> PoseA
     )
     posed = PosedViews([], [], [], [])
     if len(cameras) > 1:
-        posed = _refined(log, best_sightings(log, clocks), cameras, clocks.lags)
+        posed = _refined(log, survey.sightings(clocks.corrections), cameras, clocks.lags)
     if mode == "off":
         return _aligned(posed, log.span[0], {})
-    posed = split_moved(log, clocks, posed)
+    posed = split_moved(survey, clocks, posed)
     alignment = _aligned(posed, log.span[0], faults)
     if not faults and _contradicted(posed.cameras, posed.found):
         try:
-            return _from_nothing(log, clocks, None)
+            return _from_nothing(survey, clocks, None)
         except LogError:
             pass  # the log's poses stay, and the warning says that they do not fit
     if mode == "require":
@@ -252,9 +253,7 @@ def pose_faults(log: Log) -> list[str]:
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable)
     if len(cameras) < 2:
         return []
-    parts = stretches(*log.span, CHECKED_S, STRETCHES)
-    seen = read_sightings(log, ClockAlignment(), parts)
-    posed = _refined(log, seen, cameras, {})
+    posed = _refined(log, Survey(log, CHECKED_S).sightings({}), cameras, {})
     named = []
     for one in posed.found:
         if not one.fits:
@@ -323,12 +322,13 @@ def _contradicted(cameras: Sequence[FixedCamera], found: Sequence[CalibratedCame
     return any(not one.fits or (coincide and one.verdict == "impossible") for one in found)
 
 
-def _from_nothing(log: Log, clocks: ClockAlignment, error: LogError | None) -> PoseAlignment:
+def _from_nothing(survey: Survey, clocks: ClockAlignment, error: LogError | None) -> PoseAlignment:
     """Use poses that need no transforms; raise LogError if the people do not tell them."""
     from hiros_mcap.calibrate.people import calibrate_people
 
+    log = survey.log
     try:
-        found = calibrate_people(log, clocks.correct)
+        found = calibrate_people(log, survey, clocks.corrections)
     except LogError as reason:
         raise LogError(_not_found(error, reason.fault), path=log.path) from None
     if found.verdict not in SURE:

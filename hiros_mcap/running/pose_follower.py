@@ -17,17 +17,17 @@ from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import sightings_of
 from hiros_mcap.calibrate.refinement import refine_poses
-from hiros_mcap.calibrate.tracklets import Sighting
-from hiros_mcap.frames import Block, join
-from hiros_mcap.io.log import Log
-from hiros_mcap.kernels.transforming import PoseArrays, move
-from hiros_mcap.running.fixed_cameras import (
+from hiros_mcap.calibrate.survey import (
     SPACING_NS,
     FixedCamera,
     camera_faults,
     fixed_cameras,
     seen_by,
 )
+from hiros_mcap.calibrate.tracklets import Sighting
+from hiros_mcap.frames import Block, join
+from hiros_mcap.io.log import Log
+from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
 _LOOKS_S = (10, 15, 20, 30, 40)

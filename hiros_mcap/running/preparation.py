@@ -24,7 +24,6 @@ from hiros_mcap.running.pose_follower import PoseFollower
 from hiros_mcap.running.process_options import Calibration, ProcessOptions
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ class Prepared:
 
     log: Log
     config: Config
-    """With the clocks that belong to the poses."""
+    """With the clocks of a file with poses."""
     options: ProcessOptions
     clocks: ClockAlignment
     poses: PoseAlignment
@@ -64,12 +63,12 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
     ConfigError
         A parameter names a camera that is not there, or contradicts ``--calibrate require``.
     """
-    mode = _calibration(log, config, options)
     # Clocks of a file with poses; the user's own come first.
     config = _with_clocks(config, log, options.extrinsics)
-    # Poses and clocks, by the times of all messages and by the people.
+    # Clocks and poses together: by the times of all messages, and by the people.
+    mode, reorder = _calibration(log, config, options), _reorder_of(config, options.system)
     with watch.timing("calibrate"):
-        clocks, poses = align_cameras(log, config, mode, _reorder_of(config, options.system))
+        clocks, poses = align_cameras(log, config, mode, reorder)
     return Prepared(log, config, options, clocks, poses, watch)
 
 
@@ -158,12 +157,11 @@ def _follows_poses(config: Config, options: ProcessOptions) -> bool:
 
 def _with_clocks(config: Config, log: Log, extrinsics: Path | None) -> Config:
     """Add the clocks of a file with poses to the configuration, whose own come first."""
-    names = {name for camera in log.cameras for name in camera.sources.values()}
-    clocks = read_clocks(extrinsics) if extrinsics is not None else {}
-    used = {name: seconds for name, seconds in clocks.items() if name in names}
-    if not used:
+    if extrinsics is None:
         return config
-    clock = ClockParams.model_validate({**used, **config.clock.seconds})
+    names = {name for camera in log.cameras for name in camera.sources.values()}
+    clocks = {name: s for name, s in read_clocks(extrinsics).items() if name in names}
+    clock = ClockParams.model_validate({**clocks, **config.clock.seconds})
     return config.model_copy(update={"clock": clock})
 
 
@@ -204,6 +202,8 @@ def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable
     wanted = "optimize" in sections_of(run.system) and "optimized" in chain
     if not wanted or run.config.optimize.calibration != "two-pass" or run.limbs.people:
         return
+    from hiros_mcap.stages.limb_calibration import calibrate_limbs
+
     first_pass = replace(run, events=Events(), limbs=LimbTable())
     blocks = read()
     for stage in stages_of(first_pass, chain[: chain.index("optimized")]).values():

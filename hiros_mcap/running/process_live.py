@@ -44,7 +44,8 @@ def process_live(
     """Turn detections into clean skeletons as they come.
 
     The input is copied to the output as in a run of a file. Each message goes out as soon as the
-    stages give it; how long they wait for later ones is up to the system.
+    stages give it; how long they wait for later ones is up to the system. The input is
+    closed afterwards.
 
     Parameters
     ----------
@@ -65,6 +66,20 @@ def process_live(
         the reader of the output is gone.
     """
     options = options or ProcessOptions(system=LIVE_SYSTEM)
+    try:
+        return _process(source, target, config, options, watcher, started)
+    finally:
+        source.close()
+
+
+def _process(
+    source: LiveInput,
+    target: int | Path | None,
+    config: Config | None,
+    options: ProcessOptions,
+    watcher: Watcher | None,
+    started: Callable[[LiveLog], None] | None,
+) -> Summary:
     config = _causal(config or load_config(system=options.system), options)
     check_limbs(options)
     watch = Stopwatch()

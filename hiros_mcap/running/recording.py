@@ -7,13 +7,12 @@
     others = recording.run(config, options, recording.sources - {"camera_0"})["filtered"]
 
 Clocks and poses are those that :func:`hiros_mcap.running.pipeline.process` uses, and so are the
-results, before they are rounded for a file. Poses and clocks come from all cameras, also where a
-run has some of them.
+results, rounded as in a file. Poses and clocks come from all cameras, also where a run has some of
+them.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,6 +21,8 @@ import numpy as np
 
 from hiros_mcap.config import Config
 from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.io.codec import Precision, rounded
+from hiros_mcap.io.log import Source
 from hiros_mcap.running.pipeline import open_input, stream
 from hiros_mcap.running.preparation import Prepared, prepare, set_up
 from hiros_mcap.running.process_options import ProcessOptions
@@ -38,9 +39,7 @@ class Recording:
     blocks: Sequence[Block]
 
     @classmethod
-    def read(
-        cls, source: str | os.PathLike[str], config: Config, options: ProcessOptions
-    ) -> Recording:
+    def read(cls, source: Source, config: Config, options: ProcessOptions) -> Recording:
         """Read a log as a run with these settings does.
 
         Raises LogError and ConfigError as :func:`hiros_mcap.running.pipeline.process` does.
@@ -92,7 +91,7 @@ class Recording:
 
         def keep(channel: str, block: Block) -> None:
             if channel in results:
-                results[channel] += block.frames()
+                results[channel] += _as_written(block, config.output.precision).frames()
 
         read: Callable[[], Iterator[Block]] = partial(self._blocks_of, sources)
         run = set_up(self.prepared, config, options, read)
@@ -107,3 +106,10 @@ class Recording:
                 yield block
             elif rows := [i for i, source in enumerate(block.sources) if source in sources]:
                 yield block.select(rows, block.log_times[rows].tolist())
+
+
+def _as_written(block: Block, precision: Precision) -> Block:
+    """Return a block with the numbers that a file would have."""
+    people = block.people
+    markers, links = (rounded(one, precision) for one in (people.markers, people.links))
+    return replace(block, people=people._replace(markers=markers, links=links))

@@ -71,7 +71,7 @@ def open_output(
     log, options = prepared.log, prepared.options
     with (
         McapWriter(target, inputs=[log.path], compression=options.compression) as writer,
-        digest_of(log.path) as digest,
+        digest_of(Path(log.path)) as digest,
     ):
         copier = _file_copier(log, writer, options, moved=prepared.poses.replaced)
         yield LogOutput(writer, copier, prepared, run, digest.result)

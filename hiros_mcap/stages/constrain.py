@@ -18,13 +18,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, join
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import (
     POSITION,
     STATE,
@@ -35,6 +33,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
+from hiros_mcap.stages.constrain_params import ConstrainParams
 from hiros_mcap.stages.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.residuals import restated
@@ -43,30 +42,6 @@ UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
 _FORGET = 600.0  # s; somebody who returns has the same body
 _SWEEPS, _TOLERANCE = 20, 1e-3
 """Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
-
-
-class ConstrainParams(Params):
-    """Parameters of the constraints."""
-
-    window: float = Field(
-        10.0,
-        ge=0,
-        description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
-        "fuse-realtime.",
-    )
-    enough: float = advanced(
-        60.0,
-        ge=0,
-        description="Seconds after which the lengths of a person stay as they are. Detectors see "
-        "other lengths in other poses, so a few seconds in one pose do not give them. Results wait "
-        "for it. In fuse-realtime, which does not wait, 5.",
-    )
-    rigid: bool = advanced(
-        True, description="Keep the distances within head, thorax and pelvis, too."
-    )
-    prior: bool = advanced(
-        True, description="Use the motion of the person in the window as a prior of each pose."
-    )
 
 
 def constrain_blocks(
@@ -129,7 +104,7 @@ class _Waiting:
     def pack(self) -> None:
         """Leave out the columns of markers and links that are NaN everywhere."""
         states = self.block.people.markers, self.block.people.links
-        self._used = [~np.isnan(each).all(axis=(0, 1)) for each in states]
+        self._used = [np.asarray(~np.isnan(each).all(axis=(0, 1))) for each in states]
         self._put(*[each[:, :, used] for each, used in zip(states, self._used, strict=True)])
 
     def whole(self) -> Block:

@@ -17,105 +17,24 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.optimizing import measure_lengths
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import Flags, Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.optimize_params import CalibrationParams
 
 _SECOND = 1_000_000_000
 _GONE = _SECOND  # unseen for so long, a person has left and nothing is gained by waiting
 _FORGET = 60.0  # s without a sighting after which only the table knows a person's lengths
 _SPAN = 3 * _SECOND  # several cameras fill a buffer fast, but noise takes its time to average out
 _CLIP = 3.0  # robust standard deviations
-
-
-class CalibrationParams(Params):
-    """How limb lengths are found."""
-
-    calibration: Literal["auto", "two-pass", "off"] = Field(
-        "auto",
-        description="auto: from each person's own frames, during the run. two-pass: from the whole "
-        "log, which is read once before (most accurate; lengths are strictly constant). off: only "
-        "limb lengths from a file.",
-    )
-    calibration_frames: int = advanced(
-        100,
-        ge=2,
-        description="Number of a person's frames in one calibration (section 3.3.1; 100 in the "
-        "published code).",
-    )
-    lookahead: float = Field(
-        10.0,
-        ge=0.0,
-        description="Time, s, that a person's first frames are held. They then get the calibrated "
-        "lengths. 10 s instead of 100 frames reduces the error of the lengths by a quarter. 0 for "
-        "real time: frames pass unchanged until calibration_frames have been seen.",
-    )
-    calibration_windows: tuple[tuple[float, float], ...] = advanced(
-        (),
-        description="Calibrate only in these time ranges, each (start, end) in s from the log's "
-        "start. Choose times when people stand still and are well visible. Empty: the whole log.",
-    )
-    max_variation: float = advanced(
-        0.2,
-        gt=0.0,
-        description="Quality gate: largest relative variation of a link's length (standard "
-        "deviation / length; 0.2 in the published code). A calibration with a larger one is "
-        "rejected.",
-    )
-    short_link: float = advanced(
-        0.15,
-        ge=0.0,
-        description="max_variation treats links shorter than this, m, as if they had this length. "
-        "The noise of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise "
-        "would reject everybody.",
-    )
-    max_free: float = advanced(
-        0.3,
-        ge=0.0,
-        le=1.0,
-        description="Share of the links that may fail the quality gate. These links keep their "
-        "measured lengths; the others become constant. If more links fail, the person is not "
-        "calibrated. With 0 (paper), one failing link rejects the person, even a thumb that a "
-        "single camera guesses.",
-    )
-    debias: bool = advanced(
-        True,
-        description="Correct the lengths for noise, which makes links look longer. false: plain "
-        "(robust) mean, as in the paper.",
-    )
-    symmetric: bool = advanced(
-        False,
-        description="Give the left and right link of a pair the same length, their mean. This helps"
-        " after a short calibration, but not everybody is symmetric.",
-    )
-    refine: bool = advanced(
-        True,
-        description="Continue to measure after the calibration, and adjust the lengths slowly.",
-    )
-    max_refinement: float = advanced(
-        0.01,
-        ge=0.0,
-        le=0.5,
-        description="Largest relative change of a length by refinement. It is small because a "
-        "person's lengths are constant.",
-    )
-
-    @model_validator(mode="after")
-    def _check_windows(self) -> CalibrationParams:
-        for start, end in self.calibration_windows:
-            if not 0.0 <= start < end:
-                raise ValueError(f"calibration window ({start}, {end}): start must precede end")
-        return self
 
 
 # Rows of the moments (4, L) of each link's squared lengths, which further measurements add to.

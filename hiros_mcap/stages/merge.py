@@ -19,118 +19,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels import merging
 from hiros_mcap.kernels.averaging import Buffers, Views
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.instants import InstantMerger
+from hiros_mcap.stages.merge_params import MergeParams
 from hiros_mcap.stages.unseen import Unseen
-
-
-class MergeParams(Params):
-    """Parameters of the merger."""
-
-    flips: Literal["relabel", "drop"] = Field(
-        "relabel",
-        description="With sides.over_time = false: what happens to a view that faces the wrong "
-        "way. relabel: its left and right are swapped if this brings it near the others, otherwise "
-        "it is dropped. drop: it is dropped (paper).",
-    )
-    max_delta_time: float = Field(
-        0.07,
-        gt=0,
-        description="Longest time, s, between the oldest and the newest message of a buffer (second"
-        " trigger, section 3.2). Two periods of a 30 Hz camera.",
-    )
-    cameras: int = advanced(
-        0,
-        ge=0,
-        description="Number of messages that fill the buffer (third trigger); 0 = the number of "
-        "known cameras.",
-    )
-    max_position_delta: float = advanced(
-        0.2,
-        description="Views of a marker agree if they differ by less than this, m (0.2 in the "
-        "published code's launch file); <= 0 turns the vote off.",
-    )
-    max_orientation_delta: float = advanced(
-        np.pi / 4,
-        description="Views of a link agree if they differ by less than this, rad (eq 10); <= 0 "
-        "turns the vote off.",
-    )
-    max_facing_delta: float = advanced(
-        np.pi / 2,
-        description="With sides.over_time = false: views agree if their facing directions differ "
-        "by less than this, rad (section 3.2); <= 0 turns the search for flips off.",
-    )
-    facing: Literal["auto", "pelvis", "sides"] = advanced(
-        "auto",
-        description="How the facing direction is measured. pelvis: orientation of the pelvis "
-        "(paper). sides: line from the left to the right shoulders and hips. auto: whichever of "
-        "the two differs more.",
-    )
-    pelvis_link: str = advanced(
-        "",
-        description="Link that gives the orientation of the pelvis. Empty: the first link of the "
-        "root marker.",
-    )
-    past_votes: bool = advanced(
-        True,
-        description="The previous merged pose votes like a camera and breaks ties (published code; "
-        "not in the paper).",
-    )
-    ties: Literal["nearest", "drop"] = advanced(
-        "nearest",
-        description="What happens if two groups of views are equally large. nearest: the group "
-        "nearest to the previous pose wins, then the more confident one. drop: the marker or link "
-        "is left out, or the whole person if views face opposite ways (published code).",
-    )
-    compensate_motion: bool = advanced(
-        True, description="Move views to the merged time with their velocities."
-    )
-    confidence_power: float = advanced(
-        2.0,
-        ge=0,
-        description="Exponent of the confidences in eq 12 (paper: 1). A marker that the detector "
-        "guesses has half the confidence but about five times the error.",
-    )
-    robust_scale: float = advanced(
-        0.05,
-        description="A view this far from the mean, m, counts half, and a farther view counts less "
-        "(Cauchy weights on top of eq 12); <= 0 = plain eq 12.",
-    )
-    offset_time: float = advanced(
-        5.0,
-        ge=0,
-        description="Time constant, s, of the learned offset between each camera and the others, "
-        "per marker. The offset is subtracted, so the mean does not jump when a camera drops out. "
-        "3 to 30 s reduce the error after the filter by 1 to 3 %. 0 = off (paper).",
-    )
-    bridge: float = advanced(
-        0.12,
-        ge=0,
-        le=5,
-        description="Time, s, for which a person who is in no message of the buffer continues at "
-        "constant velocity. Without it, people whom only one camera sees would flicker. 0 = off "
-        "(paper).",
-    )
-    carry: float = Field(
-        1.0,
-        ge=0,
-        le=5,
-        description="Longest time, s, for which results go on while other people hide a person "
-        "from every camera that looks there. The confidences fall to 0 over this time. Results do "
-        "not go on if a camera should see the person. 0 = off (paper).",
-    )
 
 
 def merge_blocks(

@@ -8,20 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-
-
-class MovingAverageParams(Params):
-    """Parameters of the moving average."""
-
-    window: int = advanced(
-        5, ge=1, description="Number of detections in the average (as in OpenPTrack's MAF)."
-    )
-    lifetime: float = advanced(
-        0.6, gt=0, description="Time, s, after which a detection no longer counts."
-    )
+from hiros_mcap.stages.moving_average_params import MovingAverageParams
 
 
 class RecentPoses(NamedTuple):

@@ -30,80 +30,22 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from operator import attrgetter
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels import optimizing as kernels
 from hiros_mcap.kernels.energy import Energy, SolverScratch, exact_weights, minimize, paper_weights
-from hiros_mcap.params import advanced
 from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.elimination import topology_of
-from hiros_mcap.stages.limb_calibration import Calibration, CalibrationParams, calibrate_limbs
+from hiros_mcap.stages.limb_calibration import Calibration, calibrate_limbs
+from hiros_mcap.stages.optimize_params import OptimizeParams
 
 _UNLIMITED = 1e9  # s; the calibration decides how long frames are held
-
-
-class OptimizeParams(CalibrationParams):
-    """Parameters of calibration, outlier detection and optimization."""
-
-    lengths: Literal["exact", "paper"] = advanced(
-        "exact",
-        description="exact: lengths are rigid, and markers move as little as possible. paper: the "
-        "weights of eq. 18, which correct small errors only in part. exact has the smaller joint "
-        "error, and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
-    )
-    max_length_error: float = advanced(
-        0.1,
-        gt=0.0,
-        description="If a link's length is off by more than this, m, one of its ends is an outlier."
-        " It is also the scale L of eq. 18, which the paper does not give. 0.1 is six times the "
-        "standard deviation of a link between merged joints. On clean logs, 0.1 to 0.3 give the "
-        "same result; of joints displaced by 15 or 30 cm, 0.1 repairs most.",
-    )
-    outliers: Literal["restore", "remove"] = advanced(
-        "restore",
-        description="What happens to an outlier. restore: it moves to where the other markers and "
-        "the lengths put it, so skeletons stay complete; a robust fit finds which end of a wrong "
-        "link is the outlier. remove: the distal marker of a wrong link and all links that touch "
-        "it become absent (paper).",
-    )
-    align_links: bool = advanced(
-        False,
-        description="Rotate link orientations with the directions of the links. Detectors measure "
-        "orientations independently of positions, and better than the ends of a short link can. On"
-        " logs made from real motion, this option raises the mean orientation error from 2.6 to "
-        "4.2 degrees.",
-    )
-    solver: Literal["lm", "ceres"] = Field(
-        "lm",
-        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy with Ceres "
-        "Solver, as in the paper; about 100 times slower, for comparison.",
-    )
-    tolerance: float = advanced(
-        1e-6,
-        gt=0.0,
-        description="The solver has converged when no coordinate moves farther than this, m, in a "
-        "step.",
-    )
-
-    @classmethod
-    def paper(cls) -> OptimizeParams:
-        """Return the parameters of the paper as printed (its L, which it does not give, 0.1 m)."""
-        return cls(
-            lengths="paper",
-            max_length_error=0.1,
-            outliers="remove",
-            align_links=True,
-            max_free=0.0,
-            debias=False,
-            refine=False,
-        )
 
 
 def optimize_blocks(

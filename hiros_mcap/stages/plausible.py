@@ -19,49 +19,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import limb_deviations as kernels
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.plausible_params import PlausibleParams
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""
 _FORGET = 30.0  # s; longest absence after which somebody gets the old id back (track.reidentify)
-
-
-class PlausibleParams(Params):
-    """Parameters of plausible bodies."""
-
-    limbs: bool = Field(
-        True,
-        description="Compare the limb lengths of each detection with those that the person has "
-        "shown so far. Contradictory markers count less; a contradictory detection behind somebody "
-        "else is left out where no other camera shows the person. false: off (paper).",
-    )
-    max_deviation: float = advanced(
-        3.0,
-        gt=0,
-        description="Deviation of the links of a marker from the person's lengths, in standard "
-        "deviations of these, up to which it keeps its confidence. Beyond, the confidence falls "
-        "with the square. With 3, below 1 % of the markers of simulated logs lose some.",
-    )
-    enough: float = advanced(
-        5.0,
-        ge=0,
-        description="Seconds that a person must have been seen before lengths are compared. A few "
-        "seconds in one pose do not show how much they vary.",
-    )
-    patience: float = advanced(
-        1.0,
-        ge=0,
-        description="Longest time, s, for which all detections of a person are left out. After "
-        "that they count again, so nobody is lost. As long as merge.carry.",
-    )
 
 
 def drop_implausible_blocks(

@@ -113,7 +113,8 @@ def at_most_shown(positions: Floats, variances: Floats) -> Floats:
     Errors of detectors depend on the pose: those of a person who stands hardly change. A prior that
     expects noise there would take small movements for it.
     """
-    shown = np.nanvar(positions, axis=0).mean(axis=1) / _SHOWN
+    variance = np.nanvar if np.isnan(positions).any() else np.var  # the second is much faster
+    shown = variance(positions, axis=0).mean(axis=1) / _SHOWN
     return np.asarray(variances * np.minimum(shown / variances.mean(axis=0), 1.0))
 
 

@@ -89,7 +89,9 @@ class ResidualMeter:
         """Count what was fused so far."""
         if not self._waiting:
             return
-        fused = join([(block, i) for block in self._fused for i in range(len(block))])
+        fused = self._fused[0]
+        if len(self._fused) > 1:
+            fused = join([(block, i) for block in self._fused for i in range(len(block))])
         views = joined(self._views)
         done = views.instants < self._first + len(fused)
         self._count(fused, chosen(views, done))
@@ -124,8 +126,9 @@ class ResidualMeter:
         if known is None or not len(rows):
             return
         late = (views.stamps - fused.people.stamps[rows]) * 1e-9
-        markers = fused.people.markers[rows]
-        expected = markers[:, :, POSITION] + late[:, None, None] * markers[:, :, VELOCITY]
+        markers = fused.people.markers
+        velocities = markers[rows, :, VELOCITY]
+        expected = markers[rows, :, POSITION] + late[:, None, None] * velocities
         residuals = views.positions - expected
         posterior = known.deviations[rows] ** 2 - known.shared[rows] ** 2
         white = self._noise.variances(views, self._names, self._places)

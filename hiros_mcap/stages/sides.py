@@ -29,7 +29,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from hiros_mcap.body.forward_cues import ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
@@ -37,29 +36,11 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import exchanging
 from hiros_mcap.kernels import facing as kernels
-from hiros_mcap.params import Params
 from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.sides_params import SidesParams
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
-
-
-class SidesParams(Params):
-    """Parameters of left and right."""
-
-    over_time: bool = Field(
-        True,
-        description="Decide over time which way each person faces, by labels, body cues and "
-        "walking direction, and exchange left and right of views that contradict it. false: the "
-        "views of each instant vote (Hi-ROS 2023, section 3.2; see merge.flips).",
-    )
-    lookahead: float = Field(
-        1.0,
-        ge=0,
-        le=600,
-        description="Time, s, that the decision looks ahead at least; at most twice as long. "
-        "On real recordings 1, 2 and 10 s give the same sides. 0 = a live system without delay.",
-    )
 
 
 def knows_sides(model: SkeletonModel) -> bool:

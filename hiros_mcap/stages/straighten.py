@@ -10,34 +10,9 @@ from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
 from hiros_mcap.body.segments import HEAD
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
-from hiros_mcap.params import Params, advanced
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-
-
-class StraightenParams(Params):
-    """Parameters of the limb lengths."""
-
-    frames: int = advanced(
-        30,
-        ge=1,
-        description="Number of whole skeletons that give the first lengths, by their mean (III-E).",
-    )
-    rate: float = advanced(
-        0.002,
-        ge=0,
-        le=1,
-        description="Weight of a new measurement in a length. The paper measures the optimized "
-        "joints, whose links already have this length; hiros measures the filter's joints.",
-    )
-    head: bool = advanced(
-        True,
-        description="Give the links of the head constant lengths, too. The paper leaves the head "
-        "out of its tree (III-E).",
-    )
-    chest_midpoint: bool = advanced(
-        False, description="Put the chest midway between the shoulders and hips (III-E)."
-    )
+from hiros_mcap.stages.straighten_params import StraightenParams
 
 
 def straighten(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, advanced
+from hiros_mcap.params import Params, Seconds, advanced
 
 
 class TrackParams(Params):
@@ -17,7 +17,7 @@ class TrackParams(Params):
         "3.1.2). Views of one person differ by 0.05 to 0.35 m. The published code works with 0.8 "
         "m, which also matches a neighbour.",
     )
-    max_gap: float = Field(
+    max_gap: Seconds = Field(
         1.5,
         gt=0,
         description="t_m, s: a track is deleted when no camera has seen the person for longer "
@@ -26,20 +26,20 @@ class TrackParams(Params):
     min_marker_confidence: float = Field(
         0.0, ge=0, le=1, description="Markers and links with lower confidence count as absent."
     )
-    reorder: float = Field(
+    reorder: Seconds = Field(
         1.0,
         ge=0,
         description="Longest time, s, that a message waits for older messages of slower cameras. "
         "Messages that arrive later are still tracked, at their own time. Recorders stall for up "
         "to a second; 0.1 suits a live system.",
     )
-    lookahead: float = Field(
+    lookahead: Seconds = Field(
         1.0,
         ge=0,
         description="Time, s, that a message with a tentative track is held. The person then has "
         "the id from the first detection on. 0 = a live system without delay.",
     )
-    reidentify: float = Field(
+    reidentify: Seconds = Field(
         30.0,
         ge=0,
         description="Longest absence, s, after which a person may get the old id back. Limb "
@@ -115,13 +115,13 @@ class TrackParams(Params):
         ge=1,
         description="Number of detections that confirm a track, if two cameras or more report it.",
     )
-    confirm_seconds: float = advanced(
+    confirm_seconds: Seconds = advanced(
         0.5,
         ge=0,
         description="Time, s, after which a track of a single camera is confirmed, unless other "
         "cameras contradict it.",
     )
-    confirm_alone: float = advanced(
+    confirm_alone: Seconds = advanced(
         1.0,
         ge=0,
         description="The same for a body that stands still where none of the other cameras looks. "
@@ -133,13 +133,13 @@ class TrackParams(Params):
         description="Largest number of misses per report. Other cameras that look at a track of a "
         "single camera contradict it when they miss it more often.",
     )
-    horizon: float = advanced(
+    horizon: Seconds = advanced(
         0.2,
         gt=0,
         description="Time, s, for which eq 7 predicts constant velocity. After that velocities "
         "fade.",
     )
-    fade: float = advanced(
+    fade: Seconds = advanced(
         0.3,
         ge=0,
         description="Time constant, s, with which velocities fade beyond the horizon. 0 = a track "

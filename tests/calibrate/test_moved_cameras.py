@@ -12,11 +12,11 @@ from rooms import simulated, write
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle, from_vector
 from hiros_mcap.body.transforms import pose_arrays
+from hiros_mcap.calibrate import survey
 from hiros_mcap.events import events_from_json
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.transforming import move
-from hiros_mcap.running import moved_cameras
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import Simulation
 from hiros_mcap.skeletons import Frame
@@ -140,8 +140,8 @@ def test_the_terminal_lists_both_parts(log: Path, capsys: pytest.CaptureFixture[
 def test_the_time_is_found_in_parts_of_the_log_that_were_not_read_at_first(
     log: Path, done: tuple[Summary, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(moved_cameras, "MOST_S", 17.0)
-    monkeypatch.setattr(moved_cameras, "STRETCHES", 2)  # 0.75 to 9.25 s, and 10.75 to 19.25 s
+    monkeypatch.setattr(survey, "MOST_S", 17.0)
+    monkeypatch.setattr(survey, "STRETCHES", 2)  # 0.75 to 9.25 s, and 10.75 to 19.25 s
     summary = process(log)
     assert summary.poses[2].until_s == pytest.approx(AT_S, abs=0.25)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hiros_cli.app import run
-from hiros_mcap.calibrate.noise_model import USUAL_POWER, measure_noise_model
+from hiros_mcap.calibrate.noise import USUAL_POWER, measure_noise_model
 from hiros_mcap.config import load_config, to_toml
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.preparation import prepare, set_up

@@ -148,7 +148,7 @@ def test_closed_standard_streams_are_no_error() -> None:
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_stops_the_compilation_without_a_traceback(name: str, tmp_path: Path) -> None:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "HIROS_KERNELS": "compile"}
     with subprocess.Popen([*HIROS, "warmup"], stderr=subprocess.PIPE, env=environment) as run:
         assert run.stderr is not None
         assert b"compiling kernels" in run.stderr.readline()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import re
@@ -23,12 +24,13 @@ import typer
 from hiros_cli.app import run
 from hiros_cli.commands import app
 from hiros_cli.commands.simulate import _params
-from hiros_cli.compiling import ALL, DEFAULT_RUN, imported, independent, needed_by, prepare
+from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.help_page import EXAMPLES
 from hiros_mcap import __version__, kernels
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.log import open_log
+from hiros_mcap.kernels import shipped
 from hiros_mcap.simulate import SimulateParams
 
 
@@ -172,13 +174,6 @@ def test_every_kernel_with_a_signature_is_found() -> None:
     assert not {"bytes", "compile", "__init__"} & kernels.sources().keys()
 
 
-def test_a_run_needs_its_own_kernels_only() -> None:
-    needed = needed_by(DEFAULT_RUN, kernels.sources())
-    assert {"tracking", "facing", "fusing", "aligning", "state_space", "encode"} <= needed.keys()
-    assert not {"clustering", "predicting", "drawing", "butterworth"} & needed.keys()
-    assert needed_by(ALL, kernels.sources()) == kernels.sources()
-
-
 def test_imports_at_the_top_level_are_found() -> None:
     source = (
         "from hiros_mcap.kernels import cdr, batch as b  # both\n"
@@ -186,7 +181,7 @@ def test_imports_at_the_top_level_are_found() -> None:
         "import numpy\n"
         "def f():\n    from hiros_mcap.kernels import drawing\n"
     )
-    names = imported(source)
+    names = kernels.imported(source)
     assert {"hiros_mcap.kernels.cdr", "hiros_mcap.kernels.batch", "hiros_mcap.frames"} <= {*names}
     assert not any("drawing" in name for name in names)
 
@@ -198,7 +193,7 @@ def test_no_kernel_is_compiled_by_two_processes() -> None:
     for group in groups:
         for name in group:
             prefix = "hiros_mcap.kernels."
-            used = {module.removeprefix(prefix) for module in imported(sources[name])}
+            used = {module.removeprefix(prefix) for module in kernels.imported(sources[name])}
             assert used & sources.keys() <= {*group}
 
 
@@ -208,56 +203,83 @@ def test_modules_that_share_a_third_are_compiled_together() -> None:
     assert independent(texts) == [["d"], ["a", "b", "c"]]
 
 
-def test_two_cores_share_the_compilation_of_a_run() -> None:
-    sources = needed_by(DEFAULT_RUN, kernels.sources())
+def test_two_cores_share_the_compilation() -> None:
+    sources = kernels.sources()
     largest = sum(len(sources[name]) for name in independent(sources)[0])
     assert largest < 0.6 * sum(map(len, sources.values()))
 
 
-def test_what_is_compiled_in_advance_is_not_compiled_again(tmp_path: Path) -> None:
-    folder, module = tmp_path / "kernels", "hiros_mcap.kernels.local_line"
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    found = []
-    for code in (
-        f"from hiros_cli.compiling import prepare; prepare(quiet=True, roots=[{module!r}])",
-        f"import {module}",
-    ):
-        subprocess.run([sys.executable, "-c", code], check=True, env=environment)
-        found.append({path.name for path in folder.rglob("*.nb?")})
-    assert found[0] == found[1]
-    assert any(name.startswith("local_line.") for name in found[0])
-
-
-def test_two_installations_do_not_take_each_others_kernels_for_compiled(
+def test_what_is_compiled_in_advance_is_not_compiled_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    here = kernels.cache_folder()
-    shutil.copytree(Path(kernels.__file__).parent, tmp_path / "kernels")
-    monkeypatch.setattr(kernels, "__file__", str(tmp_path / "kernels" / "__init__.py"))
-    assert kernels.cache_folder() != here
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("HIROS_KERNELS", "compile")
+    found = []
+    for _ in range(2):
+        code = (
+            "from hiros_mcap.kernels import load, compiled; load(['local_line']); print(compiled())"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+        assert done.stdout == b"{'local_line'}\n"
+        found.append({path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")})
+    assert found[0] == found[1]
+    assert any(path.name.startswith("local_line.") for path in found[0])
 
 
-def test_a_run_uses_no_other_kernels_than_those_compiled_before_it(tmp_path: Path) -> None:
+def test_a_changed_callee_is_compiled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "hiros_mcap"
+    shutil.copytree(Path(kernels.__file__).parent.parent, package)
+    monkeypatch.setattr(kernels, "_PACKAGE", package)
+    names = ("tracking", "encode")
+    folders = []
+    for _ in range(2):
+        kernels.digest.cache_clear()
+        folders.append([kernels.folder_of(name) for name in names])
+        with (package / "kernels" / "distance.py").open("a") as source:
+            source.write("# edited\n")
+    kernels.digest.cache_clear()
+    assert [a == b for a, b in zip(*folders, strict=True)] == [False, True]
+
+
+def test_a_configuration_needs_no_kernels() -> None:
+    code = "import sys, hiros_mcap.config; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"numba", "scipy", "hiros_mcap.kernels"} & {*done.stdout.split()}
+
+
+def test_a_run_imports_its_own_stages_only(tmp_path: Path) -> None:
     log, out = "sample_data/one_person_walking.mcap", str(tmp_path / "o.mcap")
     code = (
         "import sys; from hiros_cli.app import run; "
         f"run(['process', {log!r}, '-o', {out!r}, '--quiet']); print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    modules = {*done.stdout.split()}
     prefix = "hiros_mcap.kernels."
-    used = {name.removeprefix(prefix) for name in done.stdout.split() if name.startswith(prefix)}
-    sources = kernels.sources()
-    assert {"tracking", "fusing"} <= used
-    assert used & sources.keys() <= needed_by(DEFAULT_RUN, sources).keys()
+    assert {f"{prefix}{name}" for name in ("tracking", "fusing")} <= modules
+    others = ("energy", "optimizing", "clustering", "predicting", "drawing", "butterworth")
+    assert not {f"{prefix}{name}" for name in others} & modules
+
+
+def test_nothing_is_collected_while_a_command_imports() -> None:
+    with importing():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    gc.unfreeze()
 
 
 def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("HIROS_KERNELS", "compile")
+    shipped.usable.cache_clear()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 20))
     prepare(quiet=True)
+    shipped.usable.cache_clear()
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
     assert folder.name.startswith("hiros-kernels-")
     assert folder.is_dir()

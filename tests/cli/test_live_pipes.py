@@ -104,3 +104,68 @@ def test_what_cannot_be_live(
     assert (done.returncode, done.stdout) == (2, b"")
     assert fault in done.stderr.decode()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("redirection", "fault"), [("<&-", "standard input is closed"), (">&-", "output is closed")]
+)
+def test_a_stream_that_is_closed_is_named(
+    redirection: str, fault: str, crossing: Path, tmp_path: Path
+) -> None:
+    command = f'"$0" -m hiros_cli process - -o - {redirection}'
+    done = subprocess.run(
+        ["sh", "-c", command, sys.executable],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert fault in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+SERVER = """
+import json, struct, sys, threading
+from websockets.sync.server import serve
+
+def publish(socket):
+    channel = dict(id=1, topic="/camera/skeletons", encoding="cdr", schemaEncoding="ros2msg",
+                   schemaName="hiros_skeleton_msgs/msg/SkeletonGroup", schema="float64 x\\n")
+    socket.send(json.dumps({"op": "advertise", "channels": [channel]}))
+    socket.recv()
+    socket.recv_messages.pause()  # reads nothing any more, not even a farewell
+    time = 0
+    while True:
+        time += 10_000_000
+        socket.send(b"\\x01" + struct.pack("<IQ", 1, time) + bytes(100_000))
+
+with serve(publish, "127.0.0.1", 0) as server:
+    print(server.socket.getsockname()[1], flush=True)
+    server.serve_forever()
+"""
+
+
+def test_a_run_that_fails_ends_though_the_server_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("websockets")
+    server = subprocess.Popen(
+        [sys.executable, "-c", SERVER], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    try:
+        assert server.stdout is not None
+        url = f"ws://127.0.0.1:{server.stdout.readline().strip()}"
+        done = subprocess.run(
+            [*HIROS, "process", url, "-o", str(tmp_path / "out.mcap"), "-q"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+    finally:
+        server.kill()
+        server.communicate()
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"hiros: error: {url}: /camera/skeletons: schema lacks")
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())

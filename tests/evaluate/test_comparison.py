@@ -25,6 +25,7 @@ from hiros_mcap.evaluate.comparison import (
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import (
     consistency,
+    evaluate_channels,
     evaluate_log,
     find_truth,
     output_channels,
@@ -75,8 +76,8 @@ def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, n
     compared = run_task(Task(faulty, Entry(name)))
     assert numbers(compared.scores) == expected
     assert compared.milliseconds > 0
-    with results_of(faulty, config, None, name) as (results, globs):
-        assert numbers(list(evaluate_log(results, truth, globs).values())[-1].scores) == expected
+    channels = results_of(faulty, config, system=name)
+    assert numbers(list(evaluate_channels(channels, truth).values())[-1].scores) == expected
     alone = leave_one_out(faulty, config=config, options=ProcessOptions(name))
     frames, model, _ = read_channel(out, output_channels(out)[-1])
     assert alone.consistency == consistency(frames, model)

@@ -247,3 +247,15 @@ def test_orientations_become_z_up_as_positions_do() -> None:
     truth = Truth(np.array([at(0), at(1)]), positions, identity, (0,)).moved(up="y")
     assert rotate(truth.orientations[0, 0, 0], positions[0, 0, 0]) == pytest.approx([0, 0, 1])
     assert truth.positions[0, 0, 0] == pytest.approx([0, 0, 1])
+
+
+def test_many_positions_at_once_are_those_one_by_one() -> None:
+    """At instants, between them, in a pause of the truth, before it and after it."""
+    stamps = START + np.cumsum([0, 30, 30, 700, 30, 30]) * 1_000_000
+    positions = np.random.default_rng(0).normal(size=(6, 2, 3, 3))
+    truth = Truth(stamps, positions, np.zeros((6, 2, 0, 4)), (0, 1))
+    asked = np.concatenate([stamps, np.arange(START - 10**8, START + 10**9, 7_000_000)])
+    rows = np.arange(len(asked)) % 2
+    single = np.stack([truth.at(s)[0][row] for s, row in zip(asked.tolist(), rows, strict=True)])
+    assert np.array_equal(truth.positions_of(rows, asked), single, equal_nan=True)
+    assert 0 < np.isnan(single).mean() < 1

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import detector_logs as made
@@ -199,7 +202,7 @@ def test_a_joint_is_linked_to_the_nearest_one_above() -> None:
         ('axes = ["x", "y", "-z"]', "axes: should not mirror people"),
         ('axes = ["x", "x", "z"]', "axes: should be x, y and z in some order"),
         ("colour = 3", "colour: "),
-        ("unit = ", "not a TOML file"),
+        ("unit = ", "not TOML: "),
         (
             '[columns]\nposition = "{joint}_{ax}"',
             "columns.position: should have {joint} and {axis}",
@@ -233,3 +236,90 @@ def test_two_files_of_one_camera_are_refused(tmp_path: Path) -> None:
     files = [small(tmp_path / "a.csv"), small(tmp_path / "b" / "a.csv")]
     with pytest.raises(ConfigError, match="several files are of the camera a"):
         import_joints(files, tmp_path / "log.mcap")
+
+
+TALL = "time,person,joint,x,y,z\n"
+TRC = (
+    "PathFileType\t4\nDataRate\tNumFrames\tUnits\n30\t{n}\tm\nFrame#\tTime\t{names}\n\n"
+    "1\t0.0\t0\t0\t1.6\t0\t0\t0.8\n"
+)
+JSON = '[{"time": 0, "people": [{"joints": {"HEAD": [0, 0, 1.6]}}]}]'
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "mapping", "fault"),
+    [
+        ("a.csv", TALL + "0,0,HEAD,0,0,1\n0,0,HEAD,0,0,2\n", "", "HEAD of person 0 occurs twice"),
+        ("a.csv", TALL + "0,0,HEAD,0,0,1\n", "[time]\nrate = 30", "rate is for files of one row"),
+        ("a.csv", TALL + "0,0,HEAD,0,0\n", "", "line 2: has not as many cells"),
+        ("a.csv", TALL + "0,0,HEAD,0,0,1,7\n", "", "line 2: has not as many cells"),
+        ("a.csv", "time,HEAD_x,HEAD_y\n0,0,0\n", "", "no column HEAD_z"),
+        (
+            "a.csv",
+            "time,person,HEAD_x,HEAD_y,HEAD_z\n0,0,0,0,1\n0,1,0,0,1\n",
+            "[time]\nrate = 30",
+            "a row for each person, so it needs a column with times",
+        ),
+        (
+            "a.csv",
+            "time,A_x,A_y,A_z,B_x,B_y,B_z\n0,0,0,0,0,0,1\n",
+            '[joints]\nA = "B"',
+            "gives the name B to a joint, but another one has it",
+        ),
+        ("a.csv", TALL + "0,0,HEAD,0,0,1\n", '[files."b.csv"]\nframe = "b"', "names b.csv, not"),
+        ("a.csv", TALL + "0,0,HEAD,0,0,1\n", "[time]\nstart = 2026-05-01T10:00:00", "have a zone"),
+        ("a.csv", TALL + "0,0,HEAD,0,0,1\n", "[time]\noffset = 1e12", "is the unit of the time"),
+        ("a.csv", TALL + "0,0,HEAD,0,0,1\n", "[time]\noffset = -1e300", "is the unit of the time"),
+        ("a.trc", TRC.format(n=1, names="A\t\t\tA"), "", "names the marker A twice"),
+        ("a.trc", TRC.format(n=3, names="A\t\t\tB"), "", "it has 1 of the 3 frames of its line 3"),
+        ("a.trc", TRC.format(n=1, names="A\t\t\tB")[:-5], "", "line 6: is cut off"),
+        ("a.trc", TRC.format(n=1, names="A\t\t\tB"), "[time]\nrate = 30", "a TRC file has times"),
+        ("a.json", '[{"time": 0, "people": [7]}]', "", "an instant or a person is no JSON object"),
+        ("a.json", JSON[:-5], "", "not JSON: "),
+        ("a.json", JSON.replace('"HEAD"', '"A": [0, 0, 0], "A"'), "", "the key 'A' occurs twice"),
+    ],
+)
+def test_what_is_wrong_is_refused(
+    name: str, text: str, mapping: str, fault: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text(text)
+    (tmp_path / "map.toml").write_text(mapping)
+    with pytest.raises(ConfigError, match=re.escape(fault)):
+        import_joints([tmp_path / name], tmp_path / "log.mcap", tmp_path / "map.toml")
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_a_start_with_a_zone_means_the_same_everywhere(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text("[time]\nstart = 2026-05-01T10:00:00+02:00\n")
+    import_joints([small(tmp_path / "a.csv")], tmp_path / "log.mcap", tmp_path / "map.toml")
+    with open_log(tmp_path / "log.mcap") as log:
+        first = next(iter(log.frames())).stamp
+    assert first == datetime(2026, 5, 1, 8, tzinfo=UTC).timestamp() * 1e9
+
+
+def test_a_last_line_without_an_end_may_be_cut_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = small(tmp_path / "a.csv")
+    arguments = ["import", str(path), "-o", str(tmp_path / "log.mcap"), "-q"]
+    assert run(arguments) == 0
+    assert (
+        "a.csv: its last line has no end; if a number in it is cut off" in capsys.readouterr().err
+    )
+    path.write_text(path.read_text() + "\n")
+    assert run([*arguments, "--force"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_joints_of_a_trc_file_get_other_names(tmp_path: Path) -> None:
+    (tmp_path / "a.trc").write_text(TRC.format(n=1, names="A\t\t\tB"))
+    (tmp_path / "map.toml").write_text('[joints]\nA = "HEAD"\n')
+    import_joints([tmp_path / "a.trc"], tmp_path / "log.mcap", tmp_path / "map.toml")
+    with open_log(tmp_path / "log.mcap") as log:
+        assert log.model.marker_names == ("HEAD", "B")
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = small(tmp_path / os.fsdecode(b"\xff.csv"))
+    with pytest.raises(ConfigError, match="name the camera in the mapping file"):
+        import_joints([path], tmp_path / "log.mcap")

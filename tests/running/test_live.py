@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import io
+import json
 import os
+import struct
 import threading
+import tracemalloc
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+import zstandard
 from detector_logs import azure, kinect_v2, only, scene, together, write_ros2
 from mcap.reader import NonSeekingReader
 from mcap.records import McapRecord
@@ -381,3 +386,121 @@ def test_what_converts_skeletons_is_refused(changed: dict[str, str]) -> None:
     config = load_config(named={"--option": {"input": changed}})
     with pytest.raises(ConfigError, match="--model and --unit are for files"):
         process_live(McapInput(0, "pipe"), None, config=config)
+
+
+def test_a_second_recording_in_a_pipe_is_named(crossing: Path, by_file: Messages) -> None:
+    def write(descriptor: int) -> None:
+        send(crossing, recorded(crossing))(descriptor)
+        send(crossing, recorded(crossing)[:100])(descriptor)
+
+    summary, out = run_live(write)
+    assert results(out) == by_file
+    (warning,) = summary.warnings
+    assert warning.startswith("the input goes on behind its end mark")
+
+
+def chunk(data: bytes, size: int, compression: str = "zstd") -> bytes:
+    """Return an MCAP up to a chunk that claims to have ``size`` bytes."""
+    content = struct.pack("<QQQI", 0, 0, size, 0)
+    content += struct.pack("<I", len(compression)) + compression.encode()
+    content += struct.pack("<Q", len(data)) + data
+    head = b"\x89MCAP0\r\n\x01" + struct.pack("<QII", 8, 0, 0)
+    return head + b"\x06" + struct.pack("<Q", len(content)) + content
+
+
+def short_message() -> bytes:
+    return chunk(b"\x05" + struct.pack("<Q", 21) + bytes(21), 30, "")
+
+
+BOMB = zstandard.compress(bytes(300 << 20))
+ODD = {
+    "claims 314572800 bytes": chunk(BOMB, 300 << 20),
+    "does not decompress": chunk(BOMB, 100),
+    "a message is shorter": short_message(),
+    "a field claims 1099511627776 bytes": b"\x89MCAP0\r\n\x06"
+    + struct.pack("<QQQQI", 1000, 0, 0, 0, 0)
+    + struct.pack("<IQ", 0, 1 << 40),
+    "not UTF-8": b"\x89MCAP0\r\n\x01" + struct.pack("<QI", 9, 1) + b"\xff" + bytes(4),
+}
+
+
+@pytest.mark.parametrize("fault", ODD)
+def test_odd_bytes_of_a_pipe_are_damage(fault: str) -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(LogError, match=f"pipe: damaged: .*({fault}|codec can't decode)"):
+            run_live(lambda descriptor: os.write(descriptor, ODD[fault]) and None)
+        assert tracemalloc.get_traced_memory()[1] < 100 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@contextmanager
+def odd_server(path: Path, end: Callable[[Any], None]) -> Iterator[str]:
+    """Yield the address of a server that publishes a log, and then ends as ``end`` does."""
+    server = pytest.importorskip("websockets.sync.server")
+
+    def publish(connection: Any) -> None:
+        with McapReader(path) as reader:
+            channels = [
+                {
+                    "id": channel.id,
+                    "topic": channel.topic,
+                    "encoding": "cdr",
+                    "schemaName": schema.name,
+                    "schema": schema.data.decode(),
+                }
+                for channel in reader.channels.values()
+                if (schema := reader.schema(channel))
+            ]
+            connection.send(json.dumps({"op": "advertise", "channels": channels}))
+            wanted = json.loads(connection.recv())["subscriptions"]
+            ids = {row["channelId"]: row["id"] for row in wanted}
+            for m in reader.messages():
+                if m.channel_id in ids:
+                    head = struct.pack("<BIQ", 1, ids[m.channel_id], m.log_time)
+                    connection.send(head + bytes(m.data))
+        end(connection)
+
+    with server.serve(publish, "127.0.0.1", 0, compression=None) as listening:
+        thread = threading.Thread(target=listening.serve_forever)
+        thread.start()
+        try:
+            yield f"ws://127.0.0.1:{listening.socket.getsockname()[1]}"
+        finally:
+            listening.shutdown()
+            thread.join()
+
+
+def huge(connection: Any) -> None:
+    connection.socket.sendall(b"\x82\x7f" + (1 << 62).to_bytes(8, "big") + bytes(1000))
+    connection.recv()
+
+
+ENDS: dict[str, tuple[Callable[[Any], None], str]] = {
+    "farewell": (lambda connection: None, ""),
+    "no farewell": (lambda connection: connection.close_socket(), "no close frame received"),
+    "error": (lambda connection: connection.close(1011, "boom"), "boom"),
+    "garbage": (lambda connection: connection.socket.sendall(b"\xff" * 99), "invalid opcode"),
+    "huge": (huge, "exceeds limit of 67108864 bytes"),
+}
+
+
+@pytest.mark.parametrize("name", ENDS)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_connection_that_breaks_is_named(name: str, crossing: Path) -> None:
+    end, fault = ENDS[name]
+    with odd_server(crossing, end) as url:
+        source = FoxgloveInput(url, lambda topic, kind: "image" not in topic)
+        summary = process_live(source, None, options=LIVE)
+    broken = [text for text in summary.warnings if text.startswith("the connection broke")]
+    assert [fault in text for text in broken] == ([True] if fault else [])
+    assert summary.source == url
+
+
+def test_a_message_may_be_as_large_as_asked(crossing: Path) -> None:
+    with odd_server(crossing, lambda connection: None) as url:
+        source = FoxgloveInput(url, lambda topic, kind: True, largest=1000)
+        with pytest.raises(LogError, match=r"has no skeletons|has no SkeletonGroup|no channels"):
+            process_live(source, None, options=LIVE)
+    assert "exceeds limit of 1000 bytes" in source.fault

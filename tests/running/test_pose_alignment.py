@@ -10,6 +10,7 @@ import pytest
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle
+from hiros_mcap.calibrate.survey import stretches
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.channels import add_skeleton_channel, add_static_poses
@@ -17,7 +18,6 @@ from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
-from hiros_mcap.running.pose_alignment import stretches
 from hiros_mcap.simulate import SimulateParams, Simulation, simulate
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.summary import Summary

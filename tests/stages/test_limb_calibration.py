@@ -380,7 +380,7 @@ def test_links_without_a_name_of_their_own_go_by_id():
         ("[person.0.palm]\nheight = 1", "person.0.palm.length: is missing"),
         ("[person.0.palm]\nlength = 1\nheight = 1", "person.0.palm.height"),
         ("[person.0]\npalm = 1", "person.0.palm: should be a dictionary"),
-        ("[[", "not a TOML file"),
+        ("[[", "not TOML: "),
     ],
 )
 def test_bad_limb_file_names_file_and_link(tmp_path, text, message):
@@ -406,7 +406,7 @@ def test_a_table_is_read_as_it_was_written(people):
 
 
 def test_missing_limb_file_is_an_error_that_names_it(tmp_path):
-    with pytest.raises(ConfigError, match=r"nowhere\.toml: No such file"):
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot be read: No such file"):
         LimbTable.load(tmp_path / "nowhere.toml")
     with pytest.raises(ConfigError, match="No such file"):
         LimbTable().save(tmp_path / "nowhere" / "limbs.toml")

@@ -15,7 +15,7 @@ from hiros_mcap.body.forward_cues import CUES, ForwardCues
 from hiros_mcap.config import PRESETS, load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.kernels.body_axes import find_upright
+from hiros_mcap.kernels.body_axes import find_upright, follow_line
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
@@ -218,6 +218,18 @@ def test_a_trunk_at_a_right_angle_is_turned_towards_the_facing() -> None:
     assert np.isnan(result.links).all() and not np.isnan(honest.links).all()
 
 
+@pytest.mark.parametrize("params", [SidesParams(), LIVE])
+def test_labels_that_go_round_with_a_person_are_honest(params: SidesParams) -> None:
+    """Whatever toes have shown before: no trunk is turned any more."""
+
+    def go_round(frame: Frame, camera: int, t: float) -> Frame:
+        angle = 240 * min(max(t - SLAVED - 0.5, 0), 3) + (80 if camera == 0 and t > 8 else 0)
+        return turned(slaved(frame, camera, t), angle)
+
+    frames = views(8.2, go_round)
+    assert all(map(same_markers, decided(frames, params)[-12:], frames[-12:]))
+
+
 def test_the_first_view_keeps_its_labels() -> None:
     """Nothing but that view speaks of the facing."""
     frames = [turned_toes(frame) for frame in views(0.1, cameras=1)]
@@ -344,6 +356,26 @@ def test_a_flip_on_the_floor_is_not_believed(
 def test_a_spin_exchanges_nothing(params: SidesParams) -> None:
     frames = views(4, lambda frame, _, t: turned(frame, 600 * min(max(t - 1.5, 0), 1.5)))
     assert all(map(same_markers, decided(frames, params), frames))
+
+
+def turned_axes(speed: float, trust: tuple[float, float]) -> float:
+    """Degrees by which the axes turn in a second with a line of that speed, degrees/s."""
+    line, axes, total = np.full(3, np.nan), np.eye(3), 0.0
+    for k in range(31):
+        angle = np.radians(speed) * k * PERIOD - total
+        total += follow_line(line, angle, 1.0, PERIOD, trust, axes)
+    assert np.arctan2(axes[0, 1], axes[0, 0]) == pytest.approx(
+        (total + np.pi) % (2 * np.pi) - np.pi
+    )
+    return float(np.degrees(total))
+
+
+def test_axes_follow_slow_turns_and_fast_ones_apart() -> None:
+    """A line that swings back slowly takes no axes along while nothing is known of labels."""
+    assert turned_axes(150, (0, 1)) == pytest.approx(0)
+    assert turned_axes(600, (0, 1)) > 450
+    assert turned_axes(150, (1, 1)) > 130 and turned_axes(600, (1, 1)) > 570
+    assert turned_axes(600, (0, 0)) == 0
 
 
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])

@@ -499,7 +499,7 @@ def test_a_time_range_has_its_results_though_they_were_logged_much_later(
         topics = {c.channel.topic: add_skeleton_channel(writer, c.channel.topic)
                   for c in log.cameras}  # fmt: skip
         encoder, start = Encoder(log.model), log.span[0]
-        for names, block in log.blocks_by_topic():
+        for names, block in log.read():
             for topic, frame in zip(names, block.frames(), strict=True):
                 later = 60_000_000_000 * topic.startswith("/hiros/")
                 if later or frame.stamp < start + 3_000_000_000:

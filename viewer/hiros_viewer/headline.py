@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from hiros_mcap.evaluate.logs import start_of
-from hiros_mcap.io.channels import REPORT_ATTACHMENT
+from hiros_mcap.io.attachments import stored_report
 from hiros_mcap.io.log import open_reader
 from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.summary import quantity
@@ -46,5 +45,4 @@ def headline(path: Path) -> Headline:
 
 def _warnings(path: Path) -> Sequence[str]:
     with open_reader(path) as reader:
-        report = reader.attachment(REPORT_ATTACHMENT)
-    return [str(text) for text in json.loads(report or b"{}").get("warnings", [])]
+        return stored_report(reader).warnings

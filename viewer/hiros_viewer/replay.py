@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,11 +14,10 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.logs import find_truth, has_cameras, has_outputs, start_of
 from hiros_mcap.evaluate.truth import Truth
-from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.events import Event
+from hiros_mcap.io.attachments import stored_events, stored_report
 from hiros_mcap.io.channels import (
-    EVENTS_ATTACHMENT,
     OUTPUT_PREFIX,
-    REPORT_ATTACHMENT,
     TRUTH_PREFIX,
 )
 from hiros_mcap.io.log import CameraChannel, Log, open_log
@@ -316,8 +314,9 @@ def describe(log: Log) -> Source:
             later.update({names[source]: moved for source in camera.sources.values() if moved})
     stages = tuple(stage for stage in STAGES if stage in kinds and stage != "truth")
     topics = tuple(dict.fromkeys(camera.channel.topic for camera in log.cameras))
-    report = {names.get(c["name"], c["name"]): c for c in _report(log).get("cameras", ())}
-    events = _events(log)
+    cameras = stored_report(log.reader).cameras
+    report = {names.get(camera.name, camera.name): camera.model_dump() for camera in cameras}
+    events = stored_events(log.reader)
     return Source(log.model, poses, names, stages, events, log.span[0], topics, report, later)
 
 
@@ -344,23 +343,6 @@ def kind_of(topic: str) -> str:
     return stage if stage != topic and stage in STAGES else DETECTIONS
 
 
-def _report(log: Log) -> Mapping[str, Any]:
-    """Return the summary of the run that made the result; nothing if there is none."""
-    try:
-        return dict(json.loads(log.reader.attachment(REPORT_ATTACHMENT) or b"{}"))
-    except (ValueError, TypeError):
-        fault = f"attachment {REPORT_ATTACHMENT} is damaged"
-        raise LogError(fault, path=log.path) from None
-
-
-def _events(log: Log) -> tuple[Event, ...]:
-    try:
-        return tuple(events_from_json((log.reader.attachment(EVENTS_ATTACHMENT) or b"[]").decode()))
-    except (ValueError, TypeError):
-        fault = f"attachment {EVENTS_ATTACHMENT} is damaged"
-        raise LogError(fault, path=log.path) from None
-
-
 def in_time_order(
     log: Log, left_out: Collection[str] = (), step: int = 0, spans: Spans | None = None
 ) -> Iterator[Mapping[Channel, Poses]]:
@@ -374,7 +356,7 @@ def in_time_order(
     """
     kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
     names, waiting, thinner = describe(log).names, Gatherer(), Thinner(step)
-    for topics, block in log.blocks_by_topic(spans, step):
+    for topics, block in log.read(spans=spans, step=step):
         shown = thinner.chosen(list(zip(topics, block.sources, strict=True)), block.stamps)
         channels = [
             (kinds[topic], names.get(source, source) if kinds[topic] == DETECTIONS else "")

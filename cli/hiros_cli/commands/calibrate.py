@@ -62,7 +62,7 @@ def people(
 
     log.stat()
     check_outputs((output, "camera file"), (write_log, "log"), inputs=(log,), force=force)
-    prepare(quiet=json, roots=("hiros_mcap.calibrate.people",))
+    prepare(quiet=json, everything=True)
     from hiros_cli.calibration_report import show_calibration
     from hiros_mcap.calibrate.cameras_file import save_cameras
     from hiros_mcap.calibrate.corrected_log import write_corrected_log
@@ -209,8 +209,7 @@ def noise(
     log.stat()
     span = None if window is None else seconds_range("--window", window)
     prepare(quiet=json)
-    from hiros_mcap.calibrate.noise import measure_noise
-    from hiros_mcap.calibrate.noise_model import measure_noise_model
+    from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.io.log import open_log
     from hiros_mcap.stages.associate import associate
     from hiros_mcap.summary import number

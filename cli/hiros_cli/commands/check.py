@@ -89,7 +89,7 @@ def check(
 
     Exit code: 0 equal within the tolerances, 1 different, 2 cannot be compared.
     """
-    from hiros_cli.compiling import DEFAULT_RUN, prepare
+    from hiros_cli.compiling import prepare
 
     is_suite = len(targets) == 1 and Path(targets[0]).suffix == ".toml"
     many = ManyLogs(targets, "", jobs, cluster, csv, force, json, quiet)
@@ -107,7 +107,7 @@ def check(
         },
         for_suite={"--only": only, "--keep": keep, "--junit": junit, "--markdown": markdown},
     )
-    prepare(quiet=quiet or json, roots=DEFAULT_RUN if is_suite or is_many else ())
+    prepare(quiet=quiet or json, everything=is_suite or is_many)
     if is_many:
         return run(_job(golden, tolerances, channel, bless=bless), many)
     if is_suite:

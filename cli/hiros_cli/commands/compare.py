@@ -71,7 +71,7 @@ def compare(
     jitter, limb lengths and ids. Below, each system is compared with the first one named: better or
     worse by so many mm, or no difference, by the 95 % interval over blocks of a second.
     """
-    from hiros_cli.compiling import ALL, prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
 
     paths = list(logs or ())
@@ -85,7 +85,7 @@ def compare(
 
     for path in paths:
         check_recording(path)
-    prepare(quiet=quiet or json, roots=ALL)
+    prepare(quiet=quiet or json, everything=True)
     from hiros_mcap.evaluate.comparison import DEFAULT, Entry, Task, camera_subsets, comparison
     from hiros_mcap.running.progress_bar import bar
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from hiros_mcap.config import Config
     from hiros_mcap.evaluate import Truth
     from hiros_mcap.evaluate.logs import ChannelResult
+    from hiros_mcap.io.container import McapReader
+    from hiros_mcap.running.process_options import ProcessOptions
 
 
 def evaluate(
@@ -123,7 +125,7 @@ def evaluate(
     A recording is first processed with the given parameters. Without a truth, hiros scores each
     camera against the result of the others.
     """
-    from hiros_cli.compiling import prepare, run_roots
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
 
     if up not in ("z", "y"):
@@ -140,15 +142,17 @@ def evaluate(
             raise ConfigError("--output is for many logs; for one, use --json or --html")
         log = one_log(context, logs[0])
         check_outputs((html, "HTML page"), inputs=(log, truth, config), force=force)
-    system = chosen_system(system, preset)
-    prepare(quiet=quiet or json, roots=run_roots(system) if is_many else ())
+    default = chosen_system(system, preset)
+    prepare(quiet=quiet or json, everything=is_many)
 
     from hiros_mcap.config import load_config
-    from hiros_mcap.evaluate.logs import covered_by, evaluate_log, find_truth, start_of
+    from hiros_mcap.evaluate.logs import covered_by, evaluate_channels, find_truth, start_of
     from hiros_mcap.evaluate.remarks import warnings_of
-    from hiros_mcap.evaluate.scored import check_scorable, results_of
+    from hiros_mcap.evaluate.scored import check_scorable, results_of, settings_of
+    from hiros_mcap.io.log import open_reader
 
-    effective = load_config(config, list(assignments or ()), preset, system)
+    asked = config is not None or assignments or system is not None or preset != "default"
+    effective = load_config(config, list(assignments or ()), preset, default)
     if is_many:
         from hiros_mcap.many.jobs import EvalJob
 
@@ -162,22 +166,23 @@ def evaluate(
             match_distance,
             shift,
             up,
-            system,
+            default,
+            asked=bool(asked),
         )
         raise typer.Exit(run(job, many))
     shown = _Output(log, html, json=json, quiet=quiet, joints=joints)
-    true = None if leave_one_out else find_truth(log, truth)
-    check_scorable(log, truth, has_truth=true is not None)
-    if true is None:
-        _show_self(shown, effective, system)
-        return
-    true = true.moved(shift, start=start_of(log), up=up)
-    with results_of(log, effective, truth, system) as (processed, default):
-        globs = channel or default
-        true, others = covered_by(processed, true, truth_covers, globs, match_distance)
-        results = evaluate_log(processed, true, globs, match_distance)
-    asked = truth_covers != "auto"
-    _show_truth(shown, true, results, others, warnings_of(true, results, others, asked=asked))
+    with open_reader(log) as reader:
+        true = None if leave_one_out else find_truth(reader, truth)
+        check_scorable(reader, truth, has_truth=true is not None)
+        if true is None:
+            _show_self(shown, reader, settings_of(reader, effective, default, asked=bool(asked)))
+            return
+        true = true.moved(shift, start=start_of(reader), up=up)
+        channels = results_of(reader, effective, truth, channel or (), default)
+    true, others = covered_by(channels, true, truth_covers, match_distance)
+    results = evaluate_channels(channels, true, match_distance)
+    named = truth_covers != "auto"
+    _show_truth(shown, true, results, others, warnings_of(true, results, others, asked=named))
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,11 +232,13 @@ def _show_truth(
         warn(text)
 
 
-def _show_self(output: _Output, config: Config, system: str) -> None:
+def _show_self(
+    output: _Output, reader: McapReader, settings: tuple[Config, ProcessOptions]
+) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
-    from hiros_mcap.running.process_options import ProcessOptions
 
-    scores = leave_one_out(output.log, config=config, options=ProcessOptions(system))
+    config, options = settings
+    scores = leave_one_out(reader, config=config, options=options)
     if output.html is not None:
         from hiros_viewer.evaluation_page import self_page
 

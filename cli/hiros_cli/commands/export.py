@@ -101,7 +101,7 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write joints and angles as CSV, Parquet, TRC, MOT, C3D, BVH."""
-    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs, print_json
     from hiros_mcap.io.export.files import export as write
     from hiros_mcap.io.export.files import files_of, format_of
@@ -116,7 +116,7 @@ def export(
     if is_many:
         from hiros_mcap.many.jobs import ExportJob
 
-        prepare(quiet=quiet, roots=RUN)
+        prepare(quiet=quiet, everything=True)
         names = str(Path(marker_set).absolute()) if Path(marker_set).is_file() else marker_set
         part = (what, person, channel, rate, start, end)
         job = ExportJob(suffix, *part, names, least_confidence)

@@ -32,7 +32,7 @@ def import_(
     hiros process, view and info read it like any other.
     """
     from hiros_cli.compiling import prepare
-    from hiros_cli.output import check_outputs
+    from hiros_cli.output import check_outputs, warn
 
     for path in (*sources, *([mapping] if mapping else [])):
         path.stat()
@@ -40,6 +40,6 @@ def import_(
     prepare(quiet=quiet)
     from hiros_mcap.io.joints.importing import import_joints
 
-    written = import_joints(sources, output, mapping)
+    written = import_joints(sources, output, mapping, warn)
     if not quiet:
         print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")

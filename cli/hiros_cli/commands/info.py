@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -46,12 +46,12 @@ def info(
     It lists channels, cameras, people, rates and gaps. Of what hiros wrote, it also shows the
     version, the system and the changed parameters.
     """
-    from hiros_cli.compiling import RUN, prepare
+    from hiros_cli.compiling import prepare
     from hiros_cli.output import warn
 
     many = ManyLogs(logs, "", jobs, cluster, csv, force, json, quiet)
     if many.wanted:
-        prepare(quiet=json or quiet, roots=RUN)
+        prepare(quiet=json or quiet, everything=True)
         from hiros_mcap.many.jobs import InfoJob
 
         side = extrinsics and extrinsics.absolute()
@@ -80,61 +80,43 @@ def info(
 
 
 def _show(overview: Overview) -> None:
-    from rich.text import Text
-
-    from hiros_cli.printable import printable
-    from hiros_cli.run_report import console, say
+    from hiros_cli.run_report import listing, page
     from hiros_mcap.summary import number
 
-    out = console()
     kind = "log" if overview.kind == "other" else overview.kind
-    out.print(
-        Text(
-            f"{printable(overview.path, 500)}: {kind}, {number(overview.seconds, 1)} s, "
-            f"{_size(overview.megabytes)}",
-            style="bold",
-        ),
-        soft_wrap=True,
+    size = _size(overview.megabytes)
+    channels = listing(
+        overview.channels,
+        ("Channel", lambda row: row.topic),
+        (">Messages", lambda row: row.messages),
+        (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
+        (">Seconds", lambda row: number(row.seconds, 1)),
+        ("Type", _type),
     )
-    tables = (
-        (overview.channels, _channels),
-        (overview.cameras, _cameras),
-        (overview.people, _people),
+    cameras = listing(
+        overview.cameras,
+        ("Camera", lambda row: row.name),
+        (">Rate", lambda row: number(row.rate_hz, 1, " Hz")),
+        (">Longest gap", lambda row: number(row.longest_gap_s, 2, " s")),
+        (">People (mean)", _people),
+        ("Frame", _frame),
     )
-    for rows, make in tables:
-        if rows:
-            out.print()
-            out.print(make(overview))
-    out.print()
-    for line in (*_run(overview), *_facts(overview)):
-        say(out, line)
+    people = listing(
+        overview.people,
+        ("Channel", lambda row: row.topic),
+        (">Person", lambda row: row.id),
+        (">Seconds", lambda row: number(row.seconds, 1)),
+        (">Frames", lambda row: row.frames),
+    )
+    page(
+        f"{overview.path}: {kind}, {number(overview.seconds, 1)} s, {size}",
+        *(rows for rows in (channels, cameras, people) if rows.row_count),
+        [*_run(overview), *_facts(overview)],
+    )
 
 
 def _size(megabytes: float) -> str:
     return f"{megabytes:.1f} MB" if megabytes >= 0.1 else f"{1000 * megabytes:.1f} kB"
-
-
-def _channels(overview: Overview) -> Any:
-    from hiros_cli.run_report import table
-    from hiros_mcap.summary import number
-
-    return table(
-        "Channel",
-        ">Messages",
-        ">Rate",
-        ">Seconds",
-        "Type",
-        rows=[
-            (
-                row.topic,
-                str(row.messages),
-                number(row.rate_hz, 1, " Hz"),
-                number(row.seconds, 1),
-                _type(row),
-            )
-            for row in overview.channels
-        ],
-    )
 
 
 def _type(row: ChannelRow) -> str:
@@ -143,20 +125,10 @@ def _type(row: ChannelRow) -> str:
     return name if row.encoding == "cdr" else f"{name} ({row.encoding or 'no encoding'})"
 
 
-def _people(overview: Overview) -> Any:
-    from hiros_cli.run_report import table
+def _people(row: CameraRow) -> str:
     from hiros_mcap.summary import number
 
-    return table(
-        "Channel",
-        ">Person",
-        ">Seconds",
-        ">Frames",
-        rows=[
-            (row.topic, str(row.id), number(row.seconds, 1), str(row.frames))
-            for row in overview.people
-        ],
-    )
+    return f"{row.least_people} to {row.most_people} ({number(row.mean_people, 2)})"
 
 
 def _run(overview: Overview) -> list[str]:
@@ -174,29 +146,6 @@ def _run(overview: Overview) -> list[str]:
         for row in run.changed
     ]
     return lines + [f"warning of that run: {text}" for text in run.warnings]
-
-
-def _cameras(overview: Overview) -> Any:
-    from hiros_cli.run_report import table
-    from hiros_mcap.summary import number
-
-    return table(
-        "Camera",
-        ">Rate",
-        ">Longest gap",
-        ">People (mean)",
-        "Frame",
-        rows=[
-            (
-                row.name,
-                number(row.rate_hz, 1, " Hz"),
-                number(row.longest_gap_s, 2, " s"),
-                f"{row.least_people} to {row.most_people} ({number(row.mean_people, 2)})",
-                _frame(row),
-            )
-            for row in overview.cameras
-        ],
-    )
 
 
 def _frame(row: CameraRow) -> str:

@@ -234,7 +234,8 @@ def process(
         typer.Option(
             metavar="GIB",
             min=0.25,
-            help="Memory for a log whose chunks overlap in time, GiB.",
+            help="Memory for a log whose chunks overlap in time, GiB; a message of a server may "
+            "take a 16th.",
             rich_help_panel=INPUT,
         ),
     ] = 1.0,
@@ -250,7 +251,7 @@ def process(
     The output holds the input channels and the results: /hiros/tracked, /hiros/merged,
     /hiros/optimized and /hiros/filtered. The command prints a summary.
     """
-    from hiros_cli.compiling import prepare, run_roots
+    from hiros_cli.compiling import importing, prepare
     from hiros_mcap.io.remote import is_remote
     from hiros_mcap.running.progress_bar import bar
 
@@ -283,13 +284,13 @@ def process(
         shortcuts["--unit"] = {"input": {"unit": unit}}
     if clock:
         shortcuts["--clock"] = {"clock": dict(map(_clock, clock))}
-    prepare(quiet=quiet, roots=run_roots(system))
-
-    if output is None and not live:
-        _refuse_result(source)
-    from hiros_mcap.config import load_config
-    from hiros_mcap.running.pipeline import ProcessOptions
-    from hiros_mcap.running.pipeline import process as run
+    with importing():
+        prepare(quiet=quiet, everything=True)
+        if output is None and not live:
+            _refuse_result(source)
+        from hiros_mcap.config import load_config
+        from hiros_mcap.running.pipeline import ProcessOptions
+        from hiros_mcap.running.pipeline import process as run
 
     _check_assignments(system, assignments or ())
     _check_effects(

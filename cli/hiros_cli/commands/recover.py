@@ -57,30 +57,29 @@ def recover(
 
 
 def _show(recovery: Recovery, target: Path) -> None:
-    from hiros_cli.run_report import console, say, table
+    from hiros_cli.run_report import listing, page
     from hiros_mcap.summary import quantity
 
-    out = console()
-    rows = [
-        (
-            channel.topic,
-            str(channel.recovered),
-            _known(channel.lost),
-            _known(channel.lost_bytes),
-            "unknown" if channel.lost_s is None else f"{channel.lost_s:.2f} s",
-        )
-        for channel in recovery.channels
-    ]
-    out.print(table("Channel", ">Recovered", ">Lost", ">Bytes lost", ">Time lost", rows=rows))
-    out.print()
+    lines = []
     for damage in recovery.damages:
         where = f"{damage.file}, byte {damage.offset}" if damage.file else f"byte {damage.offset}"
         size = quantity(damage.end - damage.offset, "byte")
-        say(out, f"damage at {where}: {damage.fault} ({size} not readable)")
+        lines.append(f"damage at {where}: {damage.fault} ({size} not readable)")
     if recovery.complete:
         damaged = "the damage cost no message" if recovery.damages else "the log is not damaged"
-        say(out, f"nothing was lost: {damaged}")
-    say(out, f"wrote {quantity(recovery.recovered, 'message')} to {target}")
+        lines.append(f"nothing was lost: {damaged}")
+    page(
+        "",
+        listing(
+            recovery.channels,
+            ("Channel", lambda c: c.topic),
+            (">Recovered", lambda c: c.recovered),
+            (">Lost", lambda c: _known(c.lost)),
+            (">Bytes lost", lambda c: _known(c.lost_bytes)),
+            (">Time lost", lambda c: "unknown" if c.lost_s is None else f"{c.lost_s:.2f} s"),
+        ),
+        [*lines, f"wrote {quantity(recovery.recovered, 'message')} to {target}"],
+    )
 
 
 def _known(number: int | None) -> str:

@@ -9,11 +9,11 @@ from hiros_cli.options import Quiet
 
 def warmup(quiet: Quiet = False) -> None:
     """Compile the kernels now, to make the first run fast."""
-    from hiros_cli.compiling import ALL, prepare
+    from hiros_cli.compiling import prepare
     from hiros_mcap import kernels
 
     started = time.perf_counter()
-    prepare(quiet=quiet, roots=ALL)
+    prepare(quiet=quiet, everything=True)
     kernels.load(list(kernels.sources()))
     if not quiet:
         print(f"kernels ready after {time.perf_counter() - started:.1f} s")

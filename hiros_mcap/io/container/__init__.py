@@ -1,5 +1,6 @@
 """The MCAP container: strict reading, reproducible writing. Knows nothing of skeletons."""
 
+from hiros_mcap.io.container.memory import MemoryWriter
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.reader import Batch, McapReader, Records
 from hiros_mcap.io.container.records import Channel, Chunk, Message, Schema
@@ -18,6 +19,7 @@ __all__ = [
     "LogOrder",
     "McapReader",
     "McapWriter",
+    "MemoryWriter",
     "Message",
     "Records",
     "RecoveringReader",

@@ -41,8 +41,13 @@ class ChunkRecords(NamedTuple):
 def read_chunk(file: LogFile, chunk: Chunk) -> ChunkRecords:
     """Read a chunk and find its records; raises FormatError unless checksum and lengths hold."""
     packed = file.read(chunk.data_offset, chunk.data_size)
-    data = decompress(packed, chunk.compression, chunk.size)
-    if chunk.crc and crc32(data) != chunk.crc:
+    return unpack_chunk(packed, chunk.compression, chunk.size, chunk.crc)
+
+
+def unpack_chunk(packed: Bytes, compression: str, size: int, crc: int) -> ChunkRecords:
+    """Find the records in the bytes of a chunk like :func:`read_chunk`."""
+    data = decompress(packed, compression, size)
+    if crc and crc32(data) != crc:
         raise FormatError("the checksum is wrong")
     status, where, messages, definitions = index_records(np.frombuffer(data, np.uint8))
     if status != OK:

@@ -8,15 +8,30 @@ import select
 import struct
 import time
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.records import McapRecord
+from hiros_mcap.io.container.chunks import unpack_chunk
+from hiros_mcap.io.container.compression import MAX_CHUNK
+from hiros_mcap.io.container.records import (
+    FormatError,
+    McapRecord,
+    Message,
+    Opcode,
+    parse_channel,
+    parse_schema,
+)
+
+if TYPE_CHECKING:
+    from mcap.records import Chunk
 
 _PATIENCE = 0.1  # s: how soon a request to stop is heard
 _PAUSE = 0.01  # s between looks at a file that does not grow
 _BLOCK = 1 << 18
-_LARGEST_RECORD = 1 << 30
+_LARGEST_RECORD = MAX_CHUNK + (1 << 16)
+"""Bytes: a chunk without compression, and its head."""
+_AFTERWARDS_S = 1.0
+"""How long to look for more behind the end mark; a writer that stops later is not waited for."""
 
 
 class LiveInput(Protocol):
@@ -26,18 +41,21 @@ class LiveInput(Protocol):
     ----------
     name : what errors and summaries call it.
     before_waiting : is called before more is awaited.
-    is_cut : whether it ended without its end mark.
+    fault : what was odd about its end, "" if nothing was.
     """
 
     name: str
     before_waiting: Callable[[], None]
-    is_cut: bool
+    fault: str
 
     def records(self) -> Iterator[McapRecord]:
         """Yield definitions, messages and metadata in their order; raises LogError for damage."""
 
     def stop(self) -> None:
         """End the input here; a signal handler may call it."""
+
+    def close(self) -> None:
+        """Let go of what was opened for the input; nothing is read afterwards."""
 
     def digest(self) -> str:
         """SHA-256 of all bytes so far, in hexadecimal; "" if there are none to be had again."""
@@ -54,7 +72,7 @@ class McapInput:
 
     def __init__(self, descriptor: int, name: str, *, follow: bool = False) -> None:
         self.name = name
-        self.is_cut = False
+        self.fault = ""
         self.before_waiting: Callable[[], None] = lambda: None
         self._descriptor = descriptor
         self._follow = follow
@@ -66,6 +84,9 @@ class McapInput:
         """End the input here; a signal handler may call it."""
         self._stopped = True
 
+    def close(self) -> None:
+        """Do nothing: the descriptor belongs to the caller."""
+
     def digest(self) -> str:
         """SHA-256 of all bytes so far, in hexadecimal."""
         return self._digest.hexdigest()
@@ -76,11 +97,12 @@ class McapInput:
         Raises LogError for damage. A record that the end cuts off is left out.
         """
         from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+        from mcap.records import Chunk
         from mcap.stream_reader import StreamReader
-        from zstandard import ZstdError
 
         reader = StreamReader(
             self,  # type: ignore[arg-type]  # it needs no more than read()
+            emit_chunks=True,
             validate_crcs=True,
             record_size_limit=_LARGEST_RECORD,
         )
@@ -88,23 +110,47 @@ class McapInput:
         try:
             for record in reader.records:
                 begun = True
-                yield record
+                if isinstance(record, Chunk):
+                    yield from _unpacked(record)
+                else:
+                    yield record
+            if self._goes_on():
+                self.fault = (
+                    "the input goes on behind its end mark, perhaps with another recording; that "
+                    "was not read: process recordings one by one"
+                )
         except EndOfFile:
             if not begun:
                 raise LogError("is empty or not MCAP", path=self.name) from None
-            self.is_cut = not self._stopped
+            if not self._stopped:
+                self.fault = (
+                    "the input ended without its end mark; if its writer was not stopped on "
+                    "purpose, look for the fault there"
+                )
         except (InvalidMagic, struct.error):
             raise LogError(
                 "is not MCAP; live input takes nothing else: name a bag as a file", path=self.name
             ) from None
-        except (McapError, ZstdError, ValueError, RuntimeError, MemoryError) as error:
+        except (McapError, FormatError, ValueError, MemoryError) as error:
             raise LogError(
                 f"damaged: {error}; save the input as a file and use --recover",
                 path=self.name,
             ) from None
 
+    def _goes_on(self) -> bool:
+        """Whether anything comes behind the end mark; a file that grows is not waited for."""
+        if self._buffer or self._follow or self._stopped:
+            return bool(self._buffer)
+        ready = select.select([self._descriptor], [], [], _AFTERWARDS_S)[0]
+        return bool(ready and os.read(self._descriptor, 1))
+
     def read(self, size: int) -> bytes:
-        """Wait for as many bytes; nothing if the input ends before. Raises LogError."""
+        """Wait for as many bytes; nothing if the input ends before.
+
+        Raises LogError, and FormatError where a length is none.
+        """
+        if not 0 <= size <= _LARGEST_RECORD:
+            raise FormatError(f"a field claims {size} bytes; the limit is {_LARGEST_RECORD}")
         while len(self._buffer) < size:
             self.before_waiting()
             try:
@@ -128,3 +174,14 @@ class McapInput:
             elif select.select([self._descriptor], [], [], _PATIENCE)[0]:
                 return os.read(self._descriptor, _BLOCK)
         return b""
+
+
+def _unpacked(chunk: Chunk) -> Iterator[McapRecord]:
+    """Yield the records of a chunk, its definitions first; raises FormatError."""
+    data, messages, definitions = unpack_chunk(
+        chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc
+    )
+    for opcode, start, stop in definitions.tolist():
+        yield (parse_schema if opcode == Opcode.SCHEMA else parse_channel)(data[start:stop])
+    for channel, sequence, log_time, publish_time, start, stop in messages.tolist():
+        yield Message(channel, log_time, bytes(data[start:stop]), publish_time, sequence)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -36,7 +35,7 @@ class LiveReader(McapReader):
     """
 
     def __init__(self, source: LiveInput) -> None:
-        self.path = Path(source.name)
+        self.path = source.name
         self.source = source
         self.cpu_s = 0.0
         self.counts: Counter[int] = Counter()

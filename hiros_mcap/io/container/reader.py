@@ -16,6 +16,7 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -42,6 +43,8 @@ _AHEAD = 2
 _AHEAD_BYTES = 64 * 2**20
 MEMORY = 2**30
 """Bytes that reading may take unless the user allows more."""
+_KEPT = 64 * 2**20
+"""Bytes: the chunks of a file that holds no more stay in memory, so that each is read once."""
 _HELD = 4
 """Chunks that overlap in time may take this part of the memory; larger ones are read in slices."""
 _POINTS = 64  # of a chunk, at which a slice of its messages may begin
@@ -122,15 +125,15 @@ class McapReader:
 
     Parameters
     ----------
-    path : the file.
+    path : the file, which may be open.
     memory : bytes that reading may take, about. Chunks that overlap so much in time that they would
         take more are decompressed several times.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, memory: int = MEMORY) -> None:
-        self._file = LogFile(path)
+    def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
+        self._file = path if isinstance(path, LogFile) else LogFile(path)
         self._memory = memory
-        self.path = self._file.path
+        self.path: Path | str = self._file.path
         self.cpu_s = 0.0
         """CPU time, s, of the threads that read ahead."""
         try:
@@ -138,6 +141,9 @@ class McapReader:
             largest = max((chunk.size for chunk in self._contents.chunks), default=0)
             self._depth = min(_AHEAD, _AHEAD_BYTES // max(largest, _TOGETHER))
             self._checked: dict[int, frozenset[int]] = {}
+            size = sum(chunk.size for chunk in self._contents.chunks)
+            self._keeps = size <= min(_KEPT, memory // (2 * _HELD))
+            self._kept: dict[int, Records] = {}
             self._complete_definitions()
             self.counts = self._count()
         except BaseException:
@@ -330,7 +336,15 @@ class McapReader:
             self.cpu_s += time.thread_time() - start
 
     def load(self, chunk: Chunk) -> Records:
-        """Read, decompress and check one chunk; raises LogError."""
+        """Read, decompress and check one chunk, unless it is in memory; raises LogError."""
+        if chunk.offset in self._kept:
+            return self._kept[chunk.offset]
+        records = self._read_chunk(chunk)
+        if self._keeps:
+            self._kept[chunk.offset] = records
+        return records
+
+    def _read_chunk(self, chunk: Chunk) -> Records:
         try:
             data, messages, definitions = read_chunk(self._file, chunk)
             defined = self._define(data, definitions)

@@ -1,7 +1,7 @@
 """A log of other detectors as one of SkeletonGroups of one model.
 
 What is not a SkeletonGroup in CDR, or not of the model that results are to have, is rewritten once
-into a temporary file. From there on it is read as any log.
+in memory. From there on it is read as any log.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class Faults(NamedTuple):
 def converted(reader: McapReader, selection: Selection) -> McapReader:
     """Return a reader of the same log in SkeletonGroups: itself if it holds nothing else.
 
-    Otherwise ``reader`` is closed. Raises LogError, and ConfigError for a model that is not there.
+    ``reader`` stays open. Raises LogError, and ConfigError for a model that is not there.
     """
     sources = _sources(reader, selection)
     if selection.is_usual and not any(source.is_new for source in sources):
@@ -147,7 +147,7 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
 
 
 class ConvertedReader(BagReader):
-    """Reads what a conversion made of a log; closing removes it.
+    """Reads what a conversion made of a log.
 
     Attributes
     ----------
@@ -158,11 +158,10 @@ class ConvertedReader(BagReader):
     def __init__(self, source: McapReader, conversion: _Conversion) -> None:
         self._checksums = source.has_checksums
         self._recovery = getattr(source, "recovery", None)
-        self._open_converted(source.path, conversion.write, source.memory)
+        self._open_converted(Path(source.path), conversion.write, source.memory)
         self.left_out = {**getattr(source, "left_out", {}), **conversion.left_out}
         self.remarks = tuple(conversion.remarks())
         self.faults = {t: Faults(n, conversion.first[t]) for t, n in conversion.faulty.items()}
-        source.close()
 
     @property
     def has_checksums(self) -> bool:
@@ -310,33 +309,30 @@ class _Conversion:
             if info.id not in self._sources
         }
 
-    def write(self, path: Path) -> None:
-        """Write the file; a message that cannot be decoded is counted."""
-        encoder = Encoder(self.target)
-        with McapWriter(path) as writer:
-            channels = _Channels(writer)
-            for message in self._reader.messages(self._sources):
-                source = self._sources[message.channel_id]
-                topic = source.info.topic
-                try:
-                    given = source.message(message)
-                    stays = not self._is_read(source)
-                    reads = not stays or (source.selected and source.type == _TRANSFORMS)
-                    found_people = _read(self._readers, given) if reads else None
-                    if stays and not (found_people is not None and _is_of_one_body(given.cdr)):
-                        channels.write(source, message.log_time, given.cdr)
-                    if not reads:
-                        continue
-                except LogError as error:
-                    self.faulty[topic] += 1
-                    self.first.setdefault(topic, error.fault)
+    def write(self, writer: McapWriter) -> None:
+        """Write the log; a message that cannot be decoded is counted."""
+        encoder, channels = Encoder(self.target), _Channels(writer)
+        for message in self._reader.messages(self._sources):
+            source = self._sources[message.channel_id]
+            topic = source.info.topic
+            try:
+                given = source.message(message)
+                stays = not self._is_read(source)
+                reads = not stays or (source.selected and source.type == _TRANSFORMS)
+                people = _read(self._readers, given) if reads else None
+                if stays and not (people is not None and _is_of_one_body(given.cdr)):
+                    channels.write(source, message.log_time, given.cdr)
+                if not reads:
                     continue
-                if found_people is None:
-                    self._declined[topic] += source.type != _TRANSFORMS
-                self._add(channels, encoder, found_people or ())
-            for reader in self._readers:
-                self._add(channels, encoder, reader.rest())
-            writer.commit()
+            except LogError as error:
+                self.faulty[topic] += 1
+                self.first.setdefault(topic, error.fault)
+                continue
+            if people is None:
+                self._declined[topic] += source.type != _TRANSFORMS
+            self._add(channels, encoder, people or ())
+        for reader in self._readers:
+            self._add(channels, encoder, reader.rest())
 
     def _is_read(self, source: _Source) -> bool:
         """Whether a channel's messages change: others are copied."""

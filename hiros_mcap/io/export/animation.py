@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Y_UP
+from hiros_mcap.body.rotations import Y_UP, nearest_rotation
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.export.biomechanics import only
 from hiros_mcap.io.export.rajagopal import bridged
@@ -125,10 +125,7 @@ def _aligned(reference: Floats, local: Floats) -> Floats:
         sine = np.linalg.norm(axis, axis=-1, keepdims=True)
         angle = np.arctan2(sine, (b @ a)[:, None])
         return Rotation.from_rotvec(axis * angle / np.maximum(sine, 1e-12)).as_matrix()
-    u, _, vt = np.linalg.svd(np.einsum("ki,tkj->tij", reference, local))
-    sign = np.ones((len(local), 3))
-    sign[:, 2] = np.sign(np.linalg.det(u @ vt))
-    return np.asarray(np.swapaxes(vt, -1, -2) @ (sign[:, :, None] * np.swapaxes(u, -1, -2)))
+    return nearest_rotation(np.einsum("ki,tkj->tij", reference, local))
 
 
 def _zxy_degrees(matrices: Floats) -> Floats:

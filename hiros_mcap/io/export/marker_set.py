@@ -10,7 +10,6 @@ Markers that it does not name are left out.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.outside import read_toml
 from hiros_mcap.skeletons import SkeletonModel
 
 if TYPE_CHECKING:
@@ -61,12 +61,10 @@ def load_marker_set(name: str, model: SkeletonModel) -> dict[str, str]:
         return found
     path = Path(name)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        path.stat()
     except FileNotFoundError:
         raise ConfigError(f"{name!r} is neither a file nor the marker set {BUILT_IN}") from None
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: is no marker set: {error}") from None
-    return _checked(path, table, model)
+    return _checked(path, read_toml(path), model)
 
 
 def _checked(path: Path, table: Mapping[str, object], model: SkeletonModel) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -33,6 +33,7 @@ def import_joints(
     sources: Sequence[str | os.PathLike[str]],
     target: str | os.PathLike[str],
     mapping: str | os.PathLike[str] | None = None,
+    warn: Callable[[str], object] = lambda text: None,
 ) -> dict[str, int]:
     """Write files of joint positions as a log; return its messages by topic.
 
@@ -41,6 +42,7 @@ def import_joints(
     sources : CSV, TRC or JSON files, one for each camera.
     target : MCAP log to write.
     mapping : TOML file that says what the files mean; see :mod:`.mapping`.
+    warn : is called with what makes the log doubtful.
 
     Raises
     ------
@@ -51,13 +53,20 @@ def import_joints(
     """
     meaning = read_mapping(None if mapping is None else Path(mapping))
     paths = [Path(source) for source in sources]
+    if others := sorted(meaning.files.keys() - {path.name for path in paths}):
+        raise ConfigError(f"{mapping}: [files] names {', '.join(others)}, not among those imported")
     names = [meaning.of(path).camera or path.stem for path in paths]
+    for path, name in zip(paths, names, strict=True):
+        if not name.isprintable():
+            raise ConfigError(f"{path}: name the camera in the mapping file; {name!r} is no name")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ConfigError(
             f"several files are of the camera {', '.join(twice)}; name it in the mapping file, "
             f'under [files."{paths[-1].name}"]'
         )
     read = [_frames(path, name, meaning.of(path)) for path, name in zip(paths, names, strict=True)]
+    for path in filter(_may_be_cut, paths):
+        warn(f"{path}: its last line has no end; if a number in it is cut off, it is wrong")
     with McapWriter(target) as writer:
         encoders = [Encoder(model) for model, _ in read]
         channels = [add_skeleton_channel(writer, f"/{name}/skeletons") for name in names]
@@ -68,22 +77,37 @@ def import_joints(
         return {writer.channels[ident].topic: n for ident, n in sorted(writer.counts.items())}
 
 
+def _may_be_cut(path: Path) -> bool:
+    """Whether a table does not end with the end of a line. What else is cut off is an error."""
+    return path.suffix.lower() != ".json" and not path.read_bytes().endswith((b"\n", b"\r"))
+
+
 def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonModel, list[Frame]]:
     """Return the skeleton model of a file, and its frames in the order of time."""
-    instants: dict[float, dict[str, list[JointRow]]] = {}
+    instants: dict[float, dict[str, dict[str, JointRow]]] = {}
     slots: dict[str, int] = {}
     ids: dict[str, int] = {}
     for row in read_rows(path, mapping):
-        instants.setdefault(row.time, {}).setdefault(row.person, []).append(row)
+        joints = instants.setdefault(row.time, {}).setdefault(row.person, {})
+        if row.joint in joints:
+            raise ConfigError(
+                f"{path}: the joint {row.joint} of person {row.person} occurs twice at "
+                f"{row.time:g} s"
+            )
+        joints[row.joint] = row
         slots.setdefault(row.joint, len(slots))
         ids.setdefault(row.person, len(ids))
     if not instants:
         raise ConfigError(f"{path}: holds no joint")
-    model = linked(list(slots))
+    model = linked(_names(path, slots, mapping.joints))
     start = _start(path, min(instants), max(instants), mapping.time)
     frames = []
     for time in sorted(instants):
-        people = {ids[who]: rows for who, rows in instants[time].items() if any(map(_seen, rows))}
+        people = {
+            ids[who]: rows.values()
+            for who, rows in instants[time].items()
+            if any(map(_seen, rows.values()))
+        }
         stamp = round((start + time) * 1e9)
         frame = Frame.empty(len(people), model, stamp=stamp, source=camera, frame_id=mapping.frame)
         frame.ids[:] = list(people)
@@ -98,6 +122,17 @@ def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonMode
     return model, frames
 
 
+def _names(path: Path, joints: Iterable[str], renamed: Mapping[str, str]) -> list[str]:
+    """Return the names of the joints in the log; raises ConfigError if two have the same."""
+    names = [renamed.get(joint, joint) for joint in joints]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ConfigError(
+            f"{path}: [joints] gives the name {twice} to a joint, but another one has it"
+        )
+    return names
+
+
 def _seen(row: JointRow) -> bool:
     return not any(map(math.isnan, row.position))
 
@@ -108,12 +143,13 @@ def _start(path: Path, first: float, last: float, mapping: TimeMapping) -> float
     start = given.timestamp() if isinstance(given, datetime) else float(given)
     if start == 0.0 and abs(first) < _RELATIVE:
         start = RELATIVE_START
+    start += mapping.offset
     if not 0 < start + first <= start + last < _LATEST:
         raise ConfigError(
             f"{path}: its times reach to {start + last:.4g} s after 1970; is the unit of the time "
             f"in the mapping file, {mapping.unit}, right?"
         )
-    return start + mapping.offset
+    return start
 
 
 def _check_size(path: Path, frames: Iterable[Frame], mapping: FileMapping) -> None:

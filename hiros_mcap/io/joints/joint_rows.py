@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any, NamedTuple
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping
-from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, read_markers
+from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, read_markers, text_of
+from hiros_mcap.io.outside import parse
 
 
 class JointRow(NamedTuple):
@@ -44,6 +44,8 @@ def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
 
 
 def _trc_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
+    if mapping.time.rate:
+        raise ConfigError(f"{path}: time.rate is for files without times; a TRC file has times")
     names, times, positions = read_markers(path)
     for time, points in zip(times.tolist(), positions.tolist(), strict=True):
         for name, point in zip(names, points, strict=True):
@@ -56,20 +58,26 @@ def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         columns, rows = list(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
-    names = _wide_names(columns, mapping.columns)
+    c = mapping.columns
+    names = _wide_names(columns, c)
     needed = [] if mapping.time.rate else [mapping.time.column]
-    if not names:
-        c = mapping.columns
-        needed += [c.joint, c.x, c.y, c.z]
-    if "person" in mapping.columns.model_fields_set:
-        needed.append(mapping.columns.person)
+    needed += [column for n in names for column in _wide_columns(n, c)] or [c.joint, c.x, c.y, c.z]
+    if "person" in c.model_fields_set:
+        needed.append(c.person)
     if missing := [name for name in needed if name not in columns]:
         raise ConfigError(
             f"{path}: line 1: no column {', '.join(missing)}; the mapping file says how the "
             f"columns are called (there are: {', '.join(columns[:12])})"
         )
+    if mapping.time.rate and (not names or c.person in columns):
+        raise ConfigError(
+            f"{path}: time.rate is for files of one row per instant; this one has a row for each "
+            f"{'person' if names else 'joint'}, so it needs a column with times"
+        )
     for number, row in enumerate(rows):
         where = f"{path}: line {number + 2}"
+        if None in row or None in row.values():
+            raise ConfigError(f"{where}: has not as many cells as the first line; is it cut off?")
         time = _time(row.get(mapping.time.column), number, mapping, where)
         yield from (
             _wide(row, names, time, mapping, where) if names else _tall(row, time, mapping, where)
@@ -89,16 +97,20 @@ def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
     ]
 
 
+def _wide_columns(name: str, mapping: ColumnMapping) -> list[str]:
+    """Columns of a joint's x, y, z, in a file that has a row per instant and person."""
+    pattern = mapping.position or "{joint}_{axis}"
+    return [pattern.format(joint=name, axis=axis) for axis in (mapping.x, mapping.y, mapping.z)]
+
+
 def _wide(
     row: dict[str, str], names: Sequence[str], time: float, mapping: FileMapping, where: str
 ) -> Iterator[JointRow]:
     c = mapping.columns
     pattern = c.position or "{joint}_{axis}"
     for name in names:
-        x, y, z, sure = (
-            number_of(row.get(pattern.format(joint=name, axis=axis)), where)
-            for axis in (c.x, c.y, c.z, c.confidence)
-        )
+        x, y, z = (number_of(row[column], where) for column in _wide_columns(name, c))
+        sure = number_of(row.get(pattern.format(joint=name, axis=c.confidence)), where)
         yield _row(time, row.get(c.person) or "0", name, (x, y, z), sure, mapping)
 
 
@@ -109,21 +121,24 @@ def _tall(row: dict[str, str], time: float, mapping: FileMapping, where: str) ->
 
 
 def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
-    try:
-        content = json.loads("\n".join(lines_of(path)))
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not a JSON file: {error}") from None
+    content = parse(text_of(path), "JSON", path)
     c = mapping.columns
     frames = content.get(c.frames) if isinstance(content, dict) else content
     for number, frame in enumerate(_list(frames, c.frames, path)):
         where = f"{path}: frame {number}"
-        given = frame.get(mapping.time.column) if isinstance(frame, dict) else None
+        given = _object(frame, where).get(mapping.time.column)
         time = _time(None if given is None else str(given), number, mapping, where)
         for index, person in enumerate(_list(frame.get(c.people), c.people, where)):
-            who = str(person.get(c.person, person.get("id", index)))
+            who = str(_object(person, where).get(c.person, person.get("id", index)))
             for name, values in _named(person.get(c.joints), mapping, where):
                 x, y, z, sure = _four(values, where)
                 yield _row(time, who, name, (x, y, z), sure, mapping)
+
+
+def _object(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ConfigError(f"{where}: an instant or a person is no JSON object")
+    return value
 
 
 def _list(value: Any, name: str, where: object) -> list[Any]:
@@ -174,5 +189,4 @@ def _row(
 ) -> JointRow:
     factor = METRES[mapping.unit]
     x, y, z = position
-    name = mapping.joints.get(joint, joint)
-    return JointRow(time, person, name, (factor * x, factor * y, factor * z), confidence)
+    return JointRow(time, person, joint, (factor * x, factor * y, factor * z), confidence)

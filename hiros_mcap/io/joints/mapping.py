@@ -24,7 +24,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +32,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.outside import read_toml
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Floats
 
@@ -54,6 +54,13 @@ class TimeMapping(BaseModel):
     """Added to every time: a TOML date, or seconds since 1970."""
     offset: float = 0.0
     """Seconds to add to this camera's clock."""
+
+    @field_validator("start")
+    @classmethod
+    def _has_zone(cls, start: datetime | float) -> datetime | float:
+        if isinstance(start, datetime) and start.tzinfo is None:
+            raise ValueError("should have a zone, as 2026-05-01T10:00:00Z or ...+02:00")
+        return start
 
 
 class ColumnMapping(BaseModel):
@@ -144,8 +151,8 @@ def read_mapping(path: Path | None) -> Mapping:
     """
     if path is None:
         return Mapping(default=FileMapping(), files={})
+    table = read_toml(path)
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
         files = table.pop("files", {})
         if not isinstance(files, dict):
             raise ConfigError(f'{path}: files: should be tables [files."NAME"]')
@@ -156,10 +163,6 @@ def read_mapping(path: Path | None) -> Mapping:
     except ValidationError as error:
         where, message = explain(error)
         raise ConfigError(f"{path}: {'.'.join(where) or 'file'}: {message}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not a TOML file: {error}") from None
 
 
 def _merged(table: dict[str, Any], own: Any) -> dict[str, Any]:

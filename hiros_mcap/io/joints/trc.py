@@ -9,8 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.outside import read_text
 from hiros_mcap.skeletons import Floats
 
+_MOST_BYTES = 1 << 30
 METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 
 
@@ -36,6 +38,9 @@ def read_markers(path: Path) -> TrcMarkers:
     names = [cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip()]
     if not names:
         raise ConfigError(f"{path}: line 4: names no marker")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ConfigError(f"{path}: line 4: names the marker {twice} twice")
     times, rows = [], []
     for number, line in enumerate(lines[5:], start=6):
         cells = line.split("\t")
@@ -43,21 +48,30 @@ def read_markers(path: Path) -> TrcMarkers:
             continue
         columns = 1 + 3 * len(names)
         values = [number_of(cell, f"{path}: line {number}") for cell in cells[1 : 1 + columns]]
+        if len(values) % 3 != 1:
+            raise ConfigError(f"{path}: line {number}: is cut off")
         values += [math.nan] * (columns - len(values))
         if math.isnan(values[0]):
             raise ConfigError(f"{path}: line {number}: has no time")
         times.append(values[0])
         rows.append(values[1:])
+    expected = header.get("NumFrames", "").strip()
+    if expected.isdecimal() and int(expected[:18]) > len(rows):
+        raise ConfigError(
+            f"{path}: is cut off: it has {len(rows)} of the {expected} frames of its line 3"
+        )
     positions = METRES[unit] * np.array(rows, float).reshape(-1, len(names), 3)
     return TrcMarkers(names, np.array(times), positions)
 
 
+def text_of(path: Path) -> str:
+    """Text of a file of joints; raises ConfigError if it cannot be read or is not UTF-8."""
+    return read_text(path, _MOST_BYTES)
+
+
 def lines_of(path: Path) -> list[str]:
-    """Lines of a text file; raises ConfigError if it is not UTF-8."""
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not text: {error.reason}") from error
+    """Lines of a file of joints; raises ConfigError as :func:`text_of` does."""
+    return text_of(path).splitlines()
 
 
 def number_of(text: str | None, where: str) -> float:

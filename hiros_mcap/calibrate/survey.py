@@ -1,0 +1,256 @@
+"""One look at a log: the times of all messages, and whom the cameras see, thinned out.
+
+Clocks, poses and cameras that were moved are found from it. The sightings are from stretches of the
+log. More is read only where these do not suffice: if people are rare, if a camera may have been
+moved, or if poses are to be found from nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hiros_mcap.body.rotations import Rigid, to_matrix
+from hiros_mcap.calibrate.camera_views import CameraView, rows_of, sightings_from, view_of
+from hiros_mcap.calibrate.tracklets import Sighting
+from hiros_mcap.errors import LogError
+from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
+from hiros_mcap.io.log import Log
+from hiros_mcap.skeletons import POSITION, Ints, Stamps
+
+LONGEST_S, SHORTEST_S = 20.0, 12.0
+"""So many seconds of a log are read, in stretches: half of it, within these limits."""
+STRETCHES = 5
+ENOUGH = 0.75
+"""If the stretches show people in a smaller share of their time, more of the log is read."""
+MOST_S = 120.0
+SPACING_NS = 60_000_000
+"""About one frame in this time, every other one at 30 Hz. More tell little: the slow part of a
+detector's errors is the larger one."""
+ODD_S = 10.0
+
+Span = tuple[int, int]
+"""Log times, ns."""
+
+
+class Seen(NamedTuple):
+    """What one camera saw in N frames."""
+
+    stamps: Stamps
+    """(N,) ns, as logged."""
+    log_times: Stamps
+    """(N,) ns."""
+    counts: Stamps
+    """(N,) people in each frame."""
+    positions: npt.NDArray[np.float32]
+    """(P, M, 3) of all people, m; NaN = absent."""
+    confidences: npt.NDArray[np.float32]
+    """(P, M) 0..1; NaN = not given."""
+
+
+class Survey:
+    """What one look at a log shows.
+
+    Parameters
+    ----------
+    log : the log. seconds : how much of it gives sightings; None = enough to compare poses.
+    fixed : whether sightings are in the fixed frame, or in the coordinates of the cameras.
+    """
+
+    def __init__(self, log: Log, seconds: float | None = None, *, fixed: bool = True) -> None:
+        start, end = log.span
+        if seconds is None:
+            seconds = float(np.clip((end - start) / 2e9, SHORTEST_S, LONGEST_S))
+        self.log, self.fixed, self.middle = log, fixed, (start + end) // 2
+        self._seconds, self._spans = seconds, stretches(start, end, seconds, STRETCHES)
+        tables: list[Stamps] | None = [] if log.has_plain_times else None
+        self.seen = self._read(self._spans, tables)
+        self.times: Mapping[str, CameraTimes] = log.times(tables or ())
+        """Camera -> the times of its messages."""
+
+    def sightings(self, corrections: Mapping[str, ClockCorrection]) -> dict[str, list[Sighting]]:
+        """Camera -> whom it sees at corrected times, s from the middle of the log.
+
+        The stretches suffice, or more is read.
+        """
+        seen = self._corrected(self.seen, corrections)
+        if self.is_whole or _seconds_with_people(seen) >= ENOUGH * self._seconds:
+            return seen
+        return self.many(corrections)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the sightings are from the whole log."""
+        return len(self._spans) == 1
+
+    def many(self, corrections: Mapping[str, ClockCorrection]) -> dict[str, list[Sighting]]:
+        """Return what :meth:`sightings` does, of as much of the log as is useful."""
+        return self._corrected(self._more, corrections)
+
+    @cached_property
+    def _more(self) -> dict[str, Seen]:
+        if self.is_whole or self._seconds >= MOST_S:
+            return self.seen
+        return self._read(stretches(*self.log.span, MOST_S, STRETCHES))
+
+    def between(
+        self, span: Span, seconds: float, corrections: Mapping[str, ClockCorrection]
+    ) -> dict[str, list[Sighting]]:
+        """Return what :meth:`sightings` does, of so many seconds of a part of the log."""
+        seen = self._read(stretches(*span, seconds, STRETCHES))
+        return self._corrected(seen, corrections)
+
+    def _read(self, spans: Sequence[Span], times: list[Stamps] | None = None) -> dict[str, Seen]:
+        parts: dict[str, list[Seen]] = {}
+        blocks = self.log.read(fixed=self.fixed, spans=spans, step=SPACING_NS, times=times)
+        for _, block in blocks:
+            sources = np.array(block.sources)
+            inside = np.zeros(len(block), np.bool_)
+            for begin, end in spans:
+                inside |= (begin <= block.log_times) & (block.log_times <= end)
+            for name in dict.fromkeys(block.sources):
+                own = np.flatnonzero(inside & (sources == name))
+                rows = rows_of(block, own)
+                some = Seen(
+                    block.stamps[own],
+                    block.log_times[own],
+                    np.diff(block.rows[own], axis=1)[:, 0],
+                    block.people.markers[rows, :, POSITION].astype(np.float32),
+                    block.people.marker_confidences[rows].astype(np.float32),
+                )
+                parts.setdefault(name, []).append(some)
+        return {
+            name: Seen(*map(np.concatenate, zip(*some, strict=True)))
+            for name, some in parts.items()
+        }
+
+    def _corrected(
+        self, seen: Mapping[str, Seen], corrections: Mapping[str, ClockCorrection]
+    ) -> dict[str, list[Sighting]]:
+        """Return sightings at corrected times.
+
+        Left out is what a camera stamped at quite another time than most: its clock is wrong.
+        """
+        start, end = self.log.span
+        seconds = {}
+        for name, one in seen.items():
+            times = CameraTimes(one.stamps, one.log_times).corrected(corrections.get(name))
+            seconds[name] = (times.stamps - self.middle) / 1e9
+        every = np.concatenate([np.zeros(0), *seconds.values()])
+        middle, most = float(np.median(every)) if len(every) else 0.0, (end - start) / 1e9 + ODD_S
+        return {
+            name: [
+                sighting
+                for sighting in sightings_from(
+                    one.positions, one.confidences, one.counts, seconds[name]
+                )
+                if abs(sighting.seconds - middle) < most
+            ]
+            for name, one in seen.items()
+        }
+
+
+def stretches(start: int, end: int, seconds: float, n: int) -> list[tuple[int, int]]:
+    """Return n spans of a log, ns, that are ``seconds`` long together; all of a short log."""
+    length = end - start
+    if length <= 1e9 * seconds:
+        return [(start, end)]
+    part, piece = length / n, 1e9 * seconds / n
+    begins = [round(start + k * part + (part - piece) / 2.0) for k in range(n)]
+    return [(begin, begin + round(piece)) for begin in begins]
+
+
+_MOVES = "its pose changes during the log, and only cameras at rest can be compared"
+_SHARED = "its detections are in a frame that is not its own"
+
+
+class FixedCamera(NamedTuple):
+    """A camera, and where it stands."""
+
+    name: str
+    frame: str
+    pose: Rigid
+    movable: bool = True
+    """Whether it stands still in a frame of its own, so that it may have another pose. The people
+    of others are taken where they are in the fixed frame."""
+
+
+def camera_faults(log: Log) -> dict[str, str]:
+    """Name -> reason of each camera whose pose cannot be compared with the others'."""
+    faults: dict[str, str] = {}
+    owners = Counter(frame for camera in log.cameras for frame in camera.frames)
+    for camera in log.cameras:
+        frames = camera.frames
+        shared = len(frames) != 1 or len(camera.sources) != 1 or owners[frames[0]] > 1
+        if shared or moves(log, frames[0]):
+            faults |= dict.fromkeys(camera.sources.values(), _SHARED if shared else _MOVES)
+    return faults
+
+
+def fixed_cameras(log: Log, faults: Mapping[str, str]) -> Iterator[FixedCamera]:
+    """Yield the cameras; those with faults are not movable."""
+    fixed = log.fixed_frame
+    for camera in log.cameras:
+        for name in camera.sources.values():
+            if name in faults:
+                yield FixedCamera(name, fixed, Rigid.identity(), movable=False)
+            else:
+                pose = log.transforms.at_rest(camera.frames[0], fixed)
+                yield FixedCamera(name, camera.frames[0], pose or Rigid.identity())
+
+
+def check_frames(log: Log) -> None:
+    """Raise LogError if two cameras share a frame, or a camera moves."""
+    owners: dict[str, str] = {}
+    for camera in log.cameras:
+        for name, frame in product(camera.sources.values(), camera.frames):
+            if frame in owners:
+                raise LogError(
+                    f"{owners[frame]} and {name} publish in the same frame {frame!r}, so their "
+                    "poses are already applied; record the detections in each camera's own frame",
+                    path=log.path,
+                )
+            owners[frame] = name
+            if moves(log, frame):
+                raise LogError(
+                    f"{name} moves (its pose is on /tf); only cameras that stand still can be "
+                    "calibrated, choose them with --topic",
+                    path=log.path,
+                )
+
+
+def moves(log: Log, frame: str) -> bool:
+    """Whether the log knows how a frame moves."""
+    if frame not in log.transforms.frames:
+        return False
+    return log.transforms.at_rest(frame, log.transforms.root(frame)) is None
+
+
+def seen_by(
+    camera: FixedCamera, sightings: Sequence[Sighting], mirror: Ints, shift: float = 0.0
+) -> CameraView:
+    """Return what a camera sees, in its own frame, of sightings in the fixed frame.
+
+    Its times are ``shift`` s later than stated.
+    """
+    view = view_of(camera.name, camera.frame, sightings, mirror, shift)
+    turn, place = to_matrix(camera.pose.xyzw), camera.pose.translation
+    tracks = [one._replace(positions=(one.positions - place) @ turn) for one in view.tracks]
+    return replace(view, tracks=tracks)
+
+
+def _seconds_with_people(seen: Mapping[str, Sequence[Sighting]]) -> int:
+    """Return in how many seconds at least two cameras see somebody."""
+    times = Counter(
+        second
+        for some in seen.values()
+        for second in {int(s.seconds // 1.0) for s in some if len(s.positions)}
+    )
+    return sum(n > 1 for n in times.values())

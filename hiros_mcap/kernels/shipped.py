@@ -1,0 +1,71 @@
+"""Compiled kernels that a wheel brings, made for every processor of one kind (``hatch_build.py``).
+
+They are used all or none: where a source, numba, Python or the processor differs from what the
+manifest names, numba compiles for this machine, as in a checkout.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import sys
+from functools import cache
+from pathlib import Path
+
+FOLDER = Path(__file__).parent.parent / "_compiled"
+MANIFEST = FOLDER / "manifest.json"
+
+CPU = "x86-64-v3"
+"""LLVM's name of processors with AVX2: Intel's since 2013, AMD's since 2015."""
+NEEDS = ("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2")
+"""LLVM's names of what :data:`CPU` can do."""
+
+CHOICE = "HIROS_KERNELS"
+"""Environment variable: "compile" does without shipped kernels, in a build and in a run."""
+
+
+@cache
+def usable() -> bool:
+    """Whether there are kernels for this source, numba, Python and processor."""
+    if os.environ.get(CHOICE) == "compile":
+        return False
+    try:
+        manifest = json.loads(MANIFEST.read_text())
+    except (OSError, ValueError):
+        return False
+    return bool(manifest == identity()) and runs_on(_features())
+
+
+def identity() -> dict[str, str]:
+    """Return what compiled kernels depend on, apart from the processor."""
+    import numba
+
+    return {
+        "sources": digest(),
+        "numba": numba.__version__,
+        "python": f"{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}",
+        "platform": f"{sys.platform}-{platform.machine()}",
+    }
+
+
+def digest() -> str:
+    """Hash of every kernel's source, and of the constants and tuples that they share."""
+    kernels = Path(__file__).parent
+    value = hashlib.sha256()
+    for source in sorted([*kernels.glob("*.py"), kernels.parent / "skeletons.py"]):
+        value.update(source.name.encode())
+        value.update(source.read_bytes())
+    return value.hexdigest()
+
+
+def runs_on(features: dict[str, bool]) -> bool:
+    """Whether a processor with these features, by LLVM's names, runs code made for :data:`CPU`."""
+    return all(features.get(name) for name in NEEDS)
+
+
+def _features() -> dict[str, bool]:
+    import llvmlite.binding as llvm  # type: ignore[import-untyped]
+
+    return dict(llvm.get_host_cpu_features())

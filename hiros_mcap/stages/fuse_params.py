@@ -1,0 +1,69 @@
+"""Parameters of :mod:`hiros_mcap.stages.fuse`."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from hiros_mcap.params import Params, Seconds, advanced
+
+
+class FuseParams(Params):
+    """Parameters of the fuser."""
+
+    lookahead: Seconds = Field(
+        3.0,
+        ge=0,
+        description="How far into the future each estimate looks at least, s. A camera's offset "
+        "wanders over some seconds, so less is worse. 0.1 costs about 1 % of accuracy.",
+    )
+    window: Seconds = advanced(
+        10.0,
+        ge=0,
+        description="Seconds that are smoothed at once. Results do not depend on it as long as the "
+        "look-ahead is long; 0 = every instant as soon as it has its look-ahead.",
+    )
+    max_lag: float = Field(
+        math.inf,
+        gt=0,
+        description="Longest time, s, from the cameras' mean time to the result's log time. A "
+        "result that would be later if it waited for the cameras' next messages has less "
+        "look-ahead.",
+    )
+    follow_noise: bool = advanced(
+        False,
+        description="Learn on the way which cameras are noisier than others.",
+    )
+    acceleration: float = advanced(
+        3.0,
+        gt=0,
+        description="Spectral density of the acceleration of a joint at rest, m2/s3. Joints that "
+        "move faster have 10 or 100 times as much, as their measurements show. 3 to 10 differ by "
+        "less than 1 % on simulated logs.",
+    )
+    offset: float = advanced(
+        0.01,
+        ge=0,
+        description="Standard deviation of the slow offset of a camera, per joint, m. 0 = cameras "
+        "have none; then the error is larger and its estimate far too small.",
+    )
+    offset_time: Seconds = advanced(
+        1.7, gt=0, description="Time constant, s, with which such an offset wanders."
+    )
+    freedom: float = advanced(
+        4.0,
+        gt=0,
+        description="Degrees of freedom of the noise (Student's t). With fewer, outliers count "
+        "less. 4 to 20 differ by 0 to 4 %.",
+    )
+    pose_angle: float = advanced(
+        0.3,
+        ge=0,
+        description="Standard deviation of a camera's orientation, degrees, assumed until cameras "
+        "show how far they disagree. It and pose_shift enter the standard deviation of the result "
+        "only.",
+    )
+    pose_shift: float = advanced(
+        0.006, ge=0, description="Standard deviation of a camera's position along each axis, m."
+    )

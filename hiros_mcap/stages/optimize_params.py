@@ -1,0 +1,146 @@
+"""Parameters of :mod:`hiros_mcap.stages.optimize`."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from hiros_mcap.params import Params, Seconds, advanced
+
+
+class CalibrationParams(Params):
+    """How limb lengths are found."""
+
+    calibration: Literal["auto", "two-pass", "off"] = Field(
+        "auto",
+        description="auto: from each person's own frames, during the run. two-pass: from the whole "
+        "log, which is read once before (most accurate; lengths are strictly constant). off: only "
+        "limb lengths from a file.",
+    )
+    calibration_frames: int = advanced(
+        100,
+        ge=2,
+        description="Number of a person's frames in one calibration (section 3.3.1; 100 in the "
+        "published code).",
+    )
+    lookahead: Seconds = Field(
+        10.0,
+        ge=0.0,
+        description="Time, s, that a person's first frames are held. They then get the calibrated "
+        "lengths. 10 s instead of 100 frames reduces the error of the lengths by a quarter. 0 for "
+        "real time: frames pass unchanged until calibration_frames have been seen.",
+    )
+    calibration_windows: tuple[tuple[float, float], ...] = advanced(
+        (),
+        description="Calibrate only in these time ranges, each (start, end) in s from the log's "
+        "start. Choose times when people stand still and are well visible. Empty: the whole log.",
+    )
+    max_variation: float = advanced(
+        0.2,
+        gt=0.0,
+        description="Quality gate: largest relative variation of a link's length (standard "
+        "deviation / length; 0.2 in the published code). A calibration with a larger one is "
+        "rejected.",
+    )
+    short_link: float = advanced(
+        0.15,
+        ge=0.0,
+        description="max_variation treats links shorter than this, m, as if they had this length. "
+        "The noise of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise "
+        "would reject everybody.",
+    )
+    max_free: float = advanced(
+        0.3,
+        ge=0.0,
+        le=1.0,
+        description="Share of the links that may fail the quality gate. These links keep their "
+        "measured lengths; the others become constant. If more links fail, the person is not "
+        "calibrated. With 0 (paper), one failing link rejects the person, even a thumb that a "
+        "single camera guesses.",
+    )
+    debias: bool = advanced(
+        True,
+        description="Correct the lengths for noise, which makes links look longer. false: plain "
+        "(robust) mean, as in the paper.",
+    )
+    symmetric: bool = advanced(
+        False,
+        description="Give the left and right link of a pair the same length, their mean. This helps"
+        " after a short calibration, but not everybody is symmetric.",
+    )
+    refine: bool = advanced(
+        True,
+        description="Continue to measure after the calibration, and adjust the lengths slowly.",
+    )
+    max_refinement: float = advanced(
+        0.01,
+        ge=0.0,
+        le=0.5,
+        description="Largest relative change of a length by refinement. It is small because a "
+        "person's lengths are constant.",
+    )
+
+    @model_validator(mode="after")
+    def _check_windows(self) -> CalibrationParams:
+        for start, end in self.calibration_windows:
+            if not 0.0 <= start < end:
+                raise ValueError(f"calibration window ({start}, {end}): start must precede end")
+        return self
+
+
+class OptimizeParams(CalibrationParams):
+    """Parameters of calibration, outlier detection and optimization."""
+
+    lengths: Literal["exact", "paper"] = advanced(
+        "exact",
+        description="exact: lengths are rigid, and markers move as little as possible. paper: the "
+        "weights of eq. 18, which correct small errors only in part. exact has the smaller joint "
+        "error, and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
+    )
+    max_length_error: float = advanced(
+        0.1,
+        gt=0.0,
+        description="If a link's length is off by more than this, m, one of its ends is an outlier."
+        " It is also the scale L of eq. 18, which the paper does not give. 0.1 is six times the "
+        "standard deviation of a link between merged joints. On clean logs, 0.1 to 0.3 give the "
+        "same result; of joints displaced by 15 or 30 cm, 0.1 repairs most.",
+    )
+    outliers: Literal["restore", "remove"] = advanced(
+        "restore",
+        description="What happens to an outlier. restore: it moves to where the other markers and "
+        "the lengths put it, so skeletons stay complete; a robust fit finds which end of a wrong "
+        "link is the outlier. remove: the distal marker of a wrong link and all links that touch "
+        "it become absent (paper).",
+    )
+    align_links: bool = advanced(
+        False,
+        description="Rotate link orientations with the directions of the links. Detectors measure "
+        "orientations independently of positions, and better than the ends of a short link can. On"
+        " logs made from real motion, this option raises the mean orientation error from 2.6 to "
+        "4.2 degrees.",
+    )
+    solver: Literal["lm", "ceres"] = Field(
+        "lm",
+        description="lm: compiled block Levenberg-Marquardt. ceres: the same energy with Ceres "
+        "Solver, as in the paper; about 100 times slower, for comparison.",
+    )
+    tolerance: float = advanced(
+        1e-6,
+        gt=0.0,
+        description="The solver has converged when no coordinate moves farther than this, m, in a "
+        "step.",
+    )
+
+    @classmethod
+    def paper(cls) -> OptimizeParams:
+        """Return the parameters of the paper as printed (its L, which it does not give, 0.1 m)."""
+        return cls(
+            lengths="paper",
+            max_length_error=0.1,
+            outliers="remove",
+            align_links=True,
+            max_free=0.0,
+            debias=False,
+            refine=False,
+        )

@@ -1,0 +1,159 @@
+"""Text from outside: whatever it is, one error of one line, or what it means."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.config import load_config
+from hiros_mcap.errors import HirosError
+from hiros_mcap.io.attachments import stored_events, stored_report
+from hiros_mcap.io.channels import CONFIG_ATTACHMENT, EVENTS_ATTACHMENT, REPORT_ATTACHMENT
+from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.export.marker_set import load_marker_set
+from hiros_mcap.io.foxglove import FoxgloveInput
+from hiros_mcap.io.joints.importing import import_joints
+from hiros_mcap.io.overview import look
+from hiros_mcap.regression.metrics import load_metrics
+from hiros_mcap.regression.suite import load_suite
+from hiros_mcap.regression.tolerances import load_tolerances
+from hiros_mcap.skeletons import SkeletonModel
+
+DEEP = 200_000
+MODEL = SkeletonModel.of(["HEAD"], [])
+
+
+def imported(path: Path) -> object:
+    return import_joints([path], path.with_suffix(".mcap"))
+
+
+def mapped(path: Path) -> object:
+    (path.parent / "a.csv").write_text("time,joint,x,y,z\n0,HEAD,0,0,0\n")
+    return import_joints([path.parent / "a.csv"], path.with_suffix(".mcap"), path)
+
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "settings": ("TOML", load_config),
+    "limbs": ("TOML", LimbTable.load),
+    "mapping": ("TOML", mapped),
+    "marker set": ("TOML", lambda path: load_marker_set(str(path), MODEL)),
+    "tolerances": ("TOML", load_tolerances),
+    "suite": ("TOML", load_suite),
+    "poses.toml": ("TOML", read_extrinsics),
+    "poses.json": ("JSON", read_extrinsics),
+    "metrics": ("JSON", load_metrics),
+    "joints.json": ("JSON", imported),
+}
+ODD = {
+    "TOML": {
+        "nested": "a = " + "[" * DEEP,
+        "nested tables": "[" + ".".join(["a"] * 1000) + "]\n",
+        "keys": ".".join(["a"] * 1000) + " = 1",
+        "number": "a = " + "9" * 5000,
+        "large number": "a = " + "9" * 400,
+        "not text": "\udcff",
+        "date": "a = 2026-99-99",
+        "list": "[[a]]\n[[a]]",
+    },
+    "JSON": {
+        "nested": "[" * DEEP,
+        "nested and closed": "[" * 900 + "]" * 900,
+        "nested objects": '{"a":' * DEEP,
+        "number": '{"a": ' + "9" * 5000 + "}",
+        "large number": '[{"time": ' + "9" * 400 + ', "people": []}]',
+        "surrogate": '[{"time": 0, "people": [{"joints": {"\\ud800": [0, 0, 0]}}]}]',
+        "twice": '{"camera": [], "camera": []}',
+        "null": "[null]",
+        "people": '[{"time": 0, "people": [null]}]',
+        "joints": '[{"time": 0, "people": [{"joints": {"HEAD": {"x": 1}}}]}]',
+        "not text": "\udcff",
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("reader", "text"), [(name, odd) for name, (kind, _) in READERS.items() for odd in ODD[kind]]
+)
+def test_odd_text_is_an_error_of_one_line(reader: str, text: str, tmp_path: Path) -> None:
+    kind, read = READERS[reader]
+    path = tmp_path / f"x.{reader.rpartition('.')[2] if '.' in reader else kind.lower()}"
+    path.write_bytes(ODD[kind][text].encode(errors="surrogateescape"))
+    with pytest.raises(HirosError, match=path.name) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 10_000
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_pipe_is_refused_at_once(reader: str, tmp_path: Path) -> None:
+    kind, read = READERS[reader]
+    path = tmp_path / f"x.{kind.lower()}"
+    os.mkfifo(path)
+    with pytest.raises(HirosError, match="is not a regular file"):
+        read(path)
+
+
+@pytest.mark.parametrize("text", ["[" * DEEP, "9" * 5000, "a.b=[" * 20_000])
+def test_an_assignment_may_be_anything(text: str) -> None:
+    with pytest.raises(HirosError, match="track.max_gap"):
+        load_config(overrides=[f"track.max_gap={text}"])
+
+
+def with_attachment(path: Path, name: str, data: bytes) -> Path:
+    with McapWriter(path) as writer:
+        writer.add_attachment(name, data, "application/json")
+        writer.commit()
+    return path
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"[" * DEEP,
+        b"\xff",
+        b"[null]",
+        b'[{"stamp": "x", "kind": 3}]',
+        b'[{"stamp": 1' + b"0" * 400 + b', "kind": "x"}]',
+        b'{"cameras": [null], "warnings": 3}',
+    ],
+)
+def test_odd_attachments_are_damaged(data: bytes, tmp_path: Path) -> None:
+    for name, read in ((EVENTS_ATTACHMENT, stored_events), (REPORT_ATTACHMENT, stored_report)):
+        path = with_attachment(tmp_path / "x.mcap", name, data)
+        with McapReader(path) as reader, pytest.raises(HirosError, match=f"{name} is damaged"):
+            read(reader)
+        look(path)  # what it says of itself is left out
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * DEEP, "[input]\na = 2026-01-01"])
+def test_odd_parameters_of_a_result_are_left_out(text: str, tmp_path: Path) -> None:
+    look(with_attachment(tmp_path / "x.mcap", CONFIG_ATTACHMENT, text.encode()))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * DEEP,
+        "9" * 5000,
+        "[null]",
+        '{"op": "advertise", "channels": [null]}',
+        json.dumps(
+            {
+                "op": "advertise",
+                "channels": [
+                    {"id": 1, "topic": "\ud800", "encoding": "", "schemaName": "", "schema": ""}
+                ],
+            }
+        ),
+    ],
+)
+def test_odd_messages_of_a_server_are_named(text: str) -> None:
+    source = FoxgloveInput("ws://127.0.0.1:1", lambda topic, kind: True)
+    with pytest.raises(HirosError, match="ws://127.0.0.1:1: "):
+        list(source._advertised(None, text))
