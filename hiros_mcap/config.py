@@ -129,12 +129,12 @@ _NOISE_KINDS = "number", "table"
 class OutputParams(Params):
     """How results are written."""
 
-    log_time: Literal["causal", "stamp"] = Field(
-        "causal",
-        description="Log time of the results; players and `ros2 bag play` replay by it. causal: the"
-        " time when a live system could have produced the result; with the default look-ahead, "
-        "this is some seconds after the data. stamp: the time of the data, as in the header; "
-        "Foxglove, Lichtblick and RViz then show results beside the recording.",
+    log_time: Literal["auto", "causal", "stamp"] = Field(
+        "auto",
+        description="Log time of the results; players and `ros2 bag play` replay by it. auto: "
+        "stamp for a file, causal for live input. stamp: the time of the data, as in the header; "
+        "players then show results beside the recording. causal: the time when a live system "
+        "could have produced the result, some seconds after the data.",
     )
     derivatives: Literal["filtered", "all"] = Field(
         "filtered",

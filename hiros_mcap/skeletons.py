@@ -195,8 +195,8 @@ class Frame:
     stamp: int
     """Time of the data, ns since the epoch (header.stamp of what we write)."""
     log_time: int
-    """Log time, ns, of the message that caused this frame; an output has it, so that its replay
-    is causal, unless ``output.log_time`` asks for the stamp."""
+    """Log time, ns, of the message that caused this frame; what an output has follows
+    ``output.log_time``."""
     source: str
     """The camera: unique per camera within a log; the fixed frame once merged."""
     frame_id: str

@@ -59,14 +59,15 @@ Assignments = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead.", rich_help_panel=OUTPUT)]
 Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Print only errors.", rich_help_panel=OUTPUT)
+    bool,
+    typer.Option("--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=OUTPUT),
 ]
 QuietResult = Annotated[
     bool,
     typer.Option(
         "--quiet",
         "-q",
-        help="Print only errors; use the exit code and the files.",
+        help="Print only warnings and errors; use the exit code and the files.",
         rich_help_panel=OUTPUT,
     ),
 ]

@@ -217,6 +217,10 @@ def run_suite(
     return [done[k] for k in range(len(cases))]
 
 
+KNOWN_WHEN = "output.log_time=causal"
+"""What the cases of a suite are run with, unless they set it themselves."""
+
+
 def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = None) -> CaseResult:
     """Process one log and check it; whatever is wrong with it becomes the result."""
     start = time.perf_counter()
@@ -225,7 +229,8 @@ def run_case(folder: Path, case: Case, bless: bool = False, keep: Path | None = 
             out = kept_path(keep or Path(temporary), case)
             file = folder / case.config if case.config else None
             system = case.system or default_system(case.preset)
-            config = load_config(file, case.set, case.preset, system)
+            # A golden log also guards how late results are.
+            config = load_config(file, [KNOWN_WHEN, *case.set], case.preset, system)
             options = ProcessOptions(system=system, stages=case.stages, keep=("/truth/*",))
             # Whether ``out`` may be replaced was asked before the first case ran.
             process(folder / case.input, out, config=config, options=options, force=True)

@@ -136,7 +136,8 @@ class LogOutput:
             for name in chain
         }
         self._model, self._uncertainty = log.model, 0
-        self._by_stamp = params.log_time == "stamp"
+        is_causal = {"causal": True, "stamp": False}.get(params.log_time, log.is_live)
+        self._by_stamp = not is_causal
         self._given, self._digest = _given(options), digest
         self._input_messages = log.reader.counts
         self._recovery = log.recovery_mark
@@ -155,8 +156,8 @@ class LogOutput:
         """Write the frames of a stage, behind the input up to that time."""
         if channel == DETECTIONS:
             return
-        self._copier.until(int(block.log_times[0]))
         times = block.stamps if self._by_stamp else block.log_times
+        self._copier.until(int(times[0]))
         fill = partial(self._encoders[channel].encode_into, block)
         self._writer.write_into(self._channels[channel], times.tolist(), fill)
         if block.uncertainty is not None and channel == self._chain[-1]:

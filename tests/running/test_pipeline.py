@@ -149,8 +149,8 @@ def test_the_output_is_not_the_input(tmp_path: Path) -> None:
     assert copy.read_bytes() == WALKING.read_bytes()
 
 
-def test_replay_of_the_output_is_causal(tmp_path: Path) -> None:
-    process(CROSSING, tmp_path / "out.mcap")
+def test_replay_of_the_output_is_causal_if_asked_for(tmp_path: Path) -> None:
+    process(CROSSING, tmp_path / "out.mcap", config=load_config(None, ["output.log_time=causal"]))
     for channel in LETTERS.values():
         topics = [f"/hiros/{channel}"]
         with open_log(tmp_path / "out.mcap", topics=topics, output_prefix="/truth") as log:
@@ -160,10 +160,10 @@ def test_replay_of_the_output_is_causal(tmp_path: Path) -> None:
         assert stamps == sorted(stamps)
 
 
-def test_an_output_may_be_logged_at_the_time_of_its_data(tmp_path: Path) -> None:
-    by_stamp = load_config(None, ["output.log_time=stamp"])
-    process(CROSSING, tmp_path / "causal", options=ProcessOptions(markers=True))
-    process(CROSSING, tmp_path / "stamp", config=by_stamp, options=ProcessOptions(markers=True))
+def test_an_output_of_a_file_is_logged_at_the_time_of_its_data(tmp_path: Path) -> None:
+    live = load_config(None, ["output.log_time=causal"])
+    process(CROSSING, tmp_path / "causal", config=live, markers=True)
+    process(CROSSING, tmp_path / "stamp", markers=True)
     for channel in LETTERS.values():
         causal, stamped = (
             read_channel(tmp_path / name, f"/hiros/{channel}")[0] for name in ("causal", "stamp")
@@ -429,3 +429,10 @@ def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
     with target.open("rb") as file:
         (found,) = make_reader(file).iter_messages(topics=["/truth/late"])
     assert found[2].data == b"late"
+
+
+def test_options_may_stand_by_themselves() -> None:
+    with pytest.raises(ConfigError, match=r"no option 'sytem' \(there are: system, stages"):
+        process(WALKING, sytem="hiros")
+    summary = process(WALKING, system="hiros-realtime", calibrate="off", progress=True)
+    assert (summary.system, summary.poses) == ("hiros-realtime", ())
