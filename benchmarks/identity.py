@@ -3,9 +3,10 @@
     python benchmarks/identity.py [SEEDS [FIRST_SEED [section.param=value ...]]]
 
 In each scene of 24 s, at 8 s one person is hidden from all cameras for 0.3 to 1 s, or leaves for 2
-to 10 s, or both leave. ``kept`` counts those who come back with the id that they had, ``new`` those
-with a new one, ``swapped`` those with another person's. ``false`` counts merged skeletons farther
-than 0.5 m from everybody, and those of somebody who is there twice, of ``frames``.
+to 10 s, or both leave, at once or at times that overlap. ``kept`` counts those who come back with
+the id that they had, ``new`` those with a new one, ``swapped`` those with another person's.
+``false`` counts merged skeletons farther than 0.5 m from everybody, and those of somebody who is
+there twice, of ``frames``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,19 @@ from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, Stamps
 from hiros_mcap.systems import SYSTEMS, Run
 
 ACTIONS = ("circle", "walk", "cross", "eight", "wave", "jog", "free_dynamic")
-AWAY = {"hidden": (0.3, 1.0, 1), "one leaves": (2.0, 10.0, 1), "both leave": (2.0, 10.0, 2)}
+KINDS = ("hidden", "one leaves", "both leave", "overlapping")
 BEGIN, SECONDS, NEAR = 8.0, 24.0, 0.5
+
+
+def absences(kind: str, rng: np.random.Generator) -> dict[int, tuple[float, float]]:
+    """Return who is away, and from when to when, s."""
+    if kind == "overlapping":
+        later = BEGIN + rng.uniform(0.5, 2.0)
+        first, second = rng.uniform(3.0, 8.0, 2)
+        return {0: (BEGIN, BEGIN + first), 1: (later, later + second)}
+    end = BEGIN + (rng.uniform(0.3, 1.0) if kind == "hidden" else rng.uniform(2.0, 10.0))
+    away = [0, 1] if kind == "both leave" else [int(rng.integers(2))]
+    return dict.fromkeys(away, (BEGIN, end))
 
 
 class Scene:
@@ -65,15 +77,15 @@ class Scene:
         nearest = distances.argmin(axis=1)
         return [int(p) if d < NEAR else -1 for p, d in zip(nearest, distances.min(1), strict=True)]
 
-    def without(self, people: Sequence[int], begin: float, end: float) -> list[Frame]:
-        """The detections but for those of some people within a time, s."""
-        first, last = self.start + round(begin * 1e9), self.start + round(end * 1e9)
-        return [
-            frame.select([k for k, p in enumerate(self.people_at(frame)) if p not in people])
-            if first <= frame.stamp < last
-            else frame
-            for frame in self.frames
-        ]
+    def without(self, away: Mapping[int, tuple[float, float]]) -> list[Frame]:
+        """The detections but for those of people who are away from one time to another, s."""
+        frames = []
+        for frame in self.frames:
+            t = (frame.stamp - self.start) * 1e-9
+            gone = {person for person, (begin, end) in away.items() if begin <= t < end}
+            here = [k for k, p in enumerate(self.people_at(frame)) if p not in gone] if gone else []
+            frames.append(frame.select(here) if gone else frame)
+        return frames
 
     def ids(self, tracked: Sequence[Frame], begin: float, end: float) -> dict[int, int]:
         """True person -> the most frequent id within a time, s."""
@@ -107,24 +119,22 @@ def main() -> None:
     numbers = [int(a) for a in sys.argv[1:] if "=" not in a]
     seeds, first = numbers[0] if numbers else 20, numbers[1] if len(numbers) > 1 else 0
     config = load_config(overrides=[a for a in sys.argv[1:] if "=" in a], system="hiros")
-    results = {kind: Counter[str]() for kind in AWAY}
+    results = {kind: Counter[str]() for kind in KINDS}
     for seed in range(first, first + seeds):
         scene, rng = Scene(seed), np.random.default_rng(seed)
-        for kind, (least, most, n) in AWAY.items():
-            seconds = rng.uniform(least, most)
-            away = [0, 1] if n == 2 else [int(rng.integers(2))]
-            frames = scene.without(away, BEGIN, BEGIN + seconds)
-            tracked, merged = run(scene, frames, config)
+        for kind in KINDS:
+            away = absences(kind, rng)
+            tracked, merged = run(scene, scene.without(away), config)
             before = scene.ids(tracked, BEGIN - 1.0, BEGIN)
-            after = scene.ids(tracked, BEGIN + seconds, BEGIN + seconds + 2.0)
             result = results[kind]
-            for person in away:
+            for person, (_, end) in away.items():
+                after = scene.ids(tracked, end, end + 2.0)
                 old, new = before.get(person, UNTRACKED), after.get(person, UNTRACKED)
                 swapped = new in {i for p, i in before.items() if p != person}
                 outcome = "kept" if new == old else "swapped" if swapped else "new"
                 result[outcome] += 1
                 if outcome != "kept":
-                    print(f"seed {seed}, {kind}, {seconds:.1f} s: {outcome}")
+                    print(f"seed {seed}, {kind}, {away}: {outcome}", flush=True)
             result["false"] += scene.false(merged)
             result["frames"] += sum(frame.n_people for frame in merged)
     columns = ("kept", "new", "swapped", "false", "frames")
