@@ -61,8 +61,8 @@ class Consistency:
 class Channel:
     """What stands on a channel of skeletons, in a log or after a run."""
 
-    path: Path
-    """The log."""
+    path: Path | str
+    """The log; an address if it is remote."""
     frames: Sequence[Frame]
     model: SkeletonModel
     skipped: Mapping[str, int] = field(default_factory=dict)

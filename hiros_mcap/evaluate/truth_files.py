@@ -46,7 +46,7 @@ def load_truth(path: Source, topic: str = f"{TRUTH_PREFIX}/*") -> Truth:
         The file cannot be read, or holds no truth.
     """
     readers = {".trc": read_trc, ".csv": read_csv}
-    name = path.path if isinstance(path, McapReader) else Path(path)
+    name = Path(path.path if isinstance(path, McapReader) else path)
     if (read := readers.get(name.suffix.lower())) is not None:
         return read(name)
     with open_log(path, topics=[topic], output_prefix="/none") as log:
