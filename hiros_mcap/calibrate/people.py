@@ -235,7 +235,7 @@ def _solve(
 
 
 def _only_ambiguous(c: int, tree: Sequence[Pair], fits: Fits) -> bool:
-    return all(ambiguous(fits[pair]) for pair in tree if c in pair)
+    return all(ambiguous(fits[min(pair), max(pair)]) for pair in tree if c in pair)
 
 
 def _in_fixed_frame(log: Log, fit: FittingRig, given: Mapping[int, Rigid]) -> tuple[Rig, str]:

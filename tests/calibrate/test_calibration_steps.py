@@ -11,13 +11,14 @@ from stick_figures import MIRROR, MODEL, POSE, person
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.calibrate.camera_graph import coarse_clocks, spanning_tree
+from hiros_mcap.calibrate.camera_graph import chained, coarse_clocks, spanning_tree
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.floor import find_floor
 from hiros_mcap.calibrate.gauge import moved, on_transforms
 from hiros_mcap.calibrate.joint_refinement import free_unknowns, refine
 from hiros_mcap.calibrate.pair_pose import PairFit, ranked
+from hiros_mcap.calibrate.people import _only_ambiguous
 from hiros_mcap.calibrate.registration import kabsch
 from hiros_mcap.calibrate.sampling import Rig, instants_of, lines_of
 from hiros_mcap.calibrate.tracklets import Sighting, find_tracklets
@@ -142,6 +143,18 @@ def test_cameras_need_no_common_view_of_all() -> None:
     tree, cameras = spanning_tree({(0, 1): link, (1, 2): link, (0, 2): []}, [0, 1, 2, 3])
     assert tree == [(0, 1), (1, 2)]
     assert cameras == [0, 1, 2]
+
+
+def test_a_link_leads_back_to_a_camera_with_a_smaller_number() -> None:
+    link = Rig.alone(2)
+    link.shifts[1], link.clocks[1] = [1.0, 0.0, 0.0], 0.5
+    fits = {pair: [PairFit(link, np.full(50, 0.03), 50, quality=40.0)] for pair in ((0, 2), (1, 2))}
+    tree, cameras = spanning_tree(fits, [0, 1, 2])
+    assert (tree, cameras) == ([(0, 2), (2, 1)], [0, 1, 2])
+    rig = chained(tree, fits, 3)
+    assert rig.shifts[:, 0].tolist() == [0.0, 0.0, 1.0]
+    assert rig.clocks.tolist() == [0.0, 0.0, 0.5]
+    assert not _only_ambiguous(1, tree, fits)
 
 
 def test_the_rig_stays_though_one_camera_was_moved() -> None:
