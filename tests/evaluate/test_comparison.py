@@ -65,7 +65,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_process_eval_and_compare_give_one_score(faulty: Path, tmp_path: Path, name: str) -> None:
     """Clocks and poses are corrected alike in all of them."""
     out = tmp_path / "out.mcap"
-    config = load_config(overrides=["output.precision=full"], system=name)
+    config = load_config(system=name)
     summary = process(faulty, out, config=config, options=ProcessOptions(name))
     if name == "fuse":
         assert any(camera.used for camera in summary.poses)
