@@ -192,7 +192,7 @@ _KINDS: dict[str, st.SearchStrategy[str]] = {
 def odd_text(draw: st.DrawFn, kind: str) -> bytes:
     """Text of a kind with something odd in it: its values, its depth, its end, its bytes."""
     data = draw(_KINDS[kind]).encode(errors="surrogatepass")
-    match draw(st.sampled_from(["as it is", "as it is", "cut", "byte", "deep"])):
+    match draw(st.sampled_from(["as it is", "cut", "byte", "deep"])):
         case "cut":
             return data[: draw(st.integers(0, len(data)))]
         case "byte":
@@ -200,5 +200,5 @@ def odd_text(draw: st.DrawFn, kind: str) -> bytes:
             return data[:at] + draw(st.binary(min_size=1, max_size=3)) + data[at:]
         case "deep":
             opening = draw(st.sampled_from([b"[", b'{"a":', b"a = [", b"{a="]))
-            return opening * draw(st.sampled_from([70, 900, 100_000])) + data
+            return opening + b"[" * draw(st.sampled_from([70, 100_000])) + data
     return data
