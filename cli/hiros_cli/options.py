@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hiros_cli.completing import parameters, presets, systems
+from hiros_cli.completing import parameters, presets, systems, topics
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError
 
@@ -18,6 +18,29 @@ PARAMETERS, INPUT, OUTPUT = "Parameters", "Input", "Output"
 LOSSES = 3
 """Exit code: a damaged log was recovered, and something is lost."""
 
+Cameras = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="GLOB",
+        help="Cameras to read; may be repeated. Default: all.",
+        autocompletion=topics,
+        rich_help_panel=INPUT,
+    ),
+]
+Extrinsics = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Camera poses that replace the log's transforms.",
+        rich_help_panel=INPUT,
+    ),
+]
+Html = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Also write an HTML page with plots.", rich_help_panel=OUTPUT
+    ),
+]
 Preset = Annotated[
     str,
     typer.Option(

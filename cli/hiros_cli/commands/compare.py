@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiros_cli.options import Force, Json, QuietResult
+from hiros_cli.options import Force, Html, Json, QuietResult
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -51,9 +51,7 @@ def compare(
     jobs: Annotated[
         int, typer.Option(min=0, metavar="NUMBER", help="Runs at once; 0 = one per core.")
     ] = 0,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write an HTML page with plots.")
-    ] = None,
+    html: Html = None,
     rrd: Annotated[
         Path | None,
         typer.Option(

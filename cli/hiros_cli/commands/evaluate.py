@@ -16,6 +16,7 @@ from hiros_cli.options import (
     Cluster,
     ConfigFile,
     Force,
+    Html,
     Jobs,
     Json,
     Preset,
@@ -99,10 +100,7 @@ def evaluate(
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
-    html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Also write an HTML report with plots."),
-    ] = None,
+    html: Html = None,
     output: Annotated[
         str,
         typer.Option(

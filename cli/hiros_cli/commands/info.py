@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import Cluster, Force, Jobs, Json, Quiet, Table
+from hiros_cli.options import Cameras, Cluster, Extrinsics, Force, Jobs, Json, Quiet, Table
 
 if TYPE_CHECKING:
     from hiros_mcap.io.overview import CameraRow, ChannelRow, Overview
@@ -22,18 +20,8 @@ def info(
         list[str],
         typer.Argument(metavar="LOG", help="MCAP files, ROS bags, folders of them, globs, URLs."),
     ],
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Cameras to look at; may be repeated. Default: all.",
-            autocompletion=topics,
-        ),
-    ] = None,
-    extrinsics: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
-    ] = None,
+    topic: Cameras = None,
+    extrinsics: Extrinsics = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
     csv: Table = None,

@@ -25,8 +25,10 @@ from hiros_cli.options import (
     OUTPUT,
     PARAMETERS,
     Assignments,
+    Cameras,
     Cluster,
     ConfigFile,
+    Extrinsics,
     Force,
     Jobs,
     Json,
@@ -81,15 +83,7 @@ def process(
             rich_help_panel=PARAMETERS,
         ),
     ] = "",
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Cameras to read; may be repeated. Default: all.",
-            autocompletion=topics,
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
+    topic: Cameras = None,
     keep: Annotated[
         list[str] | None,
         typer.Option(
@@ -103,14 +97,7 @@ def process(
     preset: Preset = "default",
     config: ConfigFile = None,
     assignments: Assignments = None,
-    extrinsics: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Camera poses that replace the log's transforms.",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
+    extrinsics: Extrinsics = None,
     fixed_frame: Annotated[
         str | None,
         typer.Option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiros_cli.options import Force, Quiet
+from hiros_cli.options import Extrinsics, Force, Quiet
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -38,10 +38,7 @@ def view(
             help="Truth to overlay, with errors. Default: LOG's /truth channel.",
         ),
     ] = None,
-    extrinsics: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Camera poses that replace the log's transforms."),
-    ] = None,
+    extrinsics: Extrinsics = None,
     calibration: Annotated[
         Path | None,
         typer.Option(
