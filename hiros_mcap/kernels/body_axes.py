@@ -46,25 +46,8 @@ def component(x: float, y: float, z: float, axes: Floats, k: int) -> float:
 
 
 @kernel
-def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, float]:
-    """Sum of the vectors from left to right shoulders and hips across the trunk, m."""
-    x = y = 0.0
-    for i in range(len(pairs)):
-        a, b = pairs[i, 0], pairs[i, 1]
-        dx = positions[b, 0] - positions[a, 0]
-        dy = positions[b, 1] - positions[a, 1]
-        dz = positions[b, 2] - positions[a, 2]
-        if not math.isnan(dx + dy + dz):
-            x, y = x + component(dx, dy, dz, axes, 0), y + component(dx, dy, dz, axes, 1)
-    return x, y
-
-
-# The trunk.
-
-
-@kernel
-def _trunk(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
-    """Return the unit vector from the hips to the shoulders above them; NaN if not known."""
+def _sum_of_vectors(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
+    """Sum of the vectors from the first marker of each pair to the second, where both are seen."""
     x = y = z = 0.0
     for i in range(len(pairs)):
         a, b = pairs[i, 0], pairs[i, 1]
@@ -73,6 +56,25 @@ def _trunk(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
         dz = positions[b, 2] - positions[a, 2]
         if not math.isnan(dx + dy + dz):
             x, y, z = x + dx, y + dy, z + dz
+    return x, y, z
+
+
+@kernel
+def left_to_right(positions: Floats, pairs: Ints, axes: Floats) -> tuple[float, float]:
+    """Sum of the vectors from left to right shoulders and hips across the trunk, m."""
+    x, y, z = _sum_of_vectors(positions, pairs)
+    if x == y == z == 0.0:
+        return 0.0, 0.0
+    return component(x, y, z, axes, 0), component(x, y, z, axes, 1)
+
+
+# The trunk.
+
+
+@kernel
+def _trunk(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
+    """Return the unit vector from the hips to the shoulders above them; NaN if not known."""
+    x, y, z = _sum_of_vectors(positions, pairs)
     length = math.sqrt(x * x + y * y + z * z)
     if not length > _SHORTEST:
         return np.nan, np.nan, np.nan
