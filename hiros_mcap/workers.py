@@ -126,8 +126,8 @@ class _Worker:
 
     def _start(self) -> None:
         before = active_children()
-        self._pool = ProcessPoolExecutor(1, get_context("spawn"), _set_up, (self._folder,))
         with _starting():
+            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _set_up, (self._folder,))
             self.submit(int)
         (self._process,) = set(active_children()) - set(before)
 

@@ -47,8 +47,12 @@ ENTRIES = {
     "cameras": ("lee",),
     "choices": (
         "hiros",
-        *(f"lee-a{k}" for k in range(1, 6)),
-        *(f"lee-a{k},cluster.radius={radius:g}" for k in (4, 5) for radius in LEE_RADII),
+        *("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee"),
+        *(
+            f"{name},cluster.radius={radius:g}"
+            for name in ("lee-a4", "lee")
+            for radius in LEE_RADII
+        ),
         "lee-a2,cluster.rearrange=both",
         "lee-a4,cluster.rearrange=both",
         "lee-a4,cluster.compensate_motion=false",

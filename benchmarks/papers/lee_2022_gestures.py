@@ -33,10 +33,11 @@ def gesture_scenes() -> Iterator[dict[str, object]]:
 
 
 def entry_of(column: str) -> Entry:
-    """Return the system of a column: "A4_5" is lee-a4 with a radius of 5 cm."""
+    """Return the system of a column: "A4_5" is lee-a4 with a radius of 5 cm, and A5 is lee."""
     variant, _, cm = column.partition("_")
     radius = f",cluster.radius={int(cm) / 100:g}" if cm else ""
-    return Entry.parse(f"lee-{variant.lower()}{radius}")
+    name = "lee" if variant == "A5" else f"lee-{variant.lower()}"
+    return Entry.parse(f"{name}{radius}")
 
 
 def gesture_errors(logs: Mapping[Path, str], jobs: int) -> Errors:

@@ -136,7 +136,7 @@ def test_y_up_becomes_z_up(tmp_path: Path) -> None:
         ("a.csv", LINKS.replace("Pelvis,Neck,0,0,0,1", ",Neck,0,0,0,1"), "line 4: .* parent and"),
         ("a.csv", LINKS + "0.1,0,,,,,Pelvis,Neck,0,0,0,1\n", "link Pelvis to Neck twice"),
         ("a.csv", LINKS.replace("Neck,0,0,0,1", "Neck,,0,0,1"), "line 4: .* length nan"),
-        ("a.trc", TRC + "3\n", "line 8: has no time"),
+        ("a.trc", TRC + "3\n", "line 8: is cut off"),
         ("a.trc", "hello\n" * 7, "not a TRC file"),
         ("a.trc", TRC.replace("mm", "inch"), "unit 'inch'"),
         ("a.trc", TRC.replace("0.01", ""), "line 7: has no time"),

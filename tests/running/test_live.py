@@ -33,6 +33,8 @@ from hiros_mcap.running.process_live import process_live
 from hiros_mcap.summary import Summary
 
 LIVE = ProcessOptions(system="hiros-realtime")
+AS_KNOWN = load_config(None, ["output.log_time=causal"], system="hiros-realtime")
+"""Results of a file are logged when they were known, as live ones are."""
 Messages = dict[str, list[tuple[int, bytes]]]
 Sent = Sequence[tuple[str, Message]]
 
@@ -117,7 +119,7 @@ def run_live(write: Callable[[int], None], options: ProcessOptions = LIVE) -> tu
 @pytest.fixture(scope="module")
 def by_file(crossing: Path, tmp_path_factory: pytest.TempPathFactory) -> Messages:
     out = tmp_path_factory.mktemp("live") / "out.mcap"
-    process(crossing, out, options=LIVE)
+    process(crossing, out, config=AS_KNOWN, options=LIVE)
     return results(out.read_bytes())
 
 

@@ -26,6 +26,8 @@ from hiros_mcap.running.observe import (
     Observer,
 )
 from hiros_mcap.running.pose_alignment import PoseAlignment
+from hiros_mcap.running.preparation import Prepared
+from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.report import Report
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.summary import LimbSummary, cleaned, duration, number, quantity
@@ -147,7 +149,9 @@ def test_a_duration_has_the_unit_that_fits(seconds: float, text: str) -> None:
 
 def report_on(run: Run) -> Report:
     observer = Observer(["tracked", "optimized"])
-    return Report(cast(Log, None), run, observer, Stopwatch(), ClockAlignment(), PoseAlignment())
+    log, options = cast(Log, None), ProcessOptions()
+    prepared = Prepared(log, run.config, options, ClockAlignment(), PoseAlignment(), Stopwatch())
+    return Report(prepared, run, observer)
 
 
 def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:

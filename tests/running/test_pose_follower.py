@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_live import LIVE, recorded, results, run_live, send
+from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
 from test_pose_alignment import turned, write
 
 from hiros_mcap.frames import Block, frames_of, join
@@ -91,7 +91,7 @@ def test_true_poses_stay(folder: Path) -> None:
 
 def test_a_pipe_is_corrected_as_a_file_is(folder: Path, tmp_path: Path) -> None:
     path = folder / "off.mcap"
-    in_file = process(path, tmp_path / "auto.mcap", options=LIVE)
+    in_file = process(path, tmp_path / "auto.mcap", config=AS_KNOWN, options=LIVE)
     by_file = results((tmp_path / "auto.mcap").read_bytes())
     live, out = run_live(send(path, recorded(path)))
     assert results(out) == by_file
