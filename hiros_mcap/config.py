@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from hiros_mcap._version import __version__
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.outside import parse, read_toml
+from hiros_mcap.outside import parse, read_toml
 from hiros_mcap.params import Params, advanced, explain, is_advanced
 from hiros_mcap.stages.associate_params import AssociateParams
 from hiros_mcap.stages.cluster_params import ClusterParams

@@ -393,7 +393,10 @@ def test_export_of_many_does_not_replace_foreign_files(
     (tmp_path / "two_people_crossing.hiros.1.trc").write_text("")
     (tmp_path / "two_people_crossing.1.trc").write_text("mine")
     assert run(command) == 2
-    assert "two_people_crossing.1.trc: exists; --force overwrites it" in capsys.readouterr().err
+    assert (
+        "two_people_crossing.1.trc: exists and is not an export of hiros; --force"
+        in capsys.readouterr().err
+    )
     (tmp_path / "two_people_crossing.1.trc").unlink()
     assert run(command) == 0
     names = {path.name for path in tmp_path.glob("*.trc")} - {"two_people_crossing.hiros.1.trc"}

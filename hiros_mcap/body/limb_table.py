@@ -22,8 +22,8 @@ from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from hiros_mcap.errors import ConfigError, LogError
-from hiros_mcap.io.outside import parse, read_text
 from hiros_mcap.outputs import LIMBS_MARK, write_text
+from hiros_mcap.outside import parse, read_text
 from hiros_mcap.params import Params, explain
 from hiros_mcap.skeletons import Floats, SkeletonModel
 

@@ -27,8 +27,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
-from hiros_mcap.io.outside import parse, read_text
 from hiros_mcap.kernels.transforming import PoseArrays, move
+from hiros_mcap.outside import parse, read_text
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Frame
 

@@ -66,7 +66,8 @@ def results_of(
     if globs:
         topics = {t: n for t, n in topics.items() if any(fnmatchcase(t, g) for g in globs)}
     if not topics:
-        raise LogError(f"a run of {system} has no channel {', '.join(globs)}", path=reader.path)
+        named = ", ".join(globs)
+        raise LogError(f"no channel of a run of {system} matches {named}", path=reader.path)
     channels = {
         topic: Channel(recording.prepared.log.path, results[name], recording.model)
         for topic, name in topics.items()

@@ -11,7 +11,7 @@ from hiros_mcap.errors import LogError
 from hiros_mcap.events import Event, events_from_json
 from hiros_mcap.io.channels import CONFIG_ATTACHMENT, EVENTS_ATTACHMENT, REPORT_ATTACHMENT
 from hiros_mcap.io.container import McapReader
-from hiros_mcap.io.outside import parse
+from hiros_mcap.outside import parse
 
 
 def stored_parameters(reader: McapReader) -> dict[str, str]:

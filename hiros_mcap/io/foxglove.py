@@ -14,7 +14,7 @@ from typing import Any
 
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.container.records import Channel, McapRecord, Message, Schema
-from hiros_mcap.io.outside import parse
+from hiros_mcap.outside import parse
 
 _PROTOCOLS: Any = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 _DATA = struct.Struct("<BIQ")

@@ -14,8 +14,8 @@ from pathlib import Path
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate import Scores, Truth
 from hiros_mcap.evaluate.logs import consistency, evaluate_log, find_truth, read_channel
-from hiros_mcap.io.outside import parse, read_text
 from hiros_mcap.outputs import write_text
+from hiros_mcap.outside import parse, read_text
 from hiros_mcap.regression.differences import Difference
 from hiros_mcap.regression.provenance import Provenance
 

@@ -30,8 +30,8 @@ from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import load_truth
 from hiros_mcap.evaluate.logs import output_channels
-from hiros_mcap.io.outside import read_toml
 from hiros_mcap.outputs import check_outputs
+from hiros_mcap.outside import read_toml
 from hiros_mcap.params import Params, explain
 from hiros_mcap.regression.differences import Difference, Divergence, compare_logs
 from hiros_mcap.regression.golden import write_golden

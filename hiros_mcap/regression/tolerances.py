@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field, NonNegativeFloat, ValidationError
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.outside import read_toml
+from hiros_mcap.outside import read_toml
 from hiros_mcap.params import Params, explain
 
 SUFFIX = ".tolerances.toml"

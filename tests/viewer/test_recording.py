@@ -605,7 +605,7 @@ def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(
     processed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """So memory stays bounded, and rerun is called seldom."""
-    monkeypatch.setattr(drawn_poses, "BATCH", 300)
+    monkeypatch.setattr(drawn_poses, "BATCH", 100)
     newest = dict[object, int]()
     sizes = []
     with open_log(processed, topics=["*"], output_prefix="/none") as log:

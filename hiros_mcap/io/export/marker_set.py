@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.outside import read_toml
+from hiros_mcap.outside import read_toml
 from hiros_mcap.skeletons import SkeletonModel
 
 if TYPE_CHECKING:

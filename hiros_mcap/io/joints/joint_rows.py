@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping
 from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, read_markers, text_of
-from hiros_mcap.io.outside import parse
+from hiros_mcap.outside import parse
 
 
 class JointRow(NamedTuple):

@@ -32,7 +32,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.outside import read_toml
+from hiros_mcap.outside import read_toml
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Floats
 

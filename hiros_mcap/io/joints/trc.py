@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.outside import read_text
+from hiros_mcap.outside import read_text
 from hiros_mcap.skeletons import Floats
 
 _MOST_BYTES = 1 << 30
