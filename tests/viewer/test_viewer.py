@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -232,6 +233,18 @@ def test_the_web_viewer_listens_on_the_loopback_address_alone(processed: Path) -
             time.sleep(0.2)
     assert len(addresses) >= 2
     assert set(addresses) <= LOOPBACK
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_no_server_is_left_behind_by_who_stops_at_once(
+    processed: Path, sent: signal.Signals
+) -> None:
+    with served(processed) as (server, _):
+        children = children_of(server.pid)
+        server.send_signal(sent)
+        assert server.wait(timeout=60) == 128 + sent
+    assert children
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
 
 
 def test_the_web_viewer_shows_skeletons(processed: Path, tmp_path: Path) -> None:

@@ -142,6 +142,8 @@ def _draw_into(url: str, process: subprocess.Popen[bytes], name: str, draw: Draw
 def web_server() -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
     """Start the web viewer; yield the page's address, where to send to, and the server's process.
 
+    The server ends with the context, also if a signal comes before anything is drawn.
+
     Raises HirosError if it does not start.
     """
     page, data = free_port(), free_port()
@@ -157,10 +159,14 @@ def web_server() -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        _wait_for(data, server)
-        stream = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{data}%2Fproxy"
-        address = f"http://{LOOPBACK}:{page}/?url={stream}"
-        yield address, f"rerun+http://{LOOPBACK}:{data}/proxy", server
+        try:
+            _wait_for(data, server)
+            stream = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{data}%2Fproxy"
+            address = f"http://{LOOPBACK}:{page}/?url={stream}"
+            yield address, f"rerun+http://{LOOPBACK}:{data}/proxy", server
+        finally:
+            server.terminate()
+            server.wait()
 
 
 def viewer_binary() -> Path:

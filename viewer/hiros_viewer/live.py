@@ -114,13 +114,9 @@ def live_page(
     """
     with web_server() as (page, url, server):
         announce(page)
-        try:
-            with _drawing_into(url, server, name, closed) as view:
-                yield view
-            server.wait()
-        finally:
-            server.terminate()
-            server.wait()
+        with _drawing_into(url, server, name, closed) as view:
+            yield view
+        server.wait()
 
 
 @contextmanager
