@@ -157,6 +157,27 @@ def test_a_second_run_does_only_what_is_left(recordings: Path, tmp_path: Path) -
     assert {name for name in after if after[name] == before.get(name)} == {"a_lab.hiros.mcap"}
 
 
+def test_another_log_of_the_same_size_is_done(tmp_path: Path) -> None:
+    log, out = tmp_path / "lab.mcap", Folder(str(tmp_path / "out"))
+    job, done = Nothing(), []
+    for k, content in enumerate((b"one", b"one", b"two")):
+        log.write_bytes(content)
+        os.utime(log, (k, k))
+        ((_, now),) = run_logs(job, [str(log)], out, in_processes(1))
+        done.append(now)
+    assert done == [True, False, True]
+
+
+def test_a_result_that_was_cut_is_made_again(walking: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process(walking, out)
+    result = out / "one_person_walking.hiros.mcap"
+    whole = result.read_bytes()
+    result.write_bytes(whole[: len(whole) // 2])
+    process("--force", walking, out)
+    assert result.read_bytes() == whole
+
+
 def test_other_parameters_do_everything_again(walking: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process(walking, out)

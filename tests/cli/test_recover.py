@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from mcap_logs import by_library
+from mcap_logs import by_library, write_log
 
 from hiros_cli.app import run
 from hiros_mcap.io.container import McapReader, McapWriter
@@ -93,6 +93,19 @@ def test_a_log_that_lost_its_summary_only_is_complete(
     assert run(["recover", str(bad), "-o", str(tmp_path / "out.mcap")]) == 0
     assert "nothing was lost: the damage cost no message" in capsys.readouterr().out
     assert by_library(tmp_path / "out.mcap") == by_library(log)
+
+
+def test_messages_that_nothing_checked_are_a_loss_though_all_are_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    codes = []
+    for name, checked in (("checked", True), ("unchecked", False)):
+        path = tmp_path / f"{name}.mcap"
+        data = write_log(path, use_chunking=False, enable_data_crcs=checked).read_bytes()
+        path.write_bytes(data[:-10])
+        codes.append(run(["recover", str(path), "--json"]))
+        assert json.loads(capsys.readouterr().out)["lost_messages"] == 0
+    assert codes == [0, 3]
 
 
 def test_the_loss_as_json(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

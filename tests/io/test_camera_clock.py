@@ -118,6 +118,14 @@ def test_a_drift_is_followed(rate: float) -> None:
     assert worst(cameras, judged, camera(2)) < 0.004
 
 
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 28.0), (12.0, 40.0)])
+def test_what_changes_in_a_part_of_the_log_only_is_no_drift(begin: float, end: float) -> None:
+    """The line through all of the log fits one of its halves, but not the other."""
+    cameras = {name: camera(k, seconds=40.0) for k, name in enumerate("ac")}
+    cameras["b"] = camera(2, seconds=40.0, clock=lambda t: 5e-3 * (np.clip(t, begin, end) - begin))
+    assert judge_clocks(cameras).faults == ()
+
+
 @pytest.mark.parametrize("seconds", [-7200.0, 20.0])
 def test_clocks_that_no_delivery_explains_are_aligned(seconds: float) -> None:
     cameras = three(clock=lambda t: np.full_like(t, seconds))

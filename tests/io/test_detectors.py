@@ -333,6 +333,13 @@ def test_a_log_of_nothing_known_says_what_it_has(tmp_path: Path, scene: Scene) -
         open_log(path)
 
 
+def test_the_percents_of_the_zed_are_shares(logs: dict[str, Path]) -> None:
+    with open_log(logs["zed 38"]) as log:
+        shares = np.concatenate([frame.confidences for frame in log.detections()])
+    assert len(shares) > 0
+    np.testing.assert_allclose(shares, 0.8)  # the driver says 80.0
+
+
 def test_points_of_another_skeleton_are_nan_where_it_has_none(scene: Scene) -> None:
     frame = next(f for _, f in scene.detections if f.n_people)
     points = points_in(frame, scene.names, "zed-38")
