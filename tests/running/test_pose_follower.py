@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from test_live import AS_KNOWN, LIVE, recorded, results, run_live, send
 from test_pose_alignment import turned, write
 
+from hiros_mcap.calibrate.camera_views import CameraView
+from hiros_mcap.calibrate.refinement import Estimate, refine_poses
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.io.log import Log, open_log
+from hiros_mcap.running import pose_follower
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.pose_follower import PoseFollower
@@ -61,6 +65,35 @@ def test_a_wrong_pose_is_found_and_left_in_small_steps(folder: Path) -> None:
     assert all(way == 0.0 for time, way in ways.items() if time < start + 9.9e9)
     assert ways[max(ways)] > 0.02
     assert np.abs(np.diff(list(ways.values()))).max() < 0.02
+
+
+def test_detections_come_nearer_to_where_the_true_pose_puts_them(folder: Path) -> None:
+    with open_log(folder / "true.mcap") as true, open_log(folder / "off.mcap") as log:
+        wanted, given = list(true.detections()), list(log.detections())
+        found, _ = followed(log, log.blocks())
+    last = [k for k, f in enumerate(wanted) if f.source == "camera_2" and f.n_people][-15:]
+
+    def miss(frames: Sequence[Frame]) -> float:
+        ways = [frames[k].positions - wanted[k].positions for k in last]
+        return float(np.nanmean(np.linalg.norm(np.concatenate(ways), axis=-1)))
+
+    assert miss(found) < 0.8 * miss(given)
+
+
+def test_only_the_people_of_the_last_seconds_are_compared(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[float] = []
+
+    def noting(views: Sequence[CameraView], *rest: Any) -> Estimate:
+        compared.extend(t.seconds[0] for view in views for t in view.tracks)
+        return refine_poses(views, *rest)
+
+    monkeypatch.setattr(pose_follower, "refine_poses", noting)
+    monkeypatch.setattr(pose_follower, "_WINDOW_S", 6.0)
+    with open_log(folder / "true.mcap") as log:
+        followed(log, log.blocks())
+    assert min(compared) == pytest.approx(4.0, abs=0.5)  # the poses are compared after 10 s
 
 
 def test_it_does_not_matter_how_messages_come_in_blocks(folder: Path) -> None:
