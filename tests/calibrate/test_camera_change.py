@@ -1,0 +1,51 @@
+"""Whether one of two cameras was moved, and when, by the distances of the people they see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.calibrate.camera_change import CameraChange, located
+from hiros_mcap.calibrate.camera_views import HALF_WIDTH_S, CameraView
+from hiros_mcap.calibrate.sampling import Rig
+from hiros_mcap.kernels.local_line import Tracklet
+
+MIRROR = np.arange(6, dtype=np.int32)
+EARLY, LATE = Rigid.identity(), Rigid(np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.1, 0.0, 0.0]))
+CLOCK_S = 0.5
+"""The second camera's clock is slow."""
+
+
+def change_of(moved_s: float) -> CameraChange | None:
+    """What two cameras with 1 cm of noise tell of a second pose that holds from a time on.
+
+    They see one person walk for 20 s; the time is that of the second camera.
+    """
+    rng, seconds = np.random.default_rng(2), np.arange(-10.0, 10.0, 1 / 15)
+    joints = rng.uniform(-0.5, 0.5, (6, 3))
+    path = joints + np.stack([0.3 * seconds, 0.0 * seconds, 3.0 + 0.0 * seconds], 1)[:, None]
+    views = []
+    for name, late in (("one", 0.0), ("other", CLOCK_S)):
+        own = seconds - late
+        seen = path + rng.normal(0.0, 0.01, path.shape)
+        if late:
+            seen[own >= moved_s] -= LATE.translation
+        track = Tracklet(own, seen, np.ones(path.shape[:2]))
+        views.append(CameraView(name, name, [track], 0.0, HALF_WIDTH_S))
+    clocks = np.array([0.0, CLOCK_S])
+    early, late_rig = (Rig.of([EARLY, p])._replace(clocks=clocks) for p in (EARLY, LATE))
+    return located(views, early, late_rig, MIRROR)
+
+
+def test_the_time_is_that_of_the_camera_that_was_moved() -> None:
+    change = change_of(2.0)
+    assert change is not None
+    assert change.seconds == pytest.approx(2.0, abs=0.15)
+    assert change.metres > 0.05
+
+
+@pytest.mark.parametrize("moved_s", [-20.0, 20.0])
+def test_a_second_pose_has_to_beat_the_better_one_alone(moved_s: float) -> None:
+    """One of both poses fits throughout, however badly the other does."""
+    assert change_of(moved_s) is None
