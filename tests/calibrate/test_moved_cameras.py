@@ -146,6 +146,21 @@ def test_the_time_is_found_in_parts_of_the_log_that_were_not_read_at_first(
     assert summary.poses[2].until_s == pytest.approx(AT_S, abs=0.25)
 
 
+def test_the_time_is_that_of_the_log_though_the_clock_is_ahead(
+    scene: Simulation, healthy: list[Frame], tmp_path: Path
+) -> None:
+    ahead_ns, start = 1_500_000_000, min(frame.stamp for frame in healthy)
+    frames = [
+        f.replace(stamp=f.stamp + ahead_ns, stamps=f.stamps + ahead_ns)
+        if f.source == "camera_2"
+        else f
+        for f in (moved(frame, start) for frame in healthy)
+    ]
+    summary = process(logged(tmp_path / "log.mcap", scene, frames))
+    assert [one.name for one in summary.poses[2:]] == ["camera_2", "camera_2"]
+    assert summary.poses[2].until_s == pytest.approx(AT_S, abs=0.25)
+
+
 @pytest.mark.parametrize("first", [True, False])
 def test_somebody_who_stands_still_is_no_camera_that_was_moved(
     first: bool, scene: Simulation, healthy: list[Frame], tmp_path: Path
