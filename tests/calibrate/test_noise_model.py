@@ -59,6 +59,16 @@ def test_between_cameras_the_range_cannot_be_told_from_the_camera() -> None:
     assert measure_noise_model(frames, MODEL, places).power == USUAL_POWER
 
 
+def test_cameras_are_compared_with_the_median_one() -> None:
+    frames = [f.replace(source=f"camera_{k}") for k in range(3) for f in standing(2.0, k)]
+    for frame in frames:
+        if frame.source == "camera_2":
+            frame.markers[:, :, :3] *= 2.0  # seen from 2 m, too, with twice the noise
+    places = {f"camera_{k}": np.array([2.0 * (k == 2), 0.0, 0.0]) for k in range(3)}
+    found = measure_noise_model(frames, MODEL, places).cameras
+    assert found == pytest.approx({"camera_0": 1.0, "camera_1": 1.0, "camera_2": 4.0}, rel=0.15)
+
+
 @pytest.fixture
 def measured(tmp_path: Path) -> Path:
     frames = standing(1.5, 1) + standing(4.0, 2)
