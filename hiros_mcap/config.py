@@ -89,7 +89,7 @@ class ClockParams(Params):
         return dict(self.__pydantic_extra__)
 
 
-Factor = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Factor = Annotated[float, Field(ge=1e-6, le=1000)]
 
 
 class NoiseParams(Params):

@@ -46,6 +46,35 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
             assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
 
 
+UNBOUNDED = {"fuse.max_lag"}
+"""Infinite unless a user bounds it."""
+
+
+def test_times_noises_and_rates_have_finite_bounds() -> None:
+    """Squared and summed, a number without a bound is infinite, and a run ends in the middle."""
+    bounded = set()
+    for section in Config.model_fields:
+        params = type(getattr(Config(), section))
+        for name, schema in params.model_json_schema()["properties"].items():
+            words = f"{name} {schema['description']}"
+            of_them = re.search(r"noise|, (s|Hz|m/s2?|m2/s3)[:;., ]|\bSD\b|deviation of", words)
+            if schema.get("type") == "number" and of_them and "weight" not in name:
+                bounded.add(f"{section}.{name}")
+                has_both = {"minimum", "exclusiveMinimum"} & schema.keys() and "maximum" in schema
+                assert has_both or f"{section}.{name}" in UNBOUNDED, f"{section}.{name}"
+    assert len(bounded) > 30
+
+
+@pytest.mark.parametrize(
+    "assignment",
+    ["fuse.acceleration=1e9", "fuse.offset=1e9", "noise.sigma=1e9", "filter.cutoff=1e-12"],
+)
+def test_numbers_beyond_physics_are_one_line(assignment: str) -> None:
+    name = assignment.partition("=")[0]
+    with pytest.raises(ConfigError, match=f"^--set: {name}.*: should be (less|greater) than"):
+        load_config(overrides=[assignment])
+
+
 class Reads:
     """A configuration that notes which sections are read."""
 

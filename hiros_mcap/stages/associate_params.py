@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, Seconds, advanced
+from hiros_mcap.params import Accelerations, Metres, Params, Seconds, advanced
 
 
 class AssociateParams(Params):
@@ -17,13 +17,13 @@ class AssociateParams(Params):
         "gives no number; this is 99.9 % of a chi-squared distribution with 4 degrees of freedom, "
         "as in OpenPTrack.",
     )
-    position_noise: float = advanced(
+    position_noise: Metres = advanced(
         0.1,
-        gt=0,
+        ge=1e-6,
         description="SD per axis, m, of a detection's centroid about the person's centroid.",
     )
-    acceleration: float = advanced(
-        3.0, gt=0, description="SD per axis, m/s2, of a person's acceleration over 1/30 s."
+    acceleration: Accelerations = advanced(
+        3.0, description="SD per axis, m/s2, of a person's acceleration over 1/30 s."
     )
     max_gap: Seconds = advanced(
         1.5,

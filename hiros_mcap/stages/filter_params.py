@@ -21,7 +21,8 @@ class FilterParams(Params):
     )
     cutoff: float = Field(
         4.5,
-        gt=0,
+        ge=0.01,
+        le=1000,
         description="Frequency, Hz, at which the whole filter (with look-ahead) is at -3 dB. For "
         "human motion with the noise of merged cameras, the error is least at 4 to 5 Hz "
         "(benchmarks/bench_filter.py). Winter 2009 gives 6 to 10 Hz for marker-based capture.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, Seconds, advanced
+from hiros_mcap.params import Metres, Params, Seconds, advanced
 
 
 class TrackParams(Params):
@@ -148,11 +148,12 @@ class TrackParams(Params):
     gate_growth: float = advanced(
         0.75,
         ge=0,
+        le=1000,
         description="Growth of the gate, m/s, while a track is unseen for longer than the horizon, "
         "up to twice the gate. 0 = off (paper).",
     )
-    position_noise: float = advanced(
-        0.04, gt=0, description="SD, m, of a marker that one camera reports (raw error 57 mm)."
+    position_noise: Metres = advanced(
+        0.04, ge=1e-6, description="SD, m, of a marker that one camera reports (raw error 57 mm)."
     )
     innovation_gate: float = advanced(
         3.0,
@@ -161,5 +162,8 @@ class TrackParams(Params):
         "the track less.",
     )
     max_speed: float = advanced(
-        12.0, gt=0, description="Largest speed of a marker, m/s (a throwing hand reaches 10)."
+        12.0,
+        gt=0,
+        le=1000,
+        description="Largest speed of a marker, m/s (a throwing hand reaches 10).",
     )
