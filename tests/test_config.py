@@ -46,8 +46,8 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
             assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
 
 
-UNBOUNDED = {"fuse.max_lag"}
-"""Infinite unless a user bounds it."""
+UNBOUNDED = {"fuse.max_lag", "fuse.freedom"}
+"""Infinite unless a user bounds it; Student's t, which becomes Gauss's."""
 
 
 def test_times_noises_and_rates_have_finite_bounds() -> None:
@@ -168,7 +168,7 @@ def test_assignments(assignment: str, section: str, name: str, value: object) ->
     [
         ("merge.max_delta_tim=1", "--set: no parameter merge.max_delta_tim; did you mean merge.ma"),
         ("marge.max_delta_time=1", "--set: no section 'marge'; did you mean merge? (there are: in"),
-        ("filter.cutoff=-1", "--set: filter.cutoff: should be greater than 0, is -1"),
+        ("filter.cutoff=-1", "--set: filter.cutoff: should be greater than or equal to 0.01, is -1"),
         ("filter.cutoff=fast", "--set: filter.cutoff: should be a valid number, "),
         ("filter.method=x", "--set: filter.method: should be 'state_space' or 'butterworth', is"),
         ("filter.order=4", "--set: filter: order of a state-space filter must be 2 or 3"),

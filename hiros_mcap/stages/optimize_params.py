@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from hiros_mcap.params import Params, Seconds, advanced
+from hiros_mcap.params import Metres, Params, Seconds, advanced
 
 
 class CalibrationParams(Params):
@@ -43,9 +43,8 @@ class CalibrationParams(Params):
         "deviation / length; 0.2 in the published code). A calibration with a larger one is "
         "rejected.",
     )
-    short_link: float = advanced(
+    short_link: Metres = advanced(
         0.15,
-        ge=0.0,
         description="max_variation treats links shorter than this, m, as if they had this length. "
         "The noise of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise "
         "would reject everybody.",
@@ -98,7 +97,7 @@ class OptimizeParams(CalibrationParams):
         "weights of eq. 18, which correct small errors only in part. exact has the smaller joint "
         "error, and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
     )
-    max_length_error: float = advanced(
+    max_length_error: Metres = advanced(
         0.1,
         gt=0.0,
         description="If a link's length is off by more than this, m, one of its ends is an outlier."

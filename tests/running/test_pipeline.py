@@ -432,7 +432,29 @@ def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
 
 
 def test_options_may_stand_by_themselves() -> None:
-    with pytest.raises(ConfigError, match=r"no option 'sytem' \(there are: system, stages"):
+    with pytest.raises(TypeError, match=r"no argument 'sytem'; did you mean 'system'\? \(of Proc"):
         process(WALKING, sytem="hiros")
     summary = process(WALKING, system="hiros-realtime", calibrate="off", progress=True)
     assert (summary.system, summary.poses) == ("hiros-realtime", ())
+
+
+def test_options_take_what_people_write(tmp_path: Path) -> None:
+    options = ProcessOptions(topics="/camera_0/*", keep=[], extrinsics="cameras.toml")  # type: ignore[arg-type]
+    assert (options.topics, options.keep) == (("/camera_0/*",), ())
+    assert options.extrinsics == Path("cameras.toml")
+    with pytest.raises(ConfigError, match="^calibrate: 'on' is none of 'off', 'auto', 'require'$"):
+        process(WALKING, calibrate="on")
+
+
+def test_warnings_of_a_run_are_logged_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    late = load_config(overrides=["clock.camera_0=100"])
+    with caplog.at_level("DEBUG", "hiros_mcap"):
+        summary = process(CROSSING, tmp_path / "out.mcap", config=late, calibrate="off")
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert summary.warnings
+    assert warnings == [f"{CROSSING}: {text}" for text in summary.warnings]
+    steps = [record.getMessage() for record in caplog.records if record.levelname == "INFO"]
+    assert f"{CROSSING}: camera_0, camera_1, camera_2; fixed frame world" in steps
+    assert f"{CROSSING}: wrote {tmp_path / 'out.mcap'}" in steps
