@@ -168,7 +168,10 @@ def test_assignments(assignment: str, section: str, name: str, value: object) ->
     [
         ("merge.max_delta_tim=1", "--set: no parameter merge.max_delta_tim; did you mean merge.ma"),
         ("marge.max_delta_time=1", "--set: no section 'marge'; did you mean merge? (there are: in"),
-        ("filter.cutoff=-1", "--set: filter.cutoff: should be greater than or equal to 0.01, is -1"),
+        (
+            "filter.cutoff=-1",
+            "--set: filter.cutoff: should be greater than or equal to 0.01, is -1",
+        ),
         ("filter.cutoff=fast", "--set: filter.cutoff: should be a valid number, "),
         ("filter.method=x", "--set: filter.method: should be 'state_space' or 'butterworth', is"),
         ("filter.order=4", "--set: filter: order of a state-space filter must be 2 or 3"),
@@ -186,7 +189,7 @@ def test_a_wrong_assignment_says_what_would_be_right(assignment: str, said: str)
     ("content", "said"),
     [
         (b"[filter]\ncutof = 4\n", "no parameter filter.cutof; did you mean filter.cutoff?"),
-        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than 0, is 0"),
+        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than or equal to 0.01, is 0"),
         (b"filter = 4\n", "filter is a section, not a value"),
         (b"[filter\n", "not TOML: "),
         (b"\xff", "not text: "),

@@ -66,7 +66,8 @@ def process(
     target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
         a ROS 2 bag.
     config : parameters of the stages. options : what is read, run and written.
-    progress : follows how far the run is; True shows a bar on a terminal or in a notebook. watcher : sees every frame on the way.
+    progress : follows how far the run is; True shows a bar on a terminal or in a notebook.
+    watcher : sees every frame on the way.
     force : replace files that hiros did not write.
     choices : fields of :class:`ProcessOptions`, in place of those of ``options``:
         ``process("lab.mcap", "clean.mcap", system="hiros", calibrate="off")``.

@@ -52,8 +52,8 @@ def process_live(
     ----------
     source : the input.
     target : descriptor of a pipe, or a file, which appears when the input ends; None for neither.
-    config, options, watcher, progress : as of :func:`hiros_mcap.running.pipeline.process`; the default
-        system is ``fuse-realtime``. Clocks are judged as the messages come.
+    config, options, watcher, progress : as of :func:`hiros_mcap.running.pipeline.process`; the
+        default system is ``fuse-realtime``. Clocks are judged as the messages come.
     started : is called with the log when the first messages are read.
 
     Raises

@@ -68,6 +68,7 @@ class ProcessOptions:
 
 _CHOICES = {"calibrate": get_args(Calibration), "compression": ("zstd", "lz4", "")}
 
+
 class Progress(Protocol):
     """Follows how far a run is."""
 

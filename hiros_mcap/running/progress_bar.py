@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-PERIOD_S = 0.1
 _NOTEBOOK_WIDTH = 80
 
 
@@ -28,6 +27,11 @@ class Bar:
         """Say that ``done`` of ``total`` is done, in whatever unit."""
         if self.progress is not None and self.task is not None:
             self.progress.update(self.task, completed=done, total=total)
+
+    def say(self, text: str) -> None:
+        """Show a text in place of the label."""
+        if self.progress is not None and self.task is not None:
+            self.progress.update(self.task, description=text)
 
 
 @contextmanager
@@ -44,14 +48,16 @@ def bar(label: str, *, quiet: bool, notebook: bool = False) -> Iterator[Bar]:
     from rich.progress import (
         BarColumn,
         Progress,
+        Task,
         TaskProgressColumn,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
 
     class Time(TimeRemainingColumn):
-        def render(self, task):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
+        def render(self, task: Task) -> Text:
             return super().render(task) if task.total else TimeElapsedColumn().render(task)
 
     with Progress(
@@ -61,7 +67,7 @@ def bar(label: str, *, quiet: bool, notebook: bool = False) -> Iterator[Bar]:
         Time(),
         console=shown_on,
         transient=True,
-        refresh_per_second=1 / PERIOD_S,
+        refresh_per_second=10 if shown_on.color_system else 2,  # a notebook keeps every state
     ) as progress:
         yield Bar(progress, progress.add_task(label, total=None))
 
@@ -75,6 +81,10 @@ def _console(*, notebook: bool) -> Console | None:
     if notebook and "ipykernel" in sys.modules:
         # Not rich's own way, which shows nothing unless ipywidgets are installed.
         return Console(
-            stderr=True, force_jupyter=False, force_terminal=True, width=_NOTEBOOK_WIDTH
+            stderr=True,
+            color_system=None,
+            force_jupyter=False,
+            force_terminal=True,
+            width=_NOTEBOOK_WIDTH,
         )
     return None
