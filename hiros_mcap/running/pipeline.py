@@ -22,7 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hiros_mcap.config import Config, load_config
+from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
@@ -65,7 +65,9 @@ def process(
     source : MCAP log with SkeletonGroup channels and the cameras' transforms.
     target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
         a ROS 2 bag.
-    config : parameters of the stages. options : what is read, run and written.
+    config : parameters of the stages; None takes them from a file hiros.toml in the log's folder,
+        if there is one.
+    options : what is read, run and written.
     progress : follows how far the run is; True shows a bar on a terminal or in a notebook.
     watcher : sees every frame on the way.
     force : replace files that hiros did not write.
@@ -86,12 +88,14 @@ def process(
         a parameter or a side file is wrong.
     """
     options = _chosen(options or ProcessOptions(), choices)
-    config = config or load_config(system=options.system)
+    if config is None:
+        options = replace(options, settings=settings_beside(source))
+        config = load_config(options.settings, system=options.system)
     check_limbs(options)
     kind = "log" if target is None else target_kind(target)
     check_outputs(
         ((None if target is None else Path(target), kind), (options.limbs_out, "limb table")),
-        (source, options.extrinsics, options.limbs_in),
+        (source, options.settings, options.extrinsics, options.limbs_in),
         force=force,
     )
     watch = Stopwatch()
@@ -175,7 +179,10 @@ def run_log(
     log, options, watch = prepared.log, prepared.options, prepared.watch
     cameras = ", ".join(name for camera in log.cameras for name in camera.sources.values())
     _log.info("%s: %s; fixed frame %s", log.path, cameras, log.fixed_frame)
+    for pose in prepared.poses.cameras:
+        _log.info("%s: pose of %s: %s", log.path, pose.name, pose.verdict)
     run, chain = set_up(prepared), chain_of(options.system, options.stages)
+    _log.info("%s: system %s: %s", log.path, options.system, ", ".join(chain))
     observer = Observer(chain)
     report = Report(prepared, run, observer)
     with output(prepared, run) as out:

@@ -34,6 +34,8 @@ class ProcessOptions:
     """Globs of the detection channels; empty = every SkeletonGroup channel."""
     keep: tuple[str, ...] | None = None
     """Globs of the input channels to copy; None = those read, the transforms and a /truth."""
+    settings: Path | None = None
+    """File that the parameters come from, for the summary."""
     extrinsics: Path | None = None
     """File with the cameras' poses. It replaces the log's transforms."""
     limbs_in: Path | None = None
@@ -58,7 +60,7 @@ class ProcessOptions:
             if (globs := getattr(self, name)) is not None:
                 several = (globs,) if isinstance(globs, str) else tuple(globs)
                 object.__setattr__(self, name, several)
-        for name in ("extrinsics", "limbs_in", "limbs_out"):
+        for name in ("settings", "extrinsics", "limbs_in", "limbs_out"):
             if (path := getattr(self, name)) is not None:
                 object.__setattr__(self, name, Path(path))
         for name, choices in _CHOICES.items():

@@ -88,6 +88,7 @@ class Report:
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - watch.started,
             system=self.run.system,
+            settings=str(self.prepared.options.settings or ""),
             cameras=cameras,
             poses=tuple(self.poses.cameras),
             placement=self._placement(),

@@ -35,6 +35,7 @@ class KalmanParams(Params):
     history: int = advanced(
         15,
         ge=0,
+        le=10_000,
         description="N of eq 9: number of distances that set the outlier threshold. 0 = no "
         "outliers.",
     )
