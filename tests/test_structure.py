@@ -35,7 +35,7 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4250,
+    "hiros_cli": 4350,
     "hiros_viewer": 4450,
     "hiros_mcap": 2400,
     "body": 1800,
@@ -45,7 +45,7 @@ CEILINGS = {
     "kernels": 10050,
     "many": 1200,
     "regression": 1700,
-    "running": 3000,
+    "running": 3100,
     "simulate": 2900,
     "stages": 7700,
     "systems": 400,

@@ -76,11 +76,14 @@ def _run(arguments: list[str]) -> int:
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
     from hiros_cli.compiling import importing
+    from hiros_cli.everywhere import split
 
     with importing():
         from hiros_cli.commands import dispatch
 
-    code = dispatch(arguments)
+    chosen, rest = split(arguments)
+    with chosen.in_effect(arguments):
+        code = dispatch(rest)
     sys.stdout.flush()
     return code
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -55,7 +56,8 @@ ConfigFile = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="TOML file with parameters, as `hiros config` prints.",
+        help="TOML file with parameters, as `hiros config` prints. Default: hiros.toml in the "
+        "folder of the log, if there is one.",
         rich_help_panel=PARAMETERS,
     ),
 ]
@@ -132,6 +134,23 @@ Table = Annotated[
         rich_help_panel=MANY,
     ),
 ]
+
+
+def config_file(given: Path | None, logs: Sequence[str]) -> Path | None:
+    """Return the file with the parameters: the one that is named, or hiros.toml beside the logs.
+
+    Raises ConfigError if that of some logs is not that of others.
+    """
+    if given is not None:
+        return given
+    from hiros_mcap.config import SETTINGS, settings_beside
+
+    files = {settings_beside(log) for log in logs}
+    if len(files) > 1:
+        raise ConfigError(
+            f"not all logs have the same {SETTINGS} beside them; name one by --config"
+        )
+    return files.pop()
 
 
 def chosen_system(system: str | None, preset: str, *, live: bool = False) -> str:

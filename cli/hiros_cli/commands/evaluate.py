@@ -24,6 +24,7 @@ from hiros_cli.options import (
     SystemName,
     Table,
     chosen_system,
+    config_file,
 )
 from hiros_mcap.errors import ConfigError
 
@@ -150,7 +151,7 @@ def evaluate(
     from hiros_mcap.io.log import open_reader
 
     asked = config is not None or assignments or system is not None or preset != "default"
-    effective = load_config(config, list(assignments or ()), preset, default)
+    effective = load_config(config_file(config, logs), list(assignments or ()), preset, default)
     if is_many:
         from hiros_mcap.many.jobs import EvalJob
 

@@ -37,6 +37,7 @@ from hiros_cli.options import (
     SystemName,
     Table,
     chosen_system,
+    config_file,
     seconds_range,
 )
 from hiros_mcap.errors import ConfigError, HirosError
@@ -246,6 +247,7 @@ def process(
     source, wanted = Path(logs[0]), STREAM
     live = is_live(logs, output, follow=follow)
     is_many = not live and many.wanted
+    config = config if live else config_file(config, logs)
     sides = (config, extrinsics, limbs)
     if is_many:
         many.refuse(view=view, save_limbs=save_limbs)
@@ -294,6 +296,7 @@ def process(
     options = ProcessOptions(
         system=system,
         stages=stages,
+        settings=config.absolute() if is_many and config else config,
         topics=tuple(topic or ()),
         keep=None if keep is None else tuple(filter(None, keep)),
         extrinsics=extrinsics.absolute() if is_many and extrinsics else extrinsics,
@@ -375,8 +378,10 @@ def _refuse_other_formats(target: Path) -> None:
             f"{target}: process writes MCAP; for a ROS 2 bag, name a folder: "
             f"-o {target.with_suffix('')}/"
         )
-    if suffix not in ("", ".mcap"):
-        raise ConfigError(f"{target}: process writes MCAP; name it {target.with_suffix('.mcap')}")
+    if suffix != ".mcap" and (suffix or not target.exists()):  # mktemp gives no suffix
+        folder = "" if suffix else f", or {target}/ for a ROS 2 bag in a new folder"
+        named = target.with_suffix(".mcap")
+        raise ConfigError(f"{target}: process writes MCAP; name it {named}{folder}")
 
 
 def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
@@ -491,7 +496,7 @@ def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
     from hiros_cli.output import print_json, warn
 
     for text in summary.warnings:
-        warn(text)
+        warn(text, logged=True)
     if json:
         print_json("process", summary.to_dict())
     elif not quiet:
