@@ -235,9 +235,11 @@ def _show_self(
     output: _Output, reader: McapReader, settings: tuple[Config, ProcessOptions]
 ) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
+    from hiros_mcap.running.progress_bar import bar
 
     config, options = settings
-    scores = leave_one_out(reader, config=config, options=options)
+    with bar(f"leaving each camera of {output.log.name} out", quiet=output.quiet) as progress:
+        scores = leave_one_out(reader, config=config, options=options, progress=progress)
     if output.html is not None:
         from hiros_viewer.evaluation_page import self_page
 

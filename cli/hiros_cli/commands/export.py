@@ -125,13 +125,15 @@ def export(
     log = one_log(context, logs[0])
     prepare(quiet=quiet)
     from hiros_mcap.io.result import open_result
+    from hiros_mcap.running.progress_bar import bar
 
-    result = open_result(log, channel).select(person, start, end, rate)
-    if marker_set:
-        result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
-    targets = files_of(target, result.people)
-    check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
-    written = write(result, target, what, least_confidence)
+    with bar(f"exporting {log.name}", quiet=quiet):
+        result = open_result(log, channel).select(person, start, end, rate)
+        if marker_set:
+            result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
+        targets = files_of(target, result.people)
+        check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
+        written = write(result, target, what, least_confidence)
     if json:
         print_json("export", {"log": logs[0], "files": list(map(str, written))})
     for path in () if quiet or json else written:

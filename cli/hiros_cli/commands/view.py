@@ -95,7 +95,10 @@ def view(
         replay(logs, recording, options, is_open)
 
     if save is not None:
-        destinations.save(save, name, draw)
+        from hiros_mcap.running.progress_bar import bar
+
+        with bar(f"drawing {name}", quiet=quiet):
+            destinations.save(save, name, draw)
         if not quiet:
             print(f"wrote {save}; open it with: rerun {save}")
         return 0
