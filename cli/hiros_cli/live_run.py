@@ -109,7 +109,7 @@ class _Clock:
 
     def update(self, done: int, total: int) -> None:
         """Show the time since the first message."""
-        self.shown.say(f"live, {done * 1e-9:.0f} s of log")
+        self.shown.label(f"live, {done * 1e-9:.0f} s of log")
 
 
 @contextlib.contextmanager
