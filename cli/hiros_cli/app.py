@@ -75,8 +75,8 @@ def _run(arguments: list[str]) -> int:
     open_missing_streams()
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
+    from hiros_cli.common_options import split
     from hiros_cli.compiling import importing
-    from hiros_cli.everywhere import split
 
     with importing():
         from hiros_cli.commands import dispatch

@@ -106,10 +106,10 @@ def process(
         prepared = prepare(log, config, options, watch)
         with _following(progress) as follower:
             report = run_log(prepared, partial(open_output, path), watcher, follower)
-        return tell(report, None if target is None else str(target))
+        return conclude(report, None if target is None else str(target))
 
 
-def tell(report: Report, target: str | None) -> Summary:
+def conclude(report: Report, target: str | None) -> Summary:
     """Return the summary of a run that has ended, and log what a user should know."""
     summary = report.summary(target)
     for texts, level in ((summary.warnings, logging.WARNING), (summary.notes, logging.DEBUG)):

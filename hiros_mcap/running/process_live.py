@@ -23,7 +23,7 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_writer import LiveWriter
 from hiros_mcap.io.live_log import LiveLog, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
-from hiros_mcap.running.pipeline import check_limbs, run_log, tell
+from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
 from hiros_mcap.running.process_options import ProcessOptions, Progress, Watcher
 from hiros_mcap.running.stopwatch import Stopwatch
@@ -95,7 +95,7 @@ def _process(
         started(log)
     prepared = prepare(log, config, options, watch)
     report = run_log(prepared, partial(_open_output, target, source, log), watcher, progress)
-    return tell(report, str(target) if isinstance(target, Path) else None)
+    return conclude(report, str(target) if isinstance(target, Path) else None)
 
 
 def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:

@@ -28,7 +28,7 @@ class Bar:
         if self.progress is not None and self.task is not None:
             self.progress.update(self.task, completed=done, total=total)
 
-    def say(self, text: str) -> None:
+    def label(self, text: str) -> None:
         """Show a text in place of the label."""
         if self.progress is not None and self.task is not None:
             self.progress.update(self.task, description=text)

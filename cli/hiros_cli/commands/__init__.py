@@ -14,6 +14,7 @@ from hiros_cli.commands import (
     check,
     compare,
     completion,
+    demo,
     evaluate,
     export,
     import_joints,
@@ -61,7 +62,7 @@ def hiros(
         ),
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", help="With any command: tell its steps on stderr.")
+        bool, typer.Option("--verbose", help="With any command: show its steps on stderr.")
     ] = False,
     log_file: Annotated[
         str,
@@ -81,7 +82,7 @@ def hiros(
         typer.Option("--debug", help="With any command: show tracebacks of errors."),
     ] = False,
 ) -> None:
-    """Options of all commands; their values are read before (:mod:`hiros_cli.everywhere`)."""
+    """Options of all commands; their values are read before (:mod:`hiros_cli.common_options`)."""
     if context.invoked_subcommand is None:
         print(context.get_help())
         raise typer.Exit(2)
@@ -97,6 +98,7 @@ app.command(cls=HelpfulCommand)(compare.compare)
 app.command(cls=HelpfulCommand)(info.info)
 app.command("import", cls=HelpfulCommand)(import_joints.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
+app.command(cls=HelpfulCommand)(demo.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)
 app.command(cls=HelpfulCommand)(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")

@@ -1,4 +1,4 @@
-"""Options of every command: how much it tells, where that is logged, and whether in colour."""
+"""Options of every command: how much it shows, where that is logged, and whether in colour."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _COLOURS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Everywhere:
+class CommonOptions:
     """What the user chose for the whole program."""
 
     verbose: bool = False
@@ -49,7 +49,7 @@ class Everywhere:
                 raise
 
 
-def split(arguments: Sequence[str]) -> tuple[Everywhere, list[str]]:
+def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
     """Return these options, wherever they stand, and the arguments without them.
 
     Raises ConfigError for a value that is missing or makes no sense.
@@ -73,7 +73,7 @@ def split(arguments: Sequence[str]) -> tuple[Everywhere, list[str]]:
     if color not in _COLOURS:
         raise ConfigError(f"--color: {color!r} is none of {', '.join(_COLOURS)}")
     file = given.get("--log-file")
-    return Everywhere("--verbose" in given, Path(file) if file else None, color), rest
+    return CommonOptions("--verbose" in given, Path(file) if file else None, color), rest
 
 
 class _Steps(logging.Handler):
