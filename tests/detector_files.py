@@ -52,7 +52,9 @@ def openpose(folder: Path, frames: Sequence[Frame], markers: Sequence[str]) -> N
         for person in seen(frame, markers, body_model("openpose-25").marker_names) @ CAMERA.T:
             rows = np.column_stack([person, np.ones(len(person))])
             rows[np.isnan(person).any(axis=1)] = 0.0
-            hands = {f"{part}_keypoints_3d": [] for part in ("face", "hand_left", "hand_right")}
+            hands: dict[str, Any] = {
+                f"{part}_keypoints_3d": [] for part in ("face", "hand_left", "hand_right")
+            }
             flat: dict[str, Any] = {"person_id": [-1], "pose_keypoints_2d": []}
             people.append(flat | {"pose_keypoints_3d": rows.ravel().tolist()} | hands)
         path = folder / f"walk_{number:012d}_keypoints.json"

@@ -183,7 +183,8 @@ def read_mapping(path: Path | None) -> Mapping:
     """
     if path is None:
         return Mapping(default=FileMapping(), files={})
-    table = {"detector": path.name} if path.name in DETECTOR_FILES else read_toml(path)
+    is_named = path.name in DETECTOR_FILES
+    table: dict[str, Any] = {"detector": path.name} if is_named else read_toml(path)
     detector = str(table.pop("detector", ""))
     if detector and detector not in DETECTOR_FILES:
         known = ", ".join(DETECTOR_FILES)
