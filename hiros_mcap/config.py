@@ -57,8 +57,9 @@ class InputParams(Params):
     model: str = Field(
         "",
         description="Skeleton of the results where detectors have different ones: union, "
-        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, or the topic of a "
-        "camera. Empty: as in the log, the union if there are several.",
+        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, openpose-25, "
+        "mediapipe-33, or the topic of a camera. Empty: as in the log, the union if there are "
+        "several.",
     )
     unit: Literal["m", "cm", "mm"] = Field("m", description="Unit of the log's positions.")
 
