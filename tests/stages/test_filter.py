@@ -354,7 +354,7 @@ def test_it_does_not_matter_how_frames_are_cut_even_if_an_id_comes_often(lookahe
         frame = frame_at(k / 30, (math.sin(k), 0, 0), ids=(4, 4, 4, 4))
         frame.stamps[:] = frame.stamp + np.arange(4) * 8_000_000
         frames.append(frame)
-    block = join([(Block.of(frame), 0) for frame in frames])
+    block = join([Block.of(frame) for frame in frames])
     found = frames_of(filter_blocks([block], MODEL, p))
     for one, other in zip(filter_frames(frames, MODEL, p), found, strict=True):
         np.testing.assert_array_equal(one.markers, other.markers)
