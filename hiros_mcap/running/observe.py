@@ -89,7 +89,7 @@ class DetectionSample:
 
     def add(self, block: Block) -> None:
         """Take note of the frames of cameras that are not yet known well enough."""
-        for i, source in enumerate(block.sources):
+        for i, (_, source, _) in enumerate(block.messages()):
             if self.frames[source] < _SAMPLED_FRAMES and (frame := block.frame(i)).n_people:
                 self.frames[source] += 1
                 known = frame.positions[~np.isnan(frame.positions)]
@@ -152,12 +152,12 @@ class Observer:
         if channel == DETECTIONS:
             self.sample.add(block)
             self.pauses.add(block.stamps)
-            for stamp, source in zip(block.stamps.tolist(), block.sources, strict=True):
+            for stamp, source, _ in block.messages():
                 self.rates[source].add(stamp)
             return
         self.written[channel] += len(block)
         if channel == "tracked":
-            for source, ids in zip(block.sources, _ids(block), strict=True):
+            for (_, source, _), ids in zip(block.messages(), _ids(block), strict=True):
                 self.seen_by[source].update(ids)
         if channel == self.chain[-1]:
             self._count(block)
