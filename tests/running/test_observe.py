@@ -79,6 +79,16 @@ def sample(scale: float, confidence: float) -> DetectionSample:
     return result
 
 
+@pytest.mark.parametrize("confidences", [(0.5, 0.0), (0.0, 0.5)])
+def test_one_marker_with_a_confidence_is_enough(confidences: tuple[float, ...]) -> None:
+    result = DetectionSample()
+    for k, confidence in enumerate(confidences):
+        frame = seen([person()], at(k))
+        frame.marker_confidences[...] = confidence
+        result.add(Block.of(frame))
+    assert list(result.reasons()) == []
+
+
 @pytest.mark.parametrize(
     ("scale", "confidence", "words"),
     [
