@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -52,7 +52,7 @@ class Row(NamedTuple):
 class _LastMessage(NamedTuple):
     """The people of a camera's previous message."""
 
-    times: list[int]
+    times: Sequence[int]
     """Source time of each, ns; 0 = not given."""
     people: People
     begin: int
@@ -69,32 +69,40 @@ class CameraInput:
         self._account = account
         self._previous: dict[str, _LastMessage] = {}
 
-    def take(self, decoded: Decoded, i: int) -> list[Row]:
-        """Account for message ``i``; return its frames, named, stamped and without repeats."""
+    def take(
+        self, decoded: Decoded, i: int, log_times: Sequence[int], times: Sequence[int]
+    ) -> list[Row]:
+        """Account for message ``i``; return its frames, named, stamped and without repeats.
+
+        ``log_times`` are of all messages, ``times`` of all people, ns.
+        """
         account = self._account
         account.read += 1
-        if int(decoded.keys[i, 0]) > LATEST:
+        if log_times[i] > LATEST:
             account.skipped[FAR_FUTURE] += 1
             return []
         if i in decoded.faults:
             account.skipped[DAMAGED] += 1
             account.first_error = account.first_error or decoded.faults[i]
             return []
-        account.cleaned.update(decoded.cleaned.get(i, ()))
-        rows = [row for part in decoded.parts[i] for row in self._fresh(decoded, i, part)]
+        if i in decoded.cleaned:
+            account.cleaned.update(decoded.cleaned[i])
+        rows: list[Row] = []
+        for part in decoded.parts[i]:
+            rows += self._fresh(decoded, i, part, log_times[i], times[part.begin : part.end])
         if rows:
             account.used += 1
         else:
             account.skipped[STALE] += 1
         return rows
 
-    def _fresh(self, decoded: Decoded, i: int, part: MessagePart) -> Iterator[Row]:
+    def _fresh(
+        self, decoded: Decoded, i: int, part: MessagePart, log_time: int, times: Sequence[int]
+    ) -> Iterator[Row]:
         """Yield the frame of a part unless all of its people are repeats."""
         people, begin, end = decoded.people, part.begin, part.end
-        times = people.stamps[begin:end].tolist()
         # A message without people does not name its camera.
         source = part.source if times else self._only or part.source
-        log_time = int(decoded.keys[i, 0])
         stamp = max(times, default=0) or max(0, decoded.stamps[i])
         if not stamp:
             self._account.untimed += 1
@@ -113,7 +121,7 @@ class CameraInput:
             )
 
 
-def _repeats_last(people: People, begin: int, times: list[int], last: _LastMessage) -> int:
+def _repeats_last(people: People, begin: int, times: Sequence[int], last: _LastMessage) -> int:
     """Put people who repeat one of the last message behind the others; return how many do not.
 
     A repeat has the same source time, and the same bits in every number of markers and links.

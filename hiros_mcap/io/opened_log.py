@@ -277,6 +277,8 @@ class Reading:
         self._fixed, self._spans, self._step, self._times = fixed, spans, step, times
         self._inputs: dict[int, CameraInput] = {}
         self._layouts: dict[int, Layout] = {}
+        self._names: dict[str, int] = {}
+        """Of cameras and coordinate frames, to their numbers in blocks."""
         for camera in sorted(log.cameras, key=lambda camera: camera.channel.topic):
             self._use(camera)
         self._account_for_conversion()
@@ -350,8 +352,9 @@ class Reading:
     ) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the frames of some messages, in this order, as a block."""
         rows: list[Row] = []
+        times = decoded.keys[:, 0].tolist(), decoded.people.stamps.tolist()
         for i in messages:
-            rows += self._inputs[decoded.channels[i]].take(decoded, i)
+            rows += self._inputs[decoded.channels[i]].take(decoded, i, *times)
         if rows:
             topics, stamps, log_times, sources, frame_ids, begins, ends = zip(*rows, strict=True)
             yield (
@@ -359,8 +362,9 @@ class Reading:
                 Block(
                     np.array(stamps, np.int64),
                     np.array(log_times, np.int64),
-                    sources,
-                    frame_ids,
+                    np.array([self._names.setdefault(n, len(self._names)) for n in sources]),
+                    np.array([self._names.setdefault(n, len(self._names)) for n in frame_ids]),
+                    tuple(self._names),
                     np.array([begins, ends], np.int64).T.copy(),
                     decoded.people,
                 ),
