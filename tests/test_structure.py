@@ -41,7 +41,7 @@ CEILINGS = {
     "body": 1800,
     "calibrate": 5300,
     "evaluate": 3100,
-    "io": 12160,
+    "io": 12129,
     "kernels": 10050,
     "many": 1200,
     "regression": 1700,
