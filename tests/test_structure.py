@@ -35,8 +35,8 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4350,
-    "hiros_viewer": 4450,
+    "hiros_cli": 4540,
+    "hiros_viewer": 4580,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
@@ -44,9 +44,10 @@ CEILINGS = {
     "io": 12160,
     "kernels": 10050,
     "many": 1200,
+    "plan": 570,
     "regression": 1700,
     "running": 3100,
-    "simulate": 2900,
+    "simulate": 3070,
     "stages": 7700,
     "systems": 400,
     "hiros_schemas": 400,
