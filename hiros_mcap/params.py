@@ -30,7 +30,8 @@ class Params(BaseModel):
 
     A subclass gives every field a default that works on an unknown log, its unit and the source
     of the number (a paper's section, or what was measured) in ``Field(description=...)``, and marks
-    what only an expert changes with :func:`advanced` in place of ``Field``.
+    what only an expert changes with :func:`advanced` in place of ``Field``, what only systems and
+    presets change with :func:`fixed`. A number that nobody changes is a ClassVar.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
@@ -48,6 +49,16 @@ class Params(BaseModel):
 def advanced(default: Any, **options: Any) -> Any:
     """Return a Field that ``hiros config`` shows only with ``--all``."""
     return Field(default, json_schema_extra={"advanced": True}, **options)
+
+
+def fixed(default: Any, **options: Any) -> Any:
+    """Return a Field that only systems, presets and Python set, not the users of a run."""
+    return Field(default, json_schema_extra={"fixed": True}, **options)
+
+
+def is_fixed(field: FieldInfo) -> bool:
+    """Whether a field was made by :func:`fixed`."""
+    return isinstance(field.json_schema_extra, dict) and "fixed" in field.json_schema_extra
 
 
 def is_advanced(field: FieldInfo) -> bool:

@@ -14,8 +14,8 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.associate_params import AssociateParams
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.malaguti_params import AssociateParams
 
 
 def associate(

@@ -33,7 +33,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
-from hiros_mcap.stages.constrain_params import ConstrainParams
+from hiros_mcap.stages.fuse_params import ConstrainParams
 from hiros_mcap.stages.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.residuals import restated

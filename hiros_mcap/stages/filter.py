@@ -25,7 +25,7 @@ from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
 from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
-from hiros_mcap.stages.filter_params import FilterParams
+from hiros_mcap.stages.hiros_params import FilterParams
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""

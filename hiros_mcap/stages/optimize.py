@@ -42,8 +42,8 @@ from hiros_mcap.kernels.energy import Energy, SolverScratch, exact_weights, mini
 from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.elimination import topology_of
+from hiros_mcap.stages.hiros_params import OptimizeParams
 from hiros_mcap.stages.limb_calibration import Calibration, calibrate_limbs
-from hiros_mcap.stages.optimize_params import OptimizeParams
 
 _UNLIMITED = 1e9  # s; the calibration decides how long frames are held
 

@@ -26,7 +26,7 @@ from hiros_mcap.frames import Block, join
 from hiros_mcap.kernels import limb_deviations as kernels
 from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.plausible_params import PlausibleParams
+from hiros_mcap.stages.hiros_params import PlausibleParams
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""

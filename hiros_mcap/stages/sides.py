@@ -38,7 +38,7 @@ from hiros_mcap.kernels import exchanging
 from hiros_mcap.kernels import facing as kernels
 from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.sides_params import SidesParams
+from hiros_mcap.stages.hiros_params import SidesParams
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
 

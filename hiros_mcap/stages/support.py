@@ -13,8 +13,8 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps
 from hiros_mcap.stages.coverage import Coverage
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.identity import Identities
-from hiros_mcap.stages.track_params import TrackParams
 from hiros_mcap.stages.tracked_people import DetectionGroup, PersonTrack, Present, TrackedPeople
 
 _DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person

@@ -34,14 +34,14 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, Part, join
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.kernels.compile import direct
-from hiros_mcap.skeletons import ORIENTATION, POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.copies import Copies
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.displaced import DISPLACED
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.identity import Identities
 from hiros_mcap.stages.support import Confirmation
 from hiros_mcap.stages.time_order import TimeOrder
-from hiros_mcap.stages.track_params import TrackParams
 from hiros_mcap.stages.tracked_people import (
     INSISTENCE,
     DetectionGroup,
@@ -260,10 +260,6 @@ class _Tracker:
         for j, origin, is_whole in zip(unmatched, origins, enough.tolist(), strict=True):
             if not is_whole:
                 group.reasons[j] = "too few markers"
-                continue
-            turned = ~np.isnan(group.people.links[j, :, ORIENTATION.start])
-            if np.count_nonzero(turned) < self._params.min_links:
-                group.reasons[j] = "too few links"
                 continue
             support = Support(group.stamp, origin)
             pairs.match[j] = len(new)

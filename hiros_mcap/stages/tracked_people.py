@@ -13,7 +13,7 @@ from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.track_params import TrackParams
+from hiros_mcap.stages.hiros_params import TrackParams
 
 INSISTENCE = 500_000_000
 """ns for which a camera's leaps are left out, and for which a silent camera still counts."""

@@ -281,7 +281,7 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     ("system", "stages", "switch", "merging"),
     [
         ("hiros", "TMF", [], "flips,outliers,mean"),
-        ("hiros", "TM", ["merge.max_facing_delta=0"], "outliers,mean"),
+        ("hiros", "TM", ["merge.max_position_delta=0"], "flips,outliers,mean"),
         ("hiros", "TF", [], None),
         ("lee", "TM", [], None),
     ],

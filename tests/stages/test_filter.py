@@ -513,12 +513,12 @@ def test_gap_on_a_straight_line_is_filled_in_on_it(method, order):
 
 
 def test_lengths_follow_the_input_with_their_time_constant():
-    """A limb of .3 m that is .4 m from 5 s on: 1 - 1/e of the change after length_time."""
+    """A limb of .3 m that is .4 m from 5 s on: 1 - 1/e of the change after length_time, 2 s."""
     frames = [frame_at(k / 30, hand=(0.3 if k < 150 else 0.4, 0, 0)) for k in range(240)]
-    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0, length_time=1.0)))
+    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0)))
     lengths = [f.markers[0, 1, 0] - f.markers[0, 0, 0] for f in out]
     assert lengths[149] == pytest.approx(0.3, abs=1e-6)
-    assert lengths[179] == pytest.approx(0.4 - 0.1 / math.e, abs=0.002)
+    assert lengths[209] == pytest.approx(0.4 - 0.1 / math.e, abs=0.002)
 
 
 def test_first_lengths_are_the_plain_mean():
@@ -540,7 +540,7 @@ def test_people_who_left_are_forgotten():
     "change",
     [
         {"method": "butterworth"}, {"cutoff": 6.0}, {"lookahead": 0.1}, {"order": 3},
-        {"bridge": 0.0}, {"max_gap": 0.2}, {"keep_lengths": False}, {"length_time": 0.2},
+        {"bridge": 0.0}, {"max_gap": 0.2}, {"keep_lengths": False},
     ],
     ids=lambda change: next(iter(change)),
 )  # fmt: skip

@@ -12,7 +12,7 @@ from builders import FAULTLESS, moved, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.forward_cues import CUES, ForwardCues
-from hiros_mcap.config import PRESETS, load_config
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels.body_axes import find_upright, follow_line
@@ -472,4 +472,4 @@ def test_hiros_decides_over_time_and_the_paper_votes() -> None:
     swapped, kept = merged("paper", frames)[-1], merged("default", frames)[-1]
     hips = SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]
     assert np.linalg.norm(swapped[hips[0]] - kept[hips[1]]) < 0.05
-    assert PRESETS["realtime"]["sides"]["lookahead"] == 0
+    assert load_config(preset="realtime", system="hiros").sides.lookahead == 0
