@@ -69,9 +69,9 @@ def plot(
         raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
     topic = output_channels(log, [channel] if channel else [])[-1]
     frames, model, _ = read_channel(log, topic)
-    found = find_truth(log, truth)
+    its_truth = find_truth(log, truth)
     start = frames[0].stamp if frames else 0
-    true = None if found is None else found.moved(start=start)
+    true = None if its_truth is None else its_truth.moved(start=start)
     collected = curves.collect(f"{log}: {topic}", frames, model, true)
     about = headline(log).lines(curves.verdict(collected), curves.summary_row(frames, model))
     collected = replace(collected, about=about)
