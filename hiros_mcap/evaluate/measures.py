@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -212,22 +212,17 @@ RANKED = (
 
 
 def table_of(
-    first: str,
-    rows: Mapping[str, object] | Sequence[tuple[str, object]],
-    measures: Sequence[Measure],
-    unit: str = "",
+    first: str, rows: Iterable[tuple[str, object]], measures: Sequence[Measure], unit: str = ""
 ) -> Table:
-    """Return a row per name: the measures of its scores.
+    """Return a row per name and scores: the measures of these.
 
-    Parameters
-    ----------
-    first : title of the column of names. unit : that the title of the table states.
+    ``first`` is the title of the column of names; the title of the table states the ``unit``.
     """
-    each = list(rows.items()) if isinstance(rows, Mapping) else rows
-    columns = [
-        m
-        for m in measures
-        if not (m.is_optional and all(math.isnan(m.of(scores)) for _, scores in each))
-    ]
+    rows = list(rows)
+    columns = [m for m in measures if not (m.is_optional and _has_none(m, rows))]
     header = (first, *(m.header(unit) for m in columns))
-    return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in each]
+    return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in rows]
+
+
+def _has_none(measure: Measure, rows: Sequence[tuple[str, object]]) -> bool:
+    return all(math.isnan(measure.of(scores)) for _, scores in rows)

@@ -50,6 +50,13 @@ class MeanDifference:
         """Whether the interval does not hold 0."""
         return self.low > 0 or self.high < 0
 
+    @property
+    def line(self) -> str:
+        """Return it with the other system and the time in common."""
+        if self.seconds < 2:
+            return f"not compared with {self.against}: less than two seconds in common"
+        return f"against {self.against}, mm: {self} in {self.seconds} s"
+
     def __str__(self) -> str:
         ends = sorted((abs(self.low), abs(self.high)))
         if not self.is_sure:

@@ -21,7 +21,6 @@ from hiros_mcap.evaluate.measures import (
     Table,
     table_of,
 )
-from hiros_mcap.evaluate.same_detections import MeanDifference
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import ErrorStats
@@ -48,9 +47,9 @@ WITHOUT_TRUTH = " ".join(
 def truth_tables(scores: Mapping[str, Scores]) -> dict[str, Table]:
     """Title -> table of the measures against a truth, a row per channel."""
     return {
-        "Joint error, mm": table_of("Channel", scores, ERRORS, "mm"),
-        "Motion": table_of("Channel", scores, MOTION),
-        "People: sums over frames and silent instants": table_of("Channel", scores, PEOPLE),
+        "Joint error, mm": table_of("Channel", scores.items(), ERRORS, "mm"),
+        "Motion": table_of("Channel", scores.items(), MOTION),
+        "People: sums over frames and silent instants": table_of("Channel", scores.items(), PEOPLE),
     }
 
 
@@ -80,12 +79,12 @@ def signed_angle_table(scores: Scores) -> Table:
 
 def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
     """Error of every joint, mm."""
-    return table_of("Joint", joints, ERRORS[:4], "mm")
+    return table_of("Joint", joints.items(), ERRORS[:4], "mm")
 
 
 def left_out_table(cameras: Sequence[LeftOut]) -> Table:
     """Distance of each camera left out from what the others give, mm."""
-    return table_of("Left out", {camera.topic: camera for camera in cameras}, LEFT_OUT, "mm")
+    return table_of("Left out", ((camera.topic, camera) for camera in cameras), LEFT_OUT, "mm")
 
 
 def lines_of(result: Consistency) -> list[str]:
@@ -124,7 +123,7 @@ def system_table(outcomes: Sequence[Outcome]) -> Table:
     order in which they were named: no number tells which is best.
     """
     measures = RANKED if has_truth(outcomes) else SELF
-    return table_of("System", [(o.name, o) for o in best_first(outcomes)], measures, "mm")
+    return table_of("System", ((o.name, o) for o in best_first(outcomes)), measures, "mm")
 
 
 def has_truth(outcomes: Sequence[Outcome]) -> bool:
@@ -141,13 +140,7 @@ def best_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
 
 def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
     """Return a line per system of one log: whether it is nearer than the first one."""
-    return [f"{o.name}: {_against(o.difference)}" for o in outcomes if o.difference is not None]
-
-
-def _against(difference: MeanDifference) -> str:
-    if difference.seconds < 2:
-        return f"not compared with {difference.against}: less than two seconds in common"
-    return f"against {difference.against}, mm: {difference} in {difference.seconds} s"
+    return [f"{o.name}: {o.difference.line}" for o in outcomes if o.difference is not None]
 
 
 def notes_on(outcomes: Sequence[Outcome]) -> list[str]:

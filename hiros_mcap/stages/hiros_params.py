@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hiros_mcap.params import Params, Seconds, advanced, fixed
+from hiros_mcap.params import Metres, Params, Seconds, advanced, fixed
 
 
 class TrackParams(Params):
@@ -299,7 +299,7 @@ class CalibrationParams(Params):
         "deviation / length; 0.2 in the published code). A calibration with a larger one is "
         "rejected.",
     )
-    short_link: float = fixed(
+    short_link: Metres = fixed(
         0.15,
         "max_variation treats links shorter than this, m, as if they had this length. The noise "
         "of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise would "
@@ -341,7 +341,7 @@ class OptimizeParams(CalibrationParams):
         "of eq. 18, which correct small errors only in part. exact has the smaller joint error, "
         "and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
     )
-    max_length_error: float = advanced(
+    max_length_error: Metres = advanced(
         0.1,
         gt=0.0,
         description="If a link's length is off by more than this, m, one of its ends is an outlier."
@@ -384,7 +384,8 @@ class FilterParams(Params):
     )
     cutoff: float = Field(
         4.5,
-        gt=0,
+        ge=0.01,
+        le=1000,
         description="Frequency, Hz, at which the whole filter (with look-ahead) is at -3 dB. For "
         "human motion with the noise of merged cameras, the error is least at 4 to 5 Hz "
         "(benchmarks/bench_filter.py). Winter 2009 gives 6 to 10 Hz for marker-based capture.",

@@ -103,8 +103,8 @@ def test_what_is_worse_depends_on_the_measure(measure: Measure) -> None:
 
 
 def test_columns_have_their_unit_unless_the_title_states_it() -> None:
-    assert table_of("Channel", {}, MOTION)[0][:2] == ("Channel", "Bending, deg")
-    header, _ = table_of("Channel", {"a": object()}, ERRORS, "mm")
+    assert table_of("Channel", [], MOTION)[0][:2] == ("Channel", "Bending, deg")
+    header, _ = table_of("Channel", [("a", object())], ERRORS, "mm")
     assert header[:2] == ("Channel", "Mean")
     assert "Torso" not in header
     assert math.isnan(MEASURES["mpjpe"].of(object()))

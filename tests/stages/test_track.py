@@ -339,7 +339,7 @@ def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path: Path) -> None
 def test_a_frame_too_late_to_sort_is_used_all_the_same() -> None:
     frames = [seen([person()], at(k)) for k in range(30)]
     frames.append(seen([person()], at(2, 1), "b"))
-    assert len(list(in_time_order(frames, 0.1))) == 31
+    assert len(list(by_frame(in_time_order)(frames, 0.1))) == 31
     assert all(i == [0] for i in ids(track(frames, MODEL)))
 
 
@@ -352,7 +352,7 @@ def order_of(arrivals: list[tuple[int, str]], delay: float) -> list[tuple[int, s
             yield seen([person()], stamp * 1_000_000, camera)
 
     now: list[int] = []
-    found = in_time_order(frames(), delay)
+    found = by_frame(in_time_order)(frames(), delay)
     return [(frame.stamp // 1_000_000, frame.source, max(now)) for frame in found]
 
 
