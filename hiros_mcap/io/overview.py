@@ -438,7 +438,7 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
     """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    from hiros_mcap.config import load_config, presets_of, to_toml
+    from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
     from hiros_mcap.systems import SYSTEMS, sections_of
 
     if not values or system not in SYSTEMS:
@@ -449,7 +449,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
         usual = values_of(to_toml(config, sections_of(system)), "")
         found[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
-            for name, value in values.items()
+            for name, value in without_constants(values).items()
             if value != usual.get(name, "")
         )
     nearest = min(found, key=lambda preset: len(found[preset]))
