@@ -34,7 +34,7 @@ UPWARDS = {
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
     "hiros_cli": 4250,
-    "hiros_viewer": 4450,
+    "hiros_viewer": 4570,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
