@@ -309,12 +309,12 @@ def test_everybody_and_every_camera_is_in_the_first_view(layout: str, seed: int)
     "high", [0.0, 0.004, 0.31, 1.0, 1.36, 2.0, 3.0, 3.4, 7.0, 18.0, 36.0, 95.0]
 )
 def test_an_axis_has_two_numbers_with_room_between_them(high: float) -> None:
-    """The viewer writes multiples of a power of ten that are 22 pixels apart."""
-    low, top = numbered_axis(high, 3.1)
+    """The viewer writes multiples of a power of ten that are 21 pixels apart."""
+    low, top = numbered_axis(high, 3.3)
     assert low < 0
     assert top > high
-    pixels = [85 * 10.0**k / (top - low) for k in range(-4, 4) if 10.0**k < top]
-    assert any(each > 22 for each in pixels)
+    pixels = [80 * 10.0**k / (top - low) for k in range(-4, 4) if 10.0**k < top]
+    assert any(each > 21 for each in pixels)
 
 
 def test_somebody_who_is_predicted_is_faint(processed: Path, tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def overview(content: Content) -> rrb.Container:
         side.append(_series(content, "distance", "Joint distance between the logs, mm"))
     side += [_series(content, "speed", "Speed, m/s"), _counts(content)]
     wide, pairs = side[: len(side) % 2], side[len(side) % 2 :]
-    shares = [1.0 + (len(content.prefixes) == 2), 4, *[2] * len(wide), 1.2 * len(pairs)]
+    shares = [1.0 + (len(content.prefixes) == 2), 4, *[2.2] * len(wide), 1.2 * len(pairs)]
     lanes = _lanes(content, "People in the result; when a camera's view is wrong; no data")
     return rrb.Vertical(
         rrb.Horizontal(

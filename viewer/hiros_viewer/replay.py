@@ -409,7 +409,7 @@ def axis_ranges(scenes: Sequence[Scene]) -> dict[str, tuple[float, float]]:
         found = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
         low, high = min(low for low, _ in found), max(high for _, high in found)
         if not kind.startswith(SIDED):
-            axes[kind] = numbered_axis(high, MOST_NUMBERS.get(kind, 3.1))
+            axes[kind] = numbered_axis(high, MOST_NUMBERS.get(kind, 3.3))
             continue
         if kind.startswith("angles/"):
             low, high = min(low, ANGLE_AXIS_DEG[0]), max(high, ANGLE_AXIS_DEG[1])
