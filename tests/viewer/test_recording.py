@@ -15,6 +15,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.body.transforms import transform_to_fixed
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.evaluate.truth_files import load_truth
@@ -344,6 +345,17 @@ def test_somebody_who_is_predicted_is_faint(processed: Path, tmp_path: Path) -> 
     assert set(colours(target, "/filtered/person_0/bones").values()) == {person_colour(0)}
     labels = texts(target, "/filtered/person_1/name", "Points3D:labels")
     assert set(labels) == {"person 1", "person 1, predicted"}
+
+
+def test_who_is_faint_is_who_counts_as_predicted(processed: Path) -> None:
+    """The summary counts by the person's confidence, the viewer by that of the joints."""
+    frames, _, _ = read_channel(processed, "/hiros/filtered")
+    for k, frame in enumerate(frames):
+        means = np.nanmean(frame.marker_confidences, axis=1)
+        assert np.allclose(frame.confidences, means, atol=1e-6)
+        frame.confidences[:] = LEAST_CONFIDENCE + (0.01 if k % 2 else -0.01)
+        frame.marker_confidences[:] *= (frame.confidences / means)[:, None]
+        assert (Poses.of(frame).is_predicted == (frame.confidences < LEAST_CONFIDENCE)).all()
 
 
 def test_time_without_data_is_named(processed: Path, tmp_path: Path) -> None:
