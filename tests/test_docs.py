@@ -20,7 +20,7 @@ from hiros_cli.app import run
 from hiros_cli.commands import app
 from hiros_cli.commands.import_joints import import_
 from hiros_mcap import open_result
-from hiros_mcap.config import Config
+from hiros_mcap.config import Config, settable
 from hiros_mcap.io.joints.mapping import DETECTOR_FILES
 
 ROOT = Path(__file__).parent.parent
@@ -52,7 +52,7 @@ def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
         assert f"## hiros {name}" in pages["reference/commands.md"]
     assert "Usage: hiros process [OPTIONS] LOG...\n" in pages["reference/commands.md"]
     for section, field in Config.model_fields.items():
-        for name in type(field.default).model_fields:
+        for name in settable(field.default):
             assert f"| `{name}` |" in pages["reference/parameters.md"], section
     for name in set(hiros_mcap.__all__) - {"__version__"}:
         assert f"::: hiros_mcap.{name}\n" in pages["reference/python.md"]

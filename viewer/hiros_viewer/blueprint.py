@@ -190,7 +190,8 @@ def cameras(content: Content) -> rrb.Container:
         below = [table, _series(content, "residual", "Distance to the result, mm")]
         if content.has_faults:  # else the viewer fills it with advice
             below.append(_lanes(content, "People; when a camera's view is wrong; no data"))
-    grid = rrb.Grid(*rooms, grid_columns=math.isqrt(max(len(rooms) - 1, 0)) + 1)
+    n = len(rooms)
+    grid = rrb.Grid(*rooms, grid_columns=n if n < 4 else math.isqrt(n - 1) + 1)
     return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=[3, 0.25, 1])
 
 
