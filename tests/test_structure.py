@@ -36,7 +36,7 @@ UPWARDS = {
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
     "hiros_cli": 4540,
-    "hiros_viewer": 4580,
+    "hiros_viewer": 4700,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
