@@ -7,6 +7,7 @@ are accepted, and an error names the layer, the parameter and what would have be
 from __future__ import annotations
 
 import difflib
+import os
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
@@ -42,6 +43,8 @@ Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
 
 WIDTH = 80
+SETTINGS = "hiros.toml"
+"""A file of this name holds the parameters for the logs in its folder."""
 
 
 class InputParams(Params):
@@ -54,8 +57,9 @@ class InputParams(Params):
     model: str = Field(
         "",
         description="Skeleton of the results where detectors have different ones: union, "
-        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, or the topic of a "
-        "camera. Empty: as in the log, the union if there are several.",
+        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, openpose-25, "
+        "mediapipe-33, or the topic of a camera. Empty: as in the log, the union if there are "
+        "several.",
     )
     unit: Literal["m", "cm", "mm"] = Field("m", description="Unit of the log's positions.")
 
@@ -91,7 +95,7 @@ class ClockParams(Params):
         return dict(self.__pydantic_extra__)
 
 
-Factor = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Factor = Annotated[float, Field(ge=1e-6, le=1000)]
 
 
 class NoiseParams(Params):
@@ -279,6 +283,14 @@ def load_config(
         return Config.model_validate(merged)
     except ValidationError as error:
         raise _explained(error, origins) from None
+
+
+def settings_beside(log: str | os.PathLike[str]) -> Path | None:
+    """Return the file with the parameters for a log, or for a folder of logs, if there is one."""
+    path = Path(log)
+    is_folder = path.is_dir() and not (path / "metadata.yaml").is_file()  # a bag is one log
+    file = (path if is_folder else path.parent) / SETTINGS
+    return file if file.is_file() else None
 
 
 def _assignment(text: str) -> Table:

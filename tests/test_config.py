@@ -49,6 +49,35 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
             assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
 
 
+UNBOUNDED = {"fuse.max_lag", "fuse.freedom"}
+"""Infinite unless a user bounds it; Student's t, which becomes Gauss's."""
+
+
+def test_times_noises_and_rates_have_finite_bounds() -> None:
+    """Squared and summed, a number without a bound is infinite, and a run ends in the middle."""
+    bounded = set()
+    for section in Config.model_fields:
+        params = type(getattr(Config(), section))
+        for name, schema in params.model_json_schema()["properties"].items():
+            words = f"{name} {schema['description']}"
+            of_them = re.search(r"noise|, (s|Hz|m/s2?|m2/s3)[:;., ]|\bSD\b|deviation of", words)
+            if schema.get("type") == "number" and of_them and "weight" not in name:
+                bounded.add(f"{section}.{name}")
+                has_both = {"minimum", "exclusiveMinimum"} & schema.keys() and "maximum" in schema
+                assert has_both or f"{section}.{name}" in UNBOUNDED, f"{section}.{name}"
+    assert len(bounded) > 30
+
+
+@pytest.mark.parametrize(
+    "assignment",
+    ["fuse.acceleration=1e9", "fuse.offset=1e9", "noise.sigma=1e9", "filter.cutoff=1e-12"],
+)
+def test_numbers_beyond_physics_are_one_line(assignment: str) -> None:
+    name = assignment.partition("=")[0]
+    with pytest.raises(ConfigError, match=f"^--set: {name}.*: should be (less|greater) than"):
+        load_config(overrides=[assignment])
+
+
 class Reads:
     """A configuration that notes which sections are read."""
 
@@ -142,7 +171,10 @@ def test_assignments(assignment: str, section: str, name: str, value: object) ->
     [
         ("merge.max_delta_tim=1", "--set: no parameter merge.max_delta_tim; did you mean merge.ma"),
         ("marge.max_delta_time=1", "--set: no section 'marge'; did you mean merge? (there are: in"),
-        ("filter.cutoff=-1", "--set: filter.cutoff: should be greater than 0, is -1"),
+        (
+            "filter.cutoff=-1",
+            "--set: filter.cutoff: should be greater than or equal to 0.01, is -1",
+        ),
         ("filter.cutoff=fast", "--set: filter.cutoff: should be a valid number, "),
         ("filter.method=x", "--set: filter.method: should be 'state_space' or 'butterworth', is"),
         ("filter.order=4", "--set: filter: order of a state-space filter must be 2 or 3"),
@@ -202,7 +234,7 @@ def test_every_table_of_values_is_of_a_preset_or_a_system() -> None:
     ("content", "said"),
     [
         (b"[filter]\ncutof = 4\n", "no parameter filter.cutof; did you mean filter.cutoff?"),
-        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than 0, is 0"),
+        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than or equal to 0.01, is 0"),
         (b"filter = 4\n", "filter is a section, not a value"),
         (b"[filter\n", "not TOML: "),
         (b"\xff", "not text: "),

@@ -35,17 +35,17 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4250,
+    "hiros_cli": 4350,
     "hiros_viewer": 4450,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
     "evaluate": 3100,
-    "io": 12100,
+    "io": 12160,
     "kernels": 10050,
     "many": 1200,
     "regression": 1700,
-    "running": 3000,
+    "running": 3100,
     "simulate": 2900,
     "stages": 7700,
     "systems": 400,

@@ -167,7 +167,7 @@ def stretches(start: int, end: int, seconds: float, n: int) -> list[tuple[int, i
 
 
 _MOVES = "its pose changes during the log, and only cameras at rest can be compared"
-_SHARED = "its detections are in a frame that is not its own"
+SHARED_FRAME = "its detections are in a frame that is not its own"
 
 
 class FixedCamera(NamedTuple):
@@ -189,7 +189,7 @@ def camera_faults(log: Log) -> dict[str, str]:
         frames = camera.frames
         shared = len(frames) != 1 or len(camera.sources) != 1 or owners[frames[0]] > 1
         if shared or moves(log, frames[0]):
-            faults |= dict.fromkeys(camera.sources.values(), _SHARED if shared else _MOVES)
+            faults |= dict.fromkeys(camera.sources.values(), SHARED_FRAME if shared else _MOVES)
     return faults
 
 

@@ -394,7 +394,7 @@ class _DifferenceCollector:
 def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
     """Limb lengths that a log carries as an attachment; empty if it has none."""
     with open_reader(path) as reader:
-        text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode()
+        text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode(errors="replace")
         return LimbTable.from_toml(text, str(path)) if text else LimbTable()
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, Seconds, advanced, fixed
+from hiros_mcap.params import Accelerations, Metres, Params, Seconds, advanced, fixed
 
 
 class FuseParams(Params):
@@ -36,16 +36,14 @@ class FuseParams(Params):
         False,
         description="Learn on the way which cameras are noisier than others.",
     )
-    acceleration: float = advanced(
+    acceleration: Accelerations = advanced(
         3.0,
-        gt=0,
         description="Spectral density of the acceleration of a joint at rest, m2/s3. Joints that "
         "move faster have 10 or 100 times as much, as their measurements show. 3 to 10 differ by "
         "less than 1 % on simulated logs.",
     )
-    offset: float = advanced(
+    offset: Metres = advanced(
         0.01,
-        ge=0,
         description="Standard deviation of the slow offset of a camera, per joint, m. 0 = cameras "
         "have none; then the error is larger and its estimate far too small.",
     )
@@ -60,12 +58,13 @@ class FuseParams(Params):
     pose_angle: float = advanced(
         0.3,
         ge=0,
+        le=180,
         description="Standard deviation of a camera's orientation, degrees, assumed until cameras "
         "show how far they disagree. It and pose_shift enter the standard deviation of the result "
         "only.",
     )
-    pose_shift: float = advanced(
-        0.006, ge=0, description="Standard deviation of a camera's position along each axis, m."
+    pose_shift: Metres = advanced(
+        0.006, description="Standard deviation of a camera's position along each axis, m."
     )
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hiros_mcap.params import Params, Seconds, advanced, fixed
+from hiros_mcap.params import Metres, Params, Seconds, advanced, fixed
 
 
 class TrackParams(Params):
@@ -136,6 +136,7 @@ class TrackParams(Params):
     gate_growth: float = fixed(
         0.75,
         ge=0,
+        le=1000,
         description="Growth of the gate, m/s, while a track is unseen for longer than the horizon, "
         "up to twice the gate. 0 = off (paper).",
     )
@@ -318,9 +319,8 @@ class CalibrationParams(Params):
         "deviation / length; 0.2 in the published code). A calibration with a larger one is "
         "rejected.",
     )
-    short_link: float = fixed(
+    short_link: Metres = fixed(
         0.15,
-        ge=0.0,
         description="max_variation treats links shorter than this, m, as if they had this length. "
         "The noise of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise "
         "would reject everybody.",
@@ -364,7 +364,7 @@ class OptimizeParams(CalibrationParams):
         "weights of eq. 18, which correct small errors only in part. exact has the smaller joint "
         "error, and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
     )
-    max_length_error: float = advanced(
+    max_length_error: Metres = advanced(
         0.1,
         gt=0.0,
         description="If a link's length is off by more than this, m, one of its ends is an outlier."
@@ -420,7 +420,8 @@ class FilterParams(Params):
     )
     cutoff: float = Field(
         4.5,
-        gt=0,
+        ge=0.01,
+        le=1000,
         description="Frequency, Hz, at which the whole filter (with look-ahead) is at -3 dB. For "
         "human motion with the noise of merged cameras, the error is least at 4 to 5 Hz "
         "(benchmarks/bench_filter.py). Winter 2009 gives 6 to 10 Hz for marker-based capture.",

@@ -70,7 +70,8 @@ class PredictParams(Params):
 
     noise_ratio: float = Field(
         0.01,
-        gt=0,
+        ge=1e-9,
+        le=1e9,
         description="Q / R (paper: 0.01 / 1.0): variance that each element of the state gains in "
         "1/30 s, relative to the variance of a measured position. A smaller ratio is smoother.",
     )

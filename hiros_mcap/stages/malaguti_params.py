@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, Seconds, advanced, fixed
+from hiros_mcap.params import Accelerations, Metres, Params, Seconds, advanced, fixed
 
 
 class AssociateParams(Params):
@@ -44,15 +44,14 @@ class AssociateParams(Params):
 class KalmanParams(Params):
     """Parameters of the filter of all joints."""
 
-    measurement_noise: float = Field(
+    measurement_noise: Metres = Field(
         0.03,
-        gt=0,
+        ge=1e-6,
         description="sigma_r (III-B): SD per axis, m, of a detected joint. `hiros calibrate noise` "
         "measures it on a log of people who stand still.",
     )
-    process_noise: float = Field(
+    process_noise: Accelerations = Field(
         8.0,
-        gt=0,
         description="sigma_q: SD per axis, m/s2, of a joint's acceleration over 1/30 s. The paper "
         "tunes it by hand and gives no number. This value has the least error on simulated walks "
         "and gestures.",
@@ -70,6 +69,7 @@ class KalmanParams(Params):
     history: int = advanced(
         15,
         ge=0,
+        le=10_000,
         description="N of eq 9: number of distances that set the outlier threshold. 0 = no "
         "outliers.",
     )
@@ -90,6 +90,7 @@ class KalmanParams(Params):
     range_noise: float = fixed(
         0.0,
         ge=0,
+        le=1,
         description="Adds (range_noise x distance^2)^2 to sigma_r^2, with the distance from the "
         "camera in m; in 1/m. OpenPTrack has 0.0026.",
     )
@@ -102,7 +103,7 @@ class KalmanParams(Params):
     hold: ClassVar[float] = 0.2
     """Time, s, for which an undetected person stays in the output; at most max_gap."""
     rate: float = advanced(
-        0.0, ge=0, description="Rate of the output, Hz. 0 = one result per message."
+        0.0, ge=0, le=1000, description="Rate of the output, Hz. 0 = one result per message."
     )
 
 
@@ -135,7 +136,10 @@ class MovingAverageParams(Params):
     """Parameters of the moving average."""
 
     window: int = advanced(
-        5, ge=1, description="Number of detections in the average (as in OpenPTrack's MAF)."
+        5,
+        ge=1,
+        le=10_000,
+        description="Number of detections in the average (as in OpenPTrack's MAF).",
     )
     lifetime: ClassVar[float] = 0.6
     """Time, s, after which a detection no longer counts."""

@@ -376,3 +376,20 @@ def test_the_version_and_help_have_the_spellings_that_people_try(
     assert "process" in capsys.readouterr().out
     assert run(["calibrate"]) == 2
     assert "people" in capsys.readouterr().out
+
+
+def test_demo_writes_a_log_and_names_what_comes_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["demo"]) == 0
+    first, process, view = capsys.readouterr().out.splitlines()
+    assert first == "wrote demo.mcap; go on with"
+    assert Path("demo.mcap").stat().st_size < 8e6
+    assert run([*shlex.split(process)[1:], "-q"]) == 0
+    assert run([*shlex.split(view)[1:], "--save", "demo.rrd", "--time-range", "0:1", "-q"]) == 0
+    capsys.readouterr()
+    assert run(["eval", "demo.hiros.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["true_people"] == [0, 1]
+    Path("demo.mcap").write_bytes(b"mine")
+    assert run(["demo", "-q"]) == 2
