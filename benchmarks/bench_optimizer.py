@@ -14,9 +14,9 @@ from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.hiros_params import OptimizeParams
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.stages.optimize import optimize_blocks
-from hiros_mcap.stages.optimize_params import OptimizeParams
 
 optimize = by_frame(optimize_blocks)
 

@@ -124,9 +124,10 @@ def parameters() -> str:
 
 
 def _tables(params: Any) -> Iterator[str]:
+    from hiros_mcap.config import settable
     from hiros_mcap.params import is_advanced
 
-    fields = type(params).model_fields
+    fields = {name: type(params).model_fields[name] for name in settable(params)}
     schema = params.model_json_schema()["properties"]
     for title, wanted in (("", False), ("Advanced", True)):
         rows = [

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hiros_mcap.config import Config, settable
+
 ROOT = Path(__file__).parents[1]
 FOLDERS = {
     "hiros_mcap": ROOT,
@@ -33,17 +35,17 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4250,
+    "hiros_cli": 4350,
     "hiros_viewer": 4450,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
     "evaluate": 3100,
-    "io": 12100,
+    "io": 12160,
     "kernels": 10050,
     "many": 1200,
     "regression": 1700,
-    "running": 3000,
+    "running": 3100,
     "simulate": 2900,
     "stages": 7700,
     "systems": 400,
@@ -115,6 +117,10 @@ def test_few_parameters(name: str) -> None:
     most = 10 if name.startswith("hiros_mcap.kernels") else 8
     functions = [node for node in ast.walk(TREES[name]) if isinstance(node, FUNCTIONS)]
     assert {f.name: parameters(f) for f in functions if parameters(f) > most} == {}
+
+
+def test_few_parameters_are_for_users() -> None:
+    assert sum(len(settable(field.default)) for field in Config.model_fields.values()) <= 70
 
 
 def test_no_parameter_is_read_by_its_number() -> None:

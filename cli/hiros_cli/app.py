@@ -75,12 +75,15 @@ def _run(arguments: list[str]) -> int:
     open_missing_streams()
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
+    from hiros_cli.common_options import split
     from hiros_cli.compiling import importing
 
     with importing():
         from hiros_cli.commands import dispatch
 
-    code = dispatch(arguments)
+    chosen, rest = split(arguments)
+    with chosen.in_effect(arguments):
+        code = dispatch(rest)
     sys.stdout.flush()
     return code
 

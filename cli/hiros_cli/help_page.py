@@ -42,6 +42,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "info": ("hiros info lab.mcap", "hiros info recordings/"),
     "recover": ("hiros recover lab.mcap -o readable.mcap",),
+    "demo": ("hiros demo", "hiros process demo.mcap", "hiros view demo.hiros.mcap"),
     "simulate": ("hiros simulate lab.mcap --people 2 --action cross --seconds 10",),
     "config": ("hiros config --system lee > lee.toml",),
     "people": ("hiros calibrate people lab.mcap -o cameras.toml",),

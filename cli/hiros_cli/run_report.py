@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
@@ -31,7 +32,9 @@ _SPACE = 2
 
 def console() -> Console:
     """Return a console on stdout: as wide as the terminal, wide enough for every row in a pipe."""
-    return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    plain = bool(os.environ.get("NO_COLOR"))  # neither colours nor bold type
+    return Console(width=width, highlight=False, color_system=None if plain else "auto")
 
 
 def page(
@@ -132,7 +135,8 @@ def _headline(summary: Summary) -> tuple[str, str]:
     speed = number(summary.times_real_time, 1)
     system = f" with {summary.system}" if summary.system else ""
     times = f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s"
-    return f"{summary.source}{target}", f"{times}{system}: {speed} times real time"
+    settings = f"; parameters of {summary.settings}" if summary.settings else ""
+    return f"{summary.source}{target}", f"{times}{system}: {speed} times real time{settings}"
 
 
 def _cameras(cameras: Sequence[CameraSummary]) -> Table:

@@ -549,15 +549,16 @@ class Mover:
 
     def move_block(self, block: Block) -> Block:
         """Return a block in the fixed frame, itself if it already is."""
-        moving = [i for i, name in enumerate(block.frame_ids) if name != self._fixed]
-        if not moving:
+        is_moving = np.array([name != self._fixed for name in block.names])[block.frame_ids]
+        if not is_moving.any():
             return block
         people = block.people.copy()
-        for i in moving:
+        for i in np.flatnonzero(is_moving).tolist():
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
-            pose = self._pose(block.frame_ids[i], stamp, log_time)
+            pose = self._pose(block.names[block.frame_ids[i]], stamp, log_time)
             move(pose, 0, people.at(slice(*block.rows[i].tolist())))
-        return replace(block, people=people, frame_ids=[self._fixed] * len(block))
+        names, fixed = (*block.names, self._fixed), np.full(len(block), len(block.names))
+        return replace(block, people=people, names=names, frame_ids=fixed)
 
     def _pose(self, name: str, stamp: int, log_time: int) -> PoseArrays:
         pose = self._tree.lookup(name, self._fixed, stamp, log_time)

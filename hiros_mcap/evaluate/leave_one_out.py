@@ -24,7 +24,7 @@ from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
-from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
 
@@ -91,8 +91,11 @@ def leave_one_out(
     *,
     config: Config | None = None,
     options: ProcessOptions | None = None,
+    progress: Progress | None = None,
 ) -> SelfScores:
     """Score a recording against itself: run it once with all cameras, once without each.
+
+    ``progress`` is told the runs.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    return leave_each_out(recording, config, options)[0]
+    return leave_each_out(recording, config, options, progress=progress)[0]
 
 
 def leave_each_out(
@@ -112,6 +115,7 @@ def leave_each_out(
     config: Config,
     options: ProcessOptions,
     everybody: Sequence[Frame] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[SelfScores, list[Distances]]:
     """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
 
@@ -126,10 +130,12 @@ def leave_each_out(
         path = recording.prepared.log.path
         raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
     model = recording.model
+    progress = progress or Silent()
     if everybody is None:
         everybody = _fused(recording, config, options, frames_of)
     cameras, distances = [], []
-    for topic, frames in frames_of.items():
+    for k, (topic, frames) in enumerate(frames_of.items(), start=1):
+        progress.update(k, len(frames_of) + 1)
         others = _fused(recording, config, options, frames_of.keys() - {topic})
         found = _residuals(frames, others, model)
         varying = _varying(found.displacement, found.people)

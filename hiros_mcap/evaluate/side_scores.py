@@ -68,7 +68,7 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
     blocks = [Block.of(frame) for frame in frames]
     if not blocks:
         return []
-    block = join([(one, 0) for one in blocks])
+    block = join(blocks)
     stamps = np.repeat(block.stamps, np.diff(block.rows, axis=1)[:, 0])
     looks = _looks(block.people, stamps, model)
     across = looks.axes[:, :2]

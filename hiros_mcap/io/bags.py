@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.channels import OTHER_FILES
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
@@ -155,7 +156,8 @@ class BagReader(McapReader):
                 self.left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
         if not any(_shows_people(c.msgtype) for c in bag.connections):
             topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
-            raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
+            fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics or 'none'}"
+            raise LogError(fault, path=self.path)
         texts = {connection.msgtype: connection.msgdef.data for connection in taken}
         store = bag.typestore if bag.is2 else types_of(texts)
         channels: dict[tuple[str, str], int] = {}

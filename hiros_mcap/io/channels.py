@@ -25,6 +25,7 @@ REPORT_ATTACHMENT = "hiros/report.json"
 """The summary, without what differs from run to run."""
 PROVENANCE = "hiros.provenance"
 """Metadata of how a result came about."""
+OTHER_FILES = "`hiros import` reads files of other detectors; docs/detectors.md says how"
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
 _LISTED = 20
@@ -111,7 +112,7 @@ def select_skeletons(
     channels = tuple(channels)
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
     if not skeletons:
-        raise LogError(f"has no SkeletonGroup channel; {_listing(channels)}")
+        raise LogError(f"has no SkeletonGroup channel; {OTHER_FILES}; {_listing(channels)}")
     others = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
     if topics is None:
         chosen = [i for i in others if not _is_below(i.topic, TRUTH_PREFIX)]

@@ -160,6 +160,8 @@ class Log:
         self.accounts: dict[str, Account] = {}
         self._fixed_frame = fixed_frame
         self._inputs: dict[int, _Input] = {}
+        self._names: dict[str, int] = {}
+        """Of cameras and coordinate frames, to their numbers in blocks."""
         self._layouts: dict[int, Layout] = {}
 
     def __repr__(self) -> str:
@@ -461,9 +463,10 @@ class Log:
         """Yield the frames of some messages, in this order, as a block."""
         rows: list[_Row] = []
         fault: LogError | None = None
+        times = decoded.keys[:, 0].tolist(), decoded.people.stamps.tolist()
         for i in messages:
             camera = inputs[decoded.channels[i]]
-            rows += camera.take(decoded, i)
+            rows += camera.take(decoded, i, *times)
             if self.strict and i in decoded.faults:
                 fault = LogError(decoded.faults[i], topic=camera.topic)
                 break
@@ -474,8 +477,9 @@ class Log:
                 Block(
                     np.array(stamps, np.int64),
                     np.array(log_times, np.int64),
-                    sources,
-                    frame_ids,
+                    np.array([self._names.setdefault(n, len(self._names)) for n in sources]),
+                    np.array([self._names.setdefault(n, len(self._names)) for n in frame_ids]),
+                    tuple(self._names),
                     np.array([begins, ends], np.int64).T.copy(),
                     decoded.people,
                 ),
@@ -571,7 +575,7 @@ class _Row(NamedTuple):
 class _LastMessage(NamedTuple):
     """The people of a camera's previous message."""
 
-    times: list[int]
+    times: Sequence[int]
     """Source time of each, ns; 0 = not given."""
     people: People
     begin: int
@@ -588,32 +592,40 @@ class _Input:
         self._account = account
         self._previous: dict[str, _LastMessage] = {}
 
-    def take(self, decoded: Decoded, i: int) -> list[_Row]:
-        """Account for message ``i``; return its frames, named, stamped and without repeats."""
+    def take(
+        self, decoded: Decoded, i: int, log_times: Sequence[int], times: Sequence[int]
+    ) -> list[_Row]:
+        """Account for message ``i``; return its frames, named, stamped and without repeats.
+
+        ``log_times`` are of all messages, ``times`` of all people, ns.
+        """
         account = self._account
         account.read += 1
-        if int(decoded.keys[i, 0]) > _LATEST:
+        if log_times[i] > _LATEST:
             account.skipped[FAR_FUTURE] += 1
             return []
         if i in decoded.faults:
             account.skipped[DAMAGED] += 1
             account.first_error = account.first_error or decoded.faults[i]
             return []
-        account.cleaned.update(decoded.cleaned.get(i, ()))
-        rows = [row for part in decoded.parts[i] for row in self._fresh(decoded, i, part)]
+        if i in decoded.cleaned:
+            account.cleaned.update(decoded.cleaned[i])
+        rows: list[_Row] = []
+        for part in decoded.parts[i]:
+            rows += self._fresh(decoded, i, part, log_times[i], times[part.begin : part.end])
         if rows:
             account.used += 1
         else:
             account.skipped[STALE] += 1
         return rows
 
-    def _fresh(self, decoded: Decoded, i: int, part: MessagePart) -> Iterator[_Row]:
+    def _fresh(
+        self, decoded: Decoded, i: int, part: MessagePart, log_time: int, times: Sequence[int]
+    ) -> Iterator[_Row]:
         """Yield the frame of a part unless all of its people are repeats."""
         people, begin, end = decoded.people, part.begin, part.end
-        times = people.stamps[begin:end].tolist()
         # A message without people does not name its camera.
         source = part.source if times else self._only or part.source
-        log_time = int(decoded.keys[i, 0])
         stamp = max(times, default=0) or max(0, decoded.stamps[i])
         if not stamp:
             self._account.untimed += 1
@@ -632,7 +644,7 @@ class _Input:
             )
 
 
-def _repeats_last(people: People, begin: int, times: list[int], last: _LastMessage) -> int:
+def _repeats_last(people: People, begin: int, times: Sequence[int], last: _LastMessage) -> int:
     """Put people who repeat one of the last message behind the others; return how many do not.
 
     A repeat has the same source time, and the same bits in every number of markers and links.

@@ -10,11 +10,12 @@ import numpy as np
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import UNTRACKED
+from hiros_mcap.skeletons import UNTRACKED, Stamps
 
 DETECTIONS = "detections"
 """Name of what goes into the first stage."""
 _GAP = 1_000_000_000  # ns: a longer pause of a camera does not count for its rate
+_PAUSES_PER_MESSAGE = 0.1
 _SAMPLED_FRAMES = 20  # of each camera
 _TOO_LARGE = 50.0  # m: no laboratory is so large
 
@@ -42,6 +43,41 @@ class MessageRate:
 
 
 @dataclass(slots=True)
+class CommonPauses:
+    """When no camera sent anything, although they usually do."""
+
+    latest: int = 0
+    messages: int = 0
+    found: list[tuple[int, int]] = field(default_factory=list)
+    """Start and end of each step of more than a second, ns."""
+
+    def add(self, stamps: Stamps) -> None:
+        """Take note of the times of messages, in the order in which they are read."""
+        if not self.messages and len(stamps):
+            self.latest = int(stamps[0])
+        before = np.maximum.accumulate(np.concatenate([[self.latest], stamps]))
+        starts = np.flatnonzero(stamps - before[:-1] > _GAP)
+        self.found += zip(before[starts].tolist(), stamps[starts].tolist(), strict=True)
+        self.latest, self.messages = int(before[-1]), self.messages + len(stamps)
+
+    def notes(self, start: int) -> Iterator[str]:
+        """Yield when nobody sent anything, in seconds from ``start``, ns."""
+        # Cameras that send once in some seconds do not pause.
+        if not self.found or len(self.found) > _PAUSES_PER_MESSAGE * self.messages:
+            return
+        first, last = max(self.found, key=lambda span: span[1] - span[0])
+        when = f"from {(first - start) * 1e-9:.1f} to {(last - start) * 1e-9:.1f} s"
+        if len(self.found) == 1:
+            yield f"all cameras pause {when}"
+        else:
+            seconds = sum(b - a for a, b in self.found) * 1e-9
+            yield (
+                f"all cameras pause {len(self.found)} times, {seconds:.1f} s in all; the longest "
+                f"pause is {when}"
+            )
+
+
+@dataclass(slots=True)
 class DetectionSample:
     """The first detections of every camera, which may tell why nobody is found."""
 
@@ -53,7 +89,7 @@ class DetectionSample:
 
     def add(self, block: Block) -> None:
         """Take note of the frames of cameras that are not yet known well enough."""
-        for i, source in enumerate(block.sources):
+        for i, (_, source, _) in enumerate(block.messages()):
             if self.frames[source] < _SAMPLED_FRAMES and (frame := block.frame(i)).n_people:
                 self.frames[source] += 1
                 known = frame.positions[~np.isnan(frame.positions)]
@@ -99,7 +135,7 @@ class Observer:
     Attributes
     ----------
     rates : by source. people : by id. seen_by : ids that the tracker gave, by source.
-    written : frames by channel. sample : the first detections.
+    written : frames by channel. sample : the first detections. pauses : of all cameras at once.
     """
 
     def __init__(self, chain: Sequence[str]) -> None:
@@ -109,17 +145,19 @@ class Observer:
         self.seen_by: defaultdict[str, set[int]] = defaultdict(set)
         self.written: Counter[str] = Counter()
         self.sample = DetectionSample()
+        self.pauses = CommonPauses()
 
     def see(self, channel: str, block: Block) -> None:
         """Take note of what goes into the first stage, or comes out of any."""
         if channel == DETECTIONS:
             self.sample.add(block)
-            for stamp, source in zip(block.stamps.tolist(), block.sources, strict=True):
+            self.pauses.add(block.stamps)
+            for stamp, source, _ in block.messages():
                 self.rates[source].add(stamp)
             return
         self.written[channel] += len(block)
         if channel == "tracked":
-            for source, ids in zip(block.sources, _ids(block), strict=True):
+            for (_, source, _), ids in zip(block.messages(), _ids(block), strict=True):
                 self.seen_by[source].update(ids)
         if channel == self.chain[-1]:
             self._count(block)

@@ -26,6 +26,7 @@ from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
     MOST_S,
+    SHARED_FRAME,
     FixedCamera,
     Survey,
     camera_faults,
@@ -168,6 +169,8 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     log = survey.log
     faults = camera_faults(log)
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
+    if not free and mode != "require" and {*faults.values()} == {SHARED_FRAME}:
+        return PoseAlignment()  # everybody is where they are in the room: no pose is used
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
     cameras = sorted(

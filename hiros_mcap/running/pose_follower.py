@@ -76,9 +76,7 @@ class PoseFollower:
         """Learn from the messages of a block one by one, and correct them."""
         new = self._new_sightings(block)
         moves: dict[int, PoseArrays] = {}
-        for i, (source, log_time) in enumerate(
-            zip(block.sources, block.log_times.tolist(), strict=True)
-        ):
+        for i, (_, source, log_time) in enumerate(block.messages()):
             self._advance(log_time)
             if source in self._moves:
                 moves[i] = self._moves[source]
@@ -86,7 +84,7 @@ class PoseFollower:
                 self._seen.setdefault(source, []).append(new[i])
         if not moves:
             return block
-        block = join([part for *_, part in block.messages()])
+        block = join([block])
         for i, arrays in moves.items():
             move(arrays, 0, block.people.at(slice(*block.rows[i].tolist())))
         return block
@@ -95,7 +93,7 @@ class PoseFollower:
         """Return whom those frames of a block show that come long enough after their last ones."""
         self._start = self._start or int(block.log_times[0])
         chosen = []
-        for i, (stamp, source) in enumerate(zip(block.stamps.tolist(), block.sources, strict=True)):
+        for i, (stamp, source, _) in enumerate(block.messages()):
             if not 0 <= stamp - self._latest.get(source, 0) < SPACING_NS:
                 self._latest[source] = stamp
                 chosen.append(i)

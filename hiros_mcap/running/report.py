@@ -88,6 +88,7 @@ class Report:
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - watch.started,
             system=self.run.system,
+            settings=str(self.prepared.options.settings or ""),
             cameras=cameras,
             poses=tuple(self.poses.cameras),
             placement=self._placement(),
@@ -159,11 +160,16 @@ class Report:
             damaged = "is damaged" if self.log.recovery else "was damaged before it was recovered"
             yield f"the recording {damaged}; {self.log.losses}"
         stage = "track" if "track" in sections_of(self.run.system) else "associate"
+        few: list[str] = []
         for camera in cameras:
             # A repeat of old skeletons holds nothing that could be lost.
             lost = {reason: n for reason, n in camera.skipped.items() if reason != STALE}
             if sum(lost.values()) > _LARGEST_LOSS * camera.messages:
                 yield _loss(camera, lost, stage)
+                continue
+            few += [f"{camera.topic}: {n} {why}" for why, n in lost.items() if why != DAMAGED]
+        if few:
+            yield f"a few messages were not used: {'; '.join(few)}"
         for account in self.log.accounts.values():
             if account.first_error:
                 n = account.skipped[DAMAGED]
@@ -221,6 +227,7 @@ class Report:
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""
         yield from unmatched_globs(self.log, self.prepared.options)
+        yield from self.observer.pauses.notes(self.log.span[0])
         yield from self.poses.notes()
         yield from self.log.remarks
         for account in self.log.accounts.values():
@@ -256,6 +263,11 @@ def _loss(camera: CameraSummary, lost: Mapping[str, int], stage: str) -> str:
 def _input_notes(account: Account) -> Iterator[str]:
     """Yield what was odd in the messages of a topic."""
     topic = account.topic
+    if n := account.skipped.get(STALE):
+        yield (
+            f"{topic}: {quantity(n, 'message')} skipped as stale repeats: the detector sent what "
+            "it had sent before, with the old time"
+        )
     if account.stale:
         yield f"{topic}: {quantity(account.stale, 'repeated old skeleton')} ignored"
     for kind, n in sorted(account.cleaned.items()):

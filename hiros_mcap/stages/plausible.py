@@ -22,11 +22,11 @@ import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, CameraNumbers, join
 from hiros_mcap.kernels import limb_deviations as kernels
-from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.plausible_params import PlausibleParams
+from hiros_mcap.stages.hiros_params import PlausibleParams
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""
@@ -79,15 +79,15 @@ class _KnownLimbs:
         )
         self._events, self._places = events, places
         self._bank = Bank(kernels.LimbPast.empty(len(self._links.ends)), _FORGET)
-        self._cameras: dict[str, int] = {}
+        self._cameras = CameraNumbers()
 
     def compare(self, block: Block) -> Block:
         """Return a block with less confident markers, and without those of distorted views."""
-        if not np.diff(block.rows).any():
+        if not block.sizes.any():
             return block
         m = block.people.markers.shape[1]
         # A copy of these frames only: the tracker may still write into others of the arrays.
-        out = join([(block, i) for i in range(len(block))])
+        out = join([block])
         messages = self._messages(out)
         centres = np.empty((len(out.people.ids), 3))
         work = kernels.PlausibleWork(np.empty(m), np.empty(m), centres, np.empty(1))
@@ -114,14 +114,8 @@ class _KnownLimbs:
 
     def _messages(self, block: Block) -> kernels.ComparedMessages:
         """Return the messages of a block, and where its people are remembered."""
-        cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
-        rows = np.full(len(block.people.ids), -1, np.int64)
-        for stamp, (begin, end) in zip(block.stamps.tolist(), block.rows.tolist(), strict=True):
-            self._bank.expire(stamp)
-            for p, person in enumerate(block.people.ids[begin:end].tolist(), begin):
-                if person != UNTRACKED:
-                    rows[p] = self._bank.row(person, stamp)
-        return kernels.ComparedMessages(block.stamps, np.array(cameras, np.int64), block.rows, rows)
+        rows = self._bank.rows_of(block.people.ids, np.repeat(block.stamps, block.sizes))
+        return kernels.ComparedMessages(block.stamps, self._cameras.of(block), block.rows, rows)
 
 
 def links_of(model: SkeletonModel) -> kernels.LimbLinks:

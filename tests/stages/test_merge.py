@@ -696,7 +696,7 @@ def test_a_long_block_gives_what_its_frames_give_one_by_one() -> None:
         for k in range(90)
         for c in "ab"
     ]
-    block = join([(Block.of(frame), 0) for frame in frames])
+    block = join([Block.of(frame) for frame in frames])
     params = MergeParams(bridge=3.0)
     together = frames_of(merge_blocks([block], MODEL, params))
     assert all(map(same, together, merge(frames, MODEL, params)))
@@ -707,7 +707,7 @@ def test_a_row_that_somebody_left_is_not_taken_before_it_is_done_with() -> None:
     frames = [f for k in range(60) for f in views([person(), person(0.06)], k)]
     others = [seen([person(3)], at(0) + s * SECOND, "c1", ids=[9]) for s in range(3, 14)]
     new = [seen([person(0.06)], at(0) + s * SECOND, "c1", ids=[1]) for s in (14, 15)]
-    block = join([(Block.of(frame), 0) for frame in [*frames, *others, *new]])
+    block = join([Block.of(frame) for frame in [*frames, *others, *new]])
     params = PLAIN.model_copy(update={"offset_time": 2.0})
     for merged in list(frames_of(merge_blocks([block], MODEL, params)))[-2:]:
         assert merged.ids.tolist() == [1]

@@ -357,12 +357,13 @@ def in_time_order(
     kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
     names, waiting, thinner = describe(log).names, Gatherer(), Thinner(step)
     for topics, block in log.read(spans=spans, step=step):
-        shown = thinner.chosen(list(zip(topics, block.sources, strict=True)), block.stamps)
+        sources = [source for _, source, _ in block.messages()]
+        shown = thinner.chosen(list(zip(topics, sources, strict=True)), block.stamps)
         channels = [
             (kinds[topic], names.get(source, source) if kinds[topic] == DETECTIONS else "")
             if is_shown and kinds[topic] not in left_out
             else None
-            for topic, source, is_shown in zip(topics, block.sources, shown, strict=True)
+            for topic, source, is_shown in zip(topics, sources, shown, strict=True)
         ]
         waiting.add(channels, block)
         if waiting.is_due and (ready := waiting.ready()):

@@ -143,6 +143,8 @@ def _frame(row: CameraRow) -> str:
 
 
 def _facts(overview: Overview) -> list[str]:
+    from hiros_mcap.io.log import STALE
+
     lines = []
     if overview.markers:
         lines.append(f"skeleton: {len(overview.markers)} markers, {len(overview.links)} links")
@@ -159,5 +161,7 @@ def _facts(overview: Overview) -> list[str]:
     lines += overview.remarks
     lines += overview.clocks
     for topic, reasons in overview.skipped.items():
-        lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
+        for reason, n in reasons.items():
+            repeat = " (people of the message before, with the old time)" if reason == STALE else ""
+            lines.append(f"{topic}: {n} messages skipped: {reason}{repeat}")
     return lines

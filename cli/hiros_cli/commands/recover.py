@@ -44,8 +44,10 @@ def recover(
     check_outputs((target, "log"), inputs=(source,), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.io.recovering import recover as write
+    from hiros_mcap.running.progress_bar import bar
 
-    recovery = write(source, target, force=force)
+    with bar(f"recovering {source.name}", quiet=quiet):
+        recovery = write(source, target, force=force)
     if not recovery.complete:
         warn(f"{source}: {recovery.loss}")
     if json:

@@ -89,11 +89,12 @@ def simulate(
 
     check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ())), force=force)
     prepare(quiet=quiet)
+    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.simulate.write_log import write_log
 
-    written = write_log(
-        output, _params({name: value for name, value in given.items() if value is not None})
-    )
+    params = _params({name: value for name, value in given.items() if value is not None})
+    with bar(f"simulating {output.name}", quiet=quiet) as progress:
+        written = write_log(output, params, progress)
     if not quiet:
         print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from hiros_mcap.io.container.records import Bytes, FormatError
+from hiros_mcap.io.container.records import MAX_CHUNK, Bytes, FormatError
 
 if TYPE_CHECKING:
     import zstandard
 
-MAX_CHUNK = 256 * 2**20
-"""Largest chunk that is read, bytes uncompressed. Recorders write 0.75 to 4 MiB."""
 MAX_WINDOW = 2**27
 """Largest zstd window, bytes: the limit of zstd's own command line."""
 COMPRESSIONS = ("zstd", "lz4", "")

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.chunks import unpack_chunk
-from hiros_mcap.io.container.compression import MAX_CHUNK
 from hiros_mcap.io.container.records import (
+    MAX_CHUNK,
     FormatError,
     McapRecord,
     Message,

@@ -36,7 +36,8 @@ from hiros_mcap.io.container.records import (
     Message,
     Schema,
 )
-from hiros_mcap.io.container.scan import Contents, remedy, scan
+from hiros_mcap.io.container.scan import remedy, scan
+from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 
 _AHEAD = 2

@@ -44,9 +44,15 @@ HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 FOOTER = struct.Struct("<QQI")
 CHUNK_HEAD = struct.Struct("<QQQI")
+MAX_CHUNK_HEAD = 128
+"""Bytes of a chunk's record that hold everything before its data."""
+INDEX_HEAD = struct.Struct("<HI")
+"""Channel and bytes of a message index."""
 
 PRIVATE_OP = 0x80
 """Opcodes from here on belong to applications; a reader skips them."""
+MAX_CHUNK = 256 * 2**20
+"""Largest chunk that is read, bytes uncompressed. Recorders write 0.75 to 4 MiB."""
 
 Bytes = bytes | bytearray | memoryview
 
@@ -97,6 +103,10 @@ class Chunk:
     def holds(self, channels: Iterable[int]) -> bool:
         """Whether any of the channels has a message in here, as far as is known."""
         return self.counts is None or any(i in self.counts for i in channels)
+
+    def indexed(self, index_end: int, counts: Mapping[int, int]) -> Chunk:
+        """Return the chunk with what the message indexes behind it claim."""
+        return replace(self, index_end=index_end, counts=counts)
 
 
 class Cursor:
@@ -165,6 +175,29 @@ def parse_channel(content: Bytes) -> Channel:
         topic=at.string(),
         message_encoding=at.string(),
         metadata=at.strings(),
+    )
+
+
+def parse_chunk(head: Bytes, offset: int, begin: int, stop: int) -> Chunk:
+    """Read what a chunk's record claims.
+
+    Parameters
+    ----------
+    head : its first MAX_CHUNK_HEAD bytes of content, or all. offset : first byte of the record.
+    begin, stop : first and past-the-end byte of the content.
+    """
+    at = Cursor(head)
+    start_time, end_time, size, crc = CHUNK_HEAD.unpack(at.take(CHUNK_HEAD.size))
+    compression, data_size = at.string(), at.number(8)
+    if data_size > stop - begin - at.at:
+        raise FormatError("a chunk's data reach past its record")
+    if start_time > end_time:
+        raise FormatError("a chunk claims to end before it starts")
+    if size > MAX_CHUNK:
+        raise FormatError(f"a chunk claims {size} bytes uncompressed; the limit is {MAX_CHUNK}")
+    data = begin + at.at
+    return Chunk(
+        offset, stop, start_time, end_time, size, crc, compression, data, data_size, stop, None
     )
 
 

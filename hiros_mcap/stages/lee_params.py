@@ -1,18 +1,18 @@
-"""Parameters of :mod:`hiros_mcap.stages.cluster`."""
+"""Parameters of Lee 2022."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from hiros_mcap.params import Params, Seconds, advanced
+from hiros_mcap.params import Params, Seconds, advanced, fixed
 
 
 class ClusterParams(Params):
     """Parameters of Lee's merger."""
 
-    method: Literal["dbscan", "average"] = Field(
+    method: Literal["dbscan", "average"] = fixed(
         "dbscan",
         description="dbscan: average the largest cluster. average: average all candidates (variants"
         " A1 and A2).",
@@ -38,24 +38,21 @@ class ClusterParams(Params):
         ge=1,
         description="N_c of algorithm 1, including the point. With 1 (paper), nothing is noise.",
     )
-    reference_helps: bool = advanced(
+    reference_helps: bool = fixed(
         True, description="Add the reference position to the candidates (2.2.2)."
     )
-    previous_helps: bool = advanced(
+    previous_helps: bool = fixed(
         True, description="Add the previous position to the candidates: 1-frame smoothing (2.2.2)."
     )
-    memory: Seconds = advanced(
-        0.1,
-        gt=0,
-        description="Longest time, s, for which a merged position serves as the previous one; three"
-        " frames at 30 Hz. After that, a joint may have moved farther than the radius.",
-    )
+    memory: ClassVar[float] = 0.1
+    """Longest time, s, for which a merged position serves as the previous one; three frames at 30
+    Hz. After that, a joint may have moved farther than the radius."""
     compensate_motion: bool = advanced(
         True,
         description="Move views to the merged time with their velocities. The paper's cameras are "
         "synchronised by wire; those of a log often are not.",
     )
-    cameras: int = advanced(
+    cameras: int = fixed(
         0,
         ge=0,
         description="Number of messages in a merged instant; 0 = the number of known cameras.",
@@ -66,3 +63,28 @@ class ClusterParams(Params):
         description="Longest time, s, between the oldest and the newest message of a merged "
         "instant.",
     )
+
+
+class PredictParams(Params):
+    """Parameters of Lee's Kalman filter."""
+
+    noise_ratio: float = Field(
+        0.01,
+        ge=1e-9,
+        le=1e9,
+        description="Q / R (paper: 0.01 / 1.0): variance that each element of the state gains in "
+        "1/30 s, relative to the variance of a measured position. A smaller ratio is smoother.",
+    )
+    model: Literal["constant_position", "constant_velocity", "constant_acceleration"] = advanced(
+        "constant_velocity",
+        description="State space model A. The paper does not give it. A constant position would lag"
+        " by a third of a second.",
+    )
+    output: Literal["predicted", "corrected"] = advanced(
+        "predicted",
+        description="predicted: the position predicted from the earlier frames, as in the paper. "
+        "corrected: the position corrected by the frame itself, which has less error and is as "
+        "smooth.",
+    )
+    max_gap: ClassVar[float] = 0.5
+    """Time, s, without data after which the filter of a person or joint restarts."""
