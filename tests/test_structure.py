@@ -36,12 +36,12 @@ UPWARDS = {
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
     "hiros_cli": 4540,
-    "hiros_viewer": 4700,
+    "hiros_viewer": 4720,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
     "evaluate": 3180,
-    "io": 12160,
+    "io": 12300,
     "kernels": 10050,
     "many": 1200,
     "plan": 570,
