@@ -43,18 +43,21 @@ class PersonSpan:
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """What a channel says about itself, without any truth."""
+    """What a channel says about itself, without any truth; see :data:`measures.CONSISTENCY`."""
 
     frames: int
     people: tuple[PersonSpan, ...]
     limb_variation: float
-    """Mean over people and links of the coefficient of variation of the length."""
     limbs: Mapping[str, float]
     """The same by link."""
     jitter: float
-    """Mean norm of the second difference of joint positions between frames, mm."""
     jitters: Mapping[str, float] = field(default_factory=dict)
     """The same by joint."""
+
+    @property
+    def n_people(self) -> int:
+        """Number of ids."""
+        return len(self.people)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.attachments import stored_parameters, stored_report, values_of
+from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
@@ -135,9 +136,9 @@ class Overview:
     has_checksums: bool
     """Whether a damaged message would be noticed."""
     channels: tuple[ChannelRow, ...]
-    people: tuple[PersonRow, ...]
+    people: tuple[PersonRow, ...] = ()
     """Of the last stage's channel, or of the truth in a file with nothing else."""
-    run: RunRow | None
+    run: RunRow | None = None
     """How the results came about; None where there are none."""
     fault: str = ""
     """Why the log cannot be processed, "" if it can."""
@@ -212,6 +213,9 @@ def look(
     except LogError as error:
         if topics is not None:
             raise
+        kind = kind_of(Path(path))
+        if kind and not parts_of(Path(path)):
+            return _of_bag(Path(path), kind, error.fault)
         with open_reader(path) as reader:
             return replace(_of_file(path, reader), fault=error.fault)
     with log:
@@ -256,6 +260,30 @@ def _with_cameras(overview: Overview, log: Log) -> Overview:
         remarks=log.remarks,
         skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
         clocks=clocks_in_words(judge_clocks(log.times()), start),
+    )
+
+
+def _of_bag(path: Path, kind: str, fault: str) -> Overview:
+    """Report on a bag without skeletons to process; raises LogError if it cannot be read."""
+    stamps: dict[tuple[str, str], list[int]] = {}
+    with open_bag(path, kind) as bag:
+        for connection in bag.connections:
+            stamps.setdefault((connection.topic, connection.msgtype), [])
+        for connection, time, _ in bag.messages():
+            stamps[connection.topic, connection.msgtype].append(time)
+        encoding = "cdr" if bag.is2 else "ros1"
+    times = [time for own in stamps.values() for time in own]
+    return Overview(
+        path=str(path),
+        kind="other",
+        seconds=(max(times) - min(times)) / 1e9 if times else 0.0,
+        megabytes=_size(path) / 1e6,
+        has_checksums=False,
+        channels=tuple(
+            _channel_row(name, encoding, len(own), (min(own), max(own)) if own else None)
+            for name, own in sorted(stamps.items())
+        ),
+        fault=fault,
     )
 
 
@@ -321,13 +349,18 @@ def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
 def _channel_rows(
     channels: Iterable[ChannelInfo], spans: Mapping[int, tuple[int, int]]
 ) -> tuple[ChannelRow, ...]:
-    rows = []
-    for info in channels:
-        begin, end = spans.get(info.id, (0, 0))
-        seconds = (end - begin) / 1e9 if info.id in spans else math.nan
-        rate = (info.count - 1) / seconds if info.count > 1 and seconds > 0 else math.nan
-        rows.append(ChannelRow(info.topic, info.schema, info.encoding, info.count, rate, seconds))
-    return tuple(rows)
+    return tuple(
+        _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id)) for i in channels
+    )
+
+
+def _channel_row(
+    name: tuple[str, str], encoding: str, count: int, span: tuple[int, int] | None
+) -> ChannelRow:
+    """Return the row of a channel by its topic and type, and its first and last time, ns."""
+    seconds = (span[1] - span[0]) / 1e9 if span else math.nan
+    rate = (count - 1) / seconds if count > 1 and seconds > 0 else math.nan
+    return ChannelRow(*name, encoding, count, rate, seconds)
 
 
 # Results and truths
@@ -379,7 +412,7 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
     """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    from hiros_mcap.config import load_config, presets_of, to_toml
+    from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
     from hiros_mcap.systems import SYSTEMS, sections_of
 
     if not values or system not in SYSTEMS:
@@ -390,7 +423,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
         usual = values_of(to_toml(config, sections_of(system)), "")
         found[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
-            for name, value in values.items()
+            for name, value in without_constants(values).items()
             if value != usual.get(name, "")
         )
     nearest = min(found, key=lambda preset: len(found[preset]))

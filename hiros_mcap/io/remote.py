@@ -39,6 +39,16 @@ def has_whole_files(address: str) -> bool:
     return protocol_of(address) in _WHOLE
 
 
+_LIBRARIES = {
+    "s3": ("s3fs",),
+    "gs": ("gcsfs",),
+    "http": ("aiohttp",),
+    "https": ("aiohttp",),
+    "sftp": ("paramiko",),
+}
+"""What fsspec needs for a protocol."""
+
+
 @contextmanager
 def reached(address: str) -> Iterator[tuple[Any, str]]:
     """Yield the file system of an address, and the path in it.
@@ -62,7 +72,8 @@ def _fault(address: str, error: Exception) -> str:
     reason = " ".join(str(error).split()).rstrip(".") or kind
     status = getattr(error, "status", None) or getattr(error, "code", None)
     if isinstance(error, ImportError):
-        return f'{protocol}:// needs further libraries: pip install "hiros-mcap[remote]" ({reason})'
+        libraries = " ".join(("fsspec", *_LIBRARIES.get(protocol, ())))
+        return f"{protocol}:// needs further libraries: pip install {libraries} ({reason})"
     if isinstance(error, ValueError) and "rotocol" in reason:
         return f"nobody knows the protocol {protocol}://; there are s3, gs, https, sftp and others"
     if isinstance(error, FileNotFoundError) or status == 404:
