@@ -41,7 +41,7 @@ CEILINGS = {
     "body": 1800,
     "calibrate": 5300,
     "evaluate": 3180,
-    "io": 12300,
+    "io": 12139,
     "kernels": 10050,
     "many": 1200,
     "plan": 570,
