@@ -11,14 +11,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import detector_files
 import pytest
 import typer
 
 import hiros_mcap
 from hiros_cli.app import run
 from hiros_cli.commands import app
+from hiros_cli.commands.import_joints import import_
 from hiros_mcap import open_result
 from hiros_mcap.config import Config, settable
+from hiros_mcap.io.joints.mapping import DETECTOR_FILES
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -128,15 +131,22 @@ def write_suite(folder: Path) -> None:
 
 
 def write_import(folder: Path) -> None:
-    """Write the mapping file that docs/detectors.md shows, and the files that it describes."""
+    """Write the mapping files that docs/detectors.md shows, and the files that they describe."""
     page = (DOCS / "detectors.md").read_text(encoding="utf-8")
-    mapping = re.search(r"```toml\n(unit = .*?)```", page, re.DOTALL)
-    assert mapping is not None
-    (folder / "lab.toml").write_text(mapping[1], encoding="utf-8")
+    for name, mapping in re.findall(r"```toml\n# (\w+\.toml)\n(.*?)```", page, re.DOTALL):
+        (folder / name).write_text(mapping, encoding="utf-8")
+    detector_files.write_all(folder, folder / "lab.mcap")
     head = ",".join(f"{name}_{axis}" for name in ("LSHO", "RSHO", "HEAD") for axis in "xyz")
     rows = [f"{1.7e12 + 33 * i:.0f},1,{i},1400,0,{i + 400},1400,0,200,1700,{i}" for i in range(90)]
     for name in ("left.csv", "right.csv"):
         (folder / name).write_text("\n".join([f"timestamp,id,{head}", *rows]))
+
+
+def test_every_detector_has_a_recipe() -> None:
+    recipes = [line for line in commands(DOCS / "detectors.md") if line.startswith("import")]
+    for detector in DETECTOR_FILES:
+        assert any(f"--mapping {detector}" in line for line in recipes), detector
+        assert detector in import_.__annotations__["mapping"], detector
 
 
 def test_at_least_one_page_has_commands() -> None:

@@ -30,7 +30,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.chunks import Table
 from hiros_mcap.io.container.records import Bytes
-from hiros_mcap.io.log import Log, open_log, open_reader
+from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 
@@ -225,7 +225,8 @@ def look(
 def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
     """Report on a log whose skeletons can be read."""
     fixed, fault = _fixed_frame(log)
-    counts = _counts(log)
+    reading = log.read(fixed=False)
+    counts = _counts(reading)
     start, end = log.span
     kind = _kind(log.reader, log.channels)
     return Overview(
@@ -246,7 +247,7 @@ def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
         fault=fault,
         warnings=log.warnings if fixed else (),
         remarks=log.remarks,
-        skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
+        skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
         clocks=clocks_in_words(judge_clocks(log.times()), start),
     )
 
@@ -438,7 +439,7 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
     """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    from hiros_mcap.config import load_config, presets_of, to_toml
+    from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
     from hiros_mcap.systems import SYSTEMS, sections_of
 
     if not values or system not in SYSTEMS:
@@ -449,7 +450,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
         usual = values_of(to_toml(config, sections_of(system)), "")
         found[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
-            for name, value in values.items()
+            for name, value in without_constants(values).items()
             if value != usual.get(name, "")
         )
     nearest = min(found, key=lambda preset: len(found[preset]))
@@ -475,13 +476,13 @@ def _unresolved(log: Log, frame: str, fixed: str) -> str:
     return "" if fixed or not frame else "no fixed frame"
 
 
-def _counts(log: Log) -> dict[str, _CameraCounts]:
-    topics = {name: camera for camera in log.cameras for name in camera.sources.values()}
+def _counts(reading: Reading) -> dict[str, _CameraCounts]:
+    topics = {name: camera for camera in reading.log.cameras for name in camera.sources.values()}
     counts = {
         name: _CameraCounts(camera.channel.topic, next(iter(camera.frames), ""))
         for name, camera in topics.items()
     }
-    for frame in log.frames():
+    for frame in reading.frames():
         count = counts.setdefault(frame.source, _CameraCounts("", frame.frame_id))
         count.stamps.append(frame.stamp)
         count.people.append(frame.n_people)

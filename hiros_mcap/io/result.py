@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 GAP_S = 0.25
 """Pauses longer than this stay pauses when a motion is resampled."""
+_MOST = 1_000_000
+"""Instants, nine hours at 30 Hz. A wrong stamp would make more of a short log than memory holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,8 +181,8 @@ class Result:
     ) -> Result:
         """Return a part: one person, some seconds, or instants at a fixed rate, Hz.
 
-        Raises ConfigError if there is no such person, nobody in these seconds, or the rate is not
-        positive.
+        Raises ConfigError if there is no such person, nobody in these seconds, the rate is not
+        positive, or the instants have none.
         """
         if person is not None and person not in self.motions:
             raise ConfigError(f"no person {person} (there are: {_listed(self.people)})")
@@ -192,8 +194,23 @@ class Result:
         if rate is not None:
             if not 0 < rate <= 1000:
                 raise ConfigError(f"a rate of {rate:g} Hz is not above 0 and at most 1000")
-            cut = {p: m.at(grid(m.times, rate)) for p, m in cut.items()}
+            cut = {p: m.at(self._grid(m.times, rate)) for p, m in cut.items()}
         return replace(self, motions=cut)
+
+    def _grid(self, times: Floats, rate: float) -> Floats:
+        """Return times at a fixed rate; raises ConfigError if the instants have none."""
+        if (np.diff(times) <= 0).any():
+            raise ConfigError(
+                f"{self.path}: {self.channel} shows a person twice at one time, as several cameras "
+                "do, so it has no rate; choose another --channel"
+            )
+        n = (times[-1] - times[0]) * rate
+        if n > max(_MOST, 100 * len(times)):
+            raise ConfigError(
+                f"{self.path}: {len(times)} instants in {times[-1] - times[0]:.3g} s would be "
+                f"{n:.3g} at {rate:g} Hz; choose a part with --start and --end"
+            )
+        return grid(times, rate)
 
     def joints(self) -> pd.DataFrame:
         """Marker positions, m: a row per person and time (s), columns (marker, x y z)."""
@@ -385,6 +402,7 @@ def _deviations(model: SkeletonModel, known: Mapping[int, float]) -> Floats:
 
 
 def _motion(person: int, rows: Sequence[_Instant], start: int, model: SkeletonModel) -> Motion:
+    rows = sorted(rows, key=lambda row: row.stamp)
     columns = (np.stack(column) for column in zip(*rows, strict=True))
     stamps, positions, confidences, turns, deviations = columns
     seconds: Floats = (stamps.astype(np.int64) - start) / 1e9

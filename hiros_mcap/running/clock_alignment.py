@@ -35,7 +35,7 @@ from hiros_mcap.io.camera_clock import (
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Stamps
-from hiros_mcap.stages.time_order import late_in_order
+from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.summary import ClockFault, PoseSummary
 
 _WORTH_A_WARNING = 0.05  # s
@@ -72,7 +72,7 @@ class ClockAlignment:
             blocks = ClockFollower(self.given, self.faults, self.reorder).correct(blocks)
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
-        yield from late_in_order(blocks, self.wait) if self.wait else blocks
+        yield from in_time_order(blocks, self.wait, patient=True) if self.wait else blocks
 
     @property
     def lags(self) -> dict[str, float]:
@@ -246,12 +246,11 @@ def _remedy(fault: ClockFault) -> str:
 
 def _corrected(block: Block, corrections: Mapping[str, ClockCorrection]) -> Block:
     """Return a block with right stamps, of frames and of people."""
-    concerned = corrections.keys() & set(block.sources)
-    if not concerned:
-        return block
-    sources = np.array(block.sources)
     stamps: Stamps = block.stamps.copy()
-    for name in concerned:
-        own = np.flatnonzero(sources == name)
+    for code in np.unique(block.sources).tolist():
+        name = block.names[code]
+        if name not in corrections:
+            continue
+        own = np.flatnonzero(block.sources == code)
         stamps[own] = corrections[name].apply(block.stamps[own], block.log_times[own])
     return block.restamped(stamps)

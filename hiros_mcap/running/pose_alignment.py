@@ -18,7 +18,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.body.transforms import same_place
+from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.camera_graph import coarse_clocks
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
@@ -26,6 +26,7 @@ from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
     MOST_S,
+    SHARED_FRAME,
     FixedCamera,
     Survey,
     camera_faults,
@@ -72,6 +73,12 @@ class PoseAlignment:
     """Cameras that were moved in the middle of the log."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
+    better: tuple[Mapping[str, TimedPoses], str] | None = None
+    """Poses of frames that the run uses in place of the log's, and the frame that they are in."""
+
+    def used_in(self, log: Log) -> Log:
+        """Return the log with the poses that the run uses."""
+        return log.with_poses(*self.better) if self.better else log
 
     @property
     def replaced(self) -> bool:
@@ -168,6 +175,8 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     log = survey.log
     faults = camera_faults(log)
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
+    if not free and mode != "require" and {*faults.values()} == {SHARED_FRAME}:
+        return PoseAlignment()  # everybody is where they are in the room: no pose is used
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
     cameras = sorted(
@@ -190,7 +199,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         _require(log, alignment)
     poses = _poses_used(posed)
     if poses:
-        log.use_poses(poses, log.fixed_frame)
+        alignment.better = poses, log.fixed_frame
         alignment.to_given = _to_given(posed)
     return alignment
 
@@ -340,9 +349,9 @@ def _from_nothing(survey: Survey, clocks: ClockAlignment, error: LogError | None
     for camera in found.cameras:
         if camera.pose is not None:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
-    log.use_poses(poses, found.fixed_frame)
     cameras = [summary_of(camera, used=True) for camera in found.cameras]
-    return PoseAlignment(cameras, from_nothing=True, moves=tuple(_moves_of(found)))
+    moves, better = tuple(_moves_of(found)), (poses, found.fixed_frame)
+    return PoseAlignment(cameras, from_nothing=True, moves=moves, better=better)
 
 
 def _moves_of(found: PeopleCalibration) -> Iterator[Move]:

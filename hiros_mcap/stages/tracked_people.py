@@ -125,7 +125,7 @@ class DetectionGroup:
         """Return the message at a place of a block; it shares the block's arrays."""
         people = block.people.at(slice(*block.rows[place].tolist()))
         n = len(people.ids)
-        stamp, source = int(block.stamps[place]), block.sources[place]
+        stamp, source = int(block.stamps[place]), block.source(place)
         return cls(block, place, stamp, source, people, [None] * n, [""] * n)
 
     @property

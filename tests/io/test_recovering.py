@@ -147,6 +147,19 @@ def test_what_is_lost_is_told_by_message_indexes_where_there_are_no_statistics(p
     assert recovery.lost is None  # behind the cut
 
 
+def test_metadata_behind_a_damaged_attachment_are_left(path: Path) -> None:
+    data = bytearray(write_log(path).read_bytes())
+    with McapReader(path) as reader:
+        (attachment,) = reader.contents.attachments
+        rows = [(m.channel_id, bytes(m.data)) for m in reader.messages()]
+    data[attachment.offset + 7] ^= 1  # its length
+    path.write_bytes(data)
+    with RecoveringReader(path) as reader:
+        assert [(m.channel_id, bytes(m.data)) for m in reader.messages()] == rows
+        assert reader.contents.attachments == []
+        assert reader.contents.metadata == [("about", {"key": "value"})]
+
+
 def test_statistics_tell_what_is_lost_of_each_channel(path: Path) -> None:
     data = bytearray(write_log(path, make_messages(200)).read_bytes())
     with McapReader(path) as reader:

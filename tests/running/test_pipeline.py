@@ -27,6 +27,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
 from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
 
@@ -430,6 +431,15 @@ def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
     with target.open("rb") as file:
         (found,) = make_reader(file).iter_messages(topics=["/truth/late"])
     assert found[2].data == b"late"
+
+
+def test_the_head_of_a_recording_has_the_messages_that_were_asked_for(walking: Path) -> None:
+    recording = Recording.read(walking, load_config(), ProcessOptions())
+    frames = list(recording.frames())
+    for n in (1, 100, len(frames)):
+        head = list(recording.head(n).frames())
+        assert n <= len(head) < n + max(map(len, recording.blocks))
+        assert all(map(same, head, frames))
 
 
 def test_options_may_stand_by_themselves() -> None:

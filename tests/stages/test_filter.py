@@ -354,7 +354,7 @@ def test_it_does_not_matter_how_frames_are_cut_even_if_an_id_comes_often(lookahe
         frame = frame_at(k / 30, (math.sin(k), 0, 0), ids=(4, 4, 4, 4))
         frame.stamps[:] = frame.stamp + np.arange(4) * 8_000_000
         frames.append(frame)
-    block = join([(Block.of(frame), 0) for frame in frames])
+    block = join([Block.of(frame) for frame in frames])
     found = frames_of(filter_blocks([block], MODEL, p))
     for one, other in zip(filter_frames(frames, MODEL, p), found, strict=True):
         np.testing.assert_array_equal(one.markers, other.markers)
@@ -531,7 +531,7 @@ def test_first_lengths_are_the_plain_mean():
 def test_people_who_left_are_forgotten():
     skeletons = _SkeletonFilter(MODEL, FilterParams(), Events())
     for k in range(600):
-        list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,))), [0]))
+        list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,)))))
     assert len(skeletons._people) == len(skeletons._bank.rows) <= 3
     assert len(skeletons._bank.past.ring) == 8
 

@@ -339,7 +339,7 @@ def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path: Path) -> None
 def test_a_frame_too_late_to_sort_is_used_all_the_same() -> None:
     frames = [seen([person()], at(k)) for k in range(30)]
     frames.append(seen([person()], at(2, 1), "b"))
-    assert len(list(in_time_order(frames, 0.1))) == 31
+    assert len(list(by_frame(in_time_order)(frames, 0.1))) == 31
     assert all(i == [0] for i in ids(track(frames, MODEL)))
 
 
@@ -352,7 +352,7 @@ def order_of(arrivals: list[tuple[int, str]], delay: float) -> list[tuple[int, s
             yield seen([person()], stamp * 1_000_000, camera)
 
     now: list[int] = []
-    found = in_time_order(frames(), delay)
+    found = by_frame(in_time_order)(frames(), delay)
     return [(frame.stamp // 1_000_000, frame.source, max(now)) for frame in found]
 
 
@@ -727,6 +727,16 @@ def test_angular_velocities_of_a_steady_turn() -> None:
     last = list(track(frames, MODEL, AT_ONCE))[-1]
     assert last.links[0, :, 10:13] == pytest.approx(np.tile([0, 0, 3.0], (7, 1)), abs=0.1)
     assert last.orientations == pytest.approx(frames[-1].orientations)
+
+
+def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only() -> None:
+    frames = [seen([person()], at(k), turns=k < 45 or k == 59) for k in range(60)]
+    for k, frame in enumerate(frames[:45]):
+        frame.links[0, :, 3:7] = about_z(3.0 * k / 30)
+    params = AT_ONCE.model_copy(update={"horizon": 0.2})
+    frames[-1].links[0, :, 3:7] = about_z(3.0 * (44 / 30 + params.horizon))  # as predicted
+    last = list(track(frames, MODEL, params))[-1]
+    assert last.links[0, :, 12] == pytest.approx(np.full(7, 3.0), abs=0.1)
 
 
 def test_velocities_of_the_detector_are_kept() -> None:

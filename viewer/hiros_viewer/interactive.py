@@ -19,6 +19,7 @@ MOST_POINTS = 5000
 """Of a curve: five minutes at 15 Hz, finer than a screen shows and small enough to send."""
 _PIXELS = 84
 """Per inch of a figure."""
+_LEGEND_PX = 24
 
 
 def library() -> str:
@@ -42,8 +43,8 @@ def thinned(figure: Figure) -> int:
 def curves_json(figure: Figure, target: str) -> str:
     """Return the figure's plots for ``Bokeh.embed.embed_item``, into the element ``target``.
 
-    All plots of a figure share their zoom along x and the cursor; the first has the legend. The
-    same figure gives the same text.
+    All plots of a figure share their zoom along x and the cursor; those of the first row have the
+    legend. The same figure gives the same text.
     """
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
@@ -59,9 +60,10 @@ def curves_json(figure: Figure, target: str) -> str:
             spec = axes.get_subplotspec()
             row = 0 if spec is None else spec.rowspan.start
             n_rows = 1 if spec is None else spec.get_gridspec().nrows
-            plot = _plot(axes, table, int(height / n_rows), first)
+            taller = _LEGEND_PX * (row == 0)
+            plot = _plot(axes, table, int(height / n_rows) + taller, first)
             plot.add_tools(CrosshairTool(overlay=cursor, dimensions="height", visible=False))
-            plot.legend.visible = first is None
+            plot.legend.visible = row == 0
             first = first or plot.x_range
             rows.setdefault(row, []).append(plot)
     grid = gridplot(
@@ -121,8 +123,11 @@ def _plot(axes: Axes, table: _Table, height: int, shared: Any) -> Any:
         plot.add_tools(HoverTool(renderers=[drawn], tooltips=tips, mode="vline", visible=False))
     if plot.legend:
         legend = plot.legend[0]
-        legend.orientation, legend.location, legend.click_policy = "horizontal", "top_right", "hide"
-        legend.padding, legend.label_text_font_size, legend.background_fill_alpha = 2, "11px", 0.6
+        plot.center.remove(legend)  # where it would cover curves
+        plot.add_layout(legend, "above")
+        legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
+        legend.padding = legend.margin = 2
+        legend.label_text_font_size, legend.border_line_alpha = "11px", 0.0
     return plot
 
 

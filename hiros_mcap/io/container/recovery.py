@@ -192,7 +192,7 @@ def _total(numbers: Iterable[Number | None]) -> Number | int | None:
     return sum(known) if len(known) == len(numbers) else None
 
 
-class Seen(NamedTuple):
+class SeenMessages(NamedTuple):
     """Messages of one channel in one chunk."""
 
     number: int
@@ -204,17 +204,17 @@ class Seen(NamedTuple):
     """Latest log time, ns."""
 
 
-def seen_in(messages: Table) -> dict[int, Seen]:
+def seen_in(messages: Table) -> dict[int, SeenMessages]:
     """Return what a chunk holds of each of its channels."""
     return dict(_by_channel(messages))
 
 
-def _by_channel(messages: Table) -> Iterator[tuple[int, Seen]]:
+def _by_channel(messages: Table) -> Iterator[tuple[int, SeenMessages]]:
     for channel in np.unique(messages[:, CHANNEL]).tolist():
         rows = messages[messages[:, CHANNEL] == channel]
         size = int((rows[:, STOP] - rows[:, START]).sum())
         times = rows[:, LOG_TIME]
-        yield channel, Seen(len(rows), size, int(times.min()), int(times.max()))
+        yield channel, SeenMessages(len(rows), size, int(times.min()), int(times.max()))
 
 
 class Remains(NamedTuple):
@@ -222,7 +222,7 @@ class Remains(NamedTuple):
 
     channels: Mapping[int, Channel]
     """Those that are defined."""
-    seen: Mapping[int, Mapping[int, Seen]]
+    seen: Mapping[int, Mapping[int, SeenMessages]]
     """By offset of the chunk, by channel."""
     damages: Sequence[Damage]
     claimed: Statistics | None

@@ -24,7 +24,7 @@ from hiros_mcap.io.container.compression import COMPRESSIONS
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import MAX_CHUNK, FormatError, Opcode
-from hiros_mcap.io.container.recovery import Damage, Recovery, Remains, Seen, seen_in
+from hiros_mcap.io.container.recovery import Damage, Recovery, Remains, SeenMessages, seen_in
 from hiros_mcap.io.container.scan import StrictWalk
 from hiros_mcap.io.container.walk import Contents, Reader, Walk
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START
@@ -63,7 +63,7 @@ class RecoveringReader(McapReader):
         """Return the channels that a chunk defines; the walk took note of their definitions."""
         rows = (row for row in definitions.tolist() if row[0] == Opcode.CHANNEL)
         view = memoryview(data)
-        return frozenset(r.parse_channel(view[start:stop]).id for _, start, stop in rows)
+        return frozenset(r.Channel.read(r.Cursor(view[start:stop])).id for _, start, stop in rows)
 
     def _accepted(self, chunk: r.Chunk, table: Table) -> Table:
         """Return the messages whose channel is known."""
@@ -100,7 +100,7 @@ class RecoveringWalk(Walk):
         self._claimed: r.Statistics | None = None
         self._places: list[int] = []  # of chunks, attachments and metadata, by the summary
         self._definitions = Contents()
-        self._seen: dict[int, dict[int, Seen]] = {}  # by offset of the chunk, by channel
+        self._seen: dict[int, dict[int, SeenMessages]] = {}  # by offset of the chunk, by channel
         self._records: ChunkRecords | None = None  # of the chunk that was just read
         self._exact = False  # whether the chunk claims the times of its messages
         self._data_ended = False
