@@ -36,7 +36,7 @@ UPWARDS = {
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
     "hiros_cli": 4350,
-    "hiros_viewer": 4570,
+    "hiros_viewer": 4575,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
