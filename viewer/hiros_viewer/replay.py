@@ -172,7 +172,7 @@ class _Replay:
             if self.options.calibration is not None and not only_stages:
                 scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
             self._thin((log.span[1] - log.span[0]) / 1e9)
-            log.only(self._topics(source, scene.final))
+            log = log.only(self._topics(source, scene.final))
             left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
             drawn = self._draw_frames(scene, log, left_out, is_open)
         self._finish(scene, source, drawn)
