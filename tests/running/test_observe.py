@@ -17,7 +17,7 @@ from hiros_mcap import stages
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import COUNTED, TOO_LATE, counted
 from hiros_mcap.frames import Block
-from hiros_mcap.io.log import Log
+from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import (
     DETECTIONS,
@@ -179,7 +179,7 @@ def report_on(run: Run) -> Report:
     observer = Observer(["tracked", "optimized"])
     log, options = cast(Log, None), ProcessOptions()
     prepared = Prepared(log, run.config, options, ClockAlignment(), PoseAlignment(), Stopwatch())
-    return Report(prepared, run, observer)
+    return Report(prepared, run, observer, cast(Reading, None))
 
 
 def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:
