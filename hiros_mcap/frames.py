@@ -268,8 +268,3 @@ def by_block(stage: Stage) -> BlockStage:
         yield from map(Block.of, stage(frames_of(blocks)))
 
     return run
-
-
-def most_often(ids: list[int]) -> int:
-    """How often the most frequent id of a frame comes: once, in any frame that makes sense."""
-    return 1 if len(set(ids)) == len(ids) else max(map(ids.count, ids))
