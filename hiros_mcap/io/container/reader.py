@@ -42,7 +42,7 @@ from hiros_mcap.io.container.scan import remedy, scan
 from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 
-_AHEAD = 2
+_AHEAD = 1
 _AHEAD_BYTES = 64 * 2**20
 MEMORY = 2**30
 """Bytes that reading may take unless the user allows more."""
@@ -51,7 +51,7 @@ _KEPT = 64 * 2**20
 _HELD = 4
 """Chunks that overlap in time may take this part of the memory; larger ones are read in slices."""
 _POINTS = 64  # of a chunk, at which a slice of its messages may begin
-_TOGETHER = 4 * 2**20
+_TOGETHER = 8 * 2**20
 """Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
 _COLUMNS = [LOG_TIME, START]
