@@ -7,6 +7,7 @@ are accepted, and an error names the layer, the parameter and what would have be
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -109,7 +110,7 @@ class NoiseParams(Params):
     __pydantic_extra__: dict[str, Factor | dict[str, Factor]]
 
     @model_validator(mode="after")
-    def _known(self) -> Self:
+    def _check(self) -> Self:
         for name, value in self.__pydantic_extra__.items():
             if name not in (*_NOISE_NUMBERS, *_NOISE_TABLES):
                 raise ValueError(f"{name}: there is no such key")
@@ -124,8 +125,8 @@ class NoiseParams(Params):
 
     def table(self, name: str) -> dict[str, float]:
         """Joint -> factor of the deviation ("joints"), or camera -> of the variance ("cameras")."""
-        found = self.__pydantic_extra__.get(name, {})
-        return found if isinstance(found, dict) else {}
+        table = self.__pydantic_extra__.get(name, {})
+        return table if isinstance(table, dict) else {}
 
 
 _NOISE_NUMBERS, _NOISE_TABLES = ("sigma", "power", "guessed"), ("joints", "cameras")
@@ -215,10 +216,7 @@ PRESETS = (NO_PRESET, "realtime", "paper", "upstream")
 _TABLES = Path(__file__).parent / "systems" / "presets"
 """Values of presets, and of systems that are another one with other parameters."""
 
-_REMOVED: Mapping[str, Mapping[str, object]] = {
-    "track": {"min_links": 0},
-    "optimize": {"symmetric": False},
-}
+_REMOVED: Table = {"track": {"min_links": 0}, "optimize": {"symmetric": False}}
 """Parameters of former versions, and the value whose behaviour every run has now."""
 
 
@@ -324,9 +322,8 @@ def _check_names(table: Mapping[str, Any], origin: str) -> None:
         if _section(section).model_config.get("extra") == "allow":
             continue
         there = _section(section).model_fields
-        gone = {*_section(section).__class_vars__, *_REMOVED.get(section, ())}
         for name in values:
-            if name not in there and name not in gone:
+            if name not in there and name not in constants_of(section):
                 raise ConfigError(
                     f"{origin}: no parameter {section}.{name}{_instead(name, there, section)}"
                 )
@@ -339,11 +336,9 @@ def _without_fixed(
 
     Raises ConfigError if one differs from what the system, the preset or the code sets.
     """
-    params, chosen = _section(section), dict(values)
-    constants = {name: getattr(params, name) for name in params.__class_vars__}
-    constants |= _REMOVED.get(section, {})
+    chosen, constants = dict(values), constants_of(section)
     for name in values:
-        field = params.model_fields.get(name)
+        field = _section(section).model_fields.get(name)
         if name in constants:
             now, why = constants[name], "it is a constant now"
         elif field is not None and is_fixed(field) and are_refused:
@@ -357,6 +352,23 @@ def _without_fixed(
                 f"{toml_value(now)}; leave it out"
             )
     return chosen
+
+
+def constants_of(section: str) -> dict[str, Any]:
+    """Return the constants of a section that former versions took as parameters."""
+    params = _section(section)
+    constants = {name: getattr(params, name) for name in sorted(params.__class_vars__)}
+    return constants | _REMOVED.get(section, {})
+
+
+def without_constants(parameters: Mapping[str, str]) -> dict[str, str]:
+    """Return ``section.parameter`` -> JSON without those that are constants of the same value."""
+    constants = {
+        f"{section}.{name}": json.dumps(value)
+        for section in Config.model_fields
+        for name, value in constants_of(section).items()
+    }
+    return {k: v for k, v in parameters.items() if k not in constants or v != constants[k]}
 
 
 def _section(name: str) -> type[Params]:

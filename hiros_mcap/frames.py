@@ -147,7 +147,7 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
     joined = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
     for k, block in enumerate(blocks):
         own = of_block == k
-        gather(_pieces(rows[own], targets[own]), block.people, joined)
+        gather(rows[own], targets[own], block.people, joined)
     names, sources, frame_ids = _common_names(blocks)
     return Block(
         np.concatenate([block.stamps for block in blocks])[wanted],
@@ -203,14 +203,6 @@ def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Sta
     pairs = list(zip(tables, blocks, strict=True))
     sources = np.concatenate([table[block.sources] for table, block in pairs])
     return tuple(numbers), sources, np.concatenate([table[b.frame_ids] for table, b in pairs])
-
-
-def _pieces(rows: Stamps, targets: Stamps) -> Stamps:
-    """(K, 3) What :func:`gather` copies: neighbouring frames (N, 2) as one piece."""
-    goes_on = (rows[1:, 0] == rows[:-1, 1]) & (np.diff(rows[:, 0]) == np.diff(targets))
-    starts = np.flatnonzero(np.concatenate([np.ones(min(len(rows), 1), np.bool_), ~goes_on]))
-    last = np.append(starts[1:], len(rows)) - 1
-    return np.stack([rows[starts, 0], rows[last[: len(starts)], 1], targets[starts]], axis=1)
 
 
 def _rows_between(rows: Stamps) -> Stamps:

@@ -51,9 +51,9 @@ def advanced(default: Any, **options: Any) -> Any:
     return Field(default, json_schema_extra={"advanced": True}, **options)
 
 
-def fixed(default: Any, **options: Any) -> Any:
+def fixed(default: Any, description: str) -> Any:
     """Return a Field that only systems, presets and Python set, not the users of a run."""
-    return Field(default, json_schema_extra={"fixed": True}, **options)
+    return Field(default, description=description, json_schema_extra={"fixed": True})
 
 
 def is_fixed(field: FieldInfo) -> bool:

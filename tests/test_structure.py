@@ -35,18 +35,19 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4350,
-    "hiros_viewer": 4450,
+    "hiros_cli": 4540,
+    "hiros_viewer": 4720,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
-    "evaluate": 3100,
-    "io": 12160,
+    "evaluate": 3180,
+    "io": 12300,
     "kernels": 10050,
     "many": 1200,
-    "regression": 1700,
+    "plan": 570,
+    "regression": 1650,
     "running": 3100,
-    "simulate": 2900,
+    "simulate": 3070,
     "stages": 7700,
     "systems": 400,
     "hiros_schemas": 400,
@@ -158,6 +159,36 @@ def test_no_import_circles() -> None:
 
     for name in MODULES:
         visit(name, [])
+
+
+AVOIDED = re.compile(
+    r"_(found|known|own|said|told|tells?|look(s|ed)?|judge[sd]?|settled?|meets?|met|weighs?|doubts?)_"
+)
+"""Words that no variable, function or class has in the packages that are clean of them."""
+CLEAN = ("evaluate", "regression", "many", "systems", "config", "params")
+"""Layers and modules; this list only grows."""
+
+
+def test_names_are_nouns_of_the_field() -> None:
+    avoided = {
+        (name, identifier)
+        for name, tree in TREES.items()
+        if layer_of(name) in CLEAN
+        for node in ast.walk(tree)
+        for identifier in identifiers(node)
+        if AVOIDED.search(re.sub("([A-Z])", r"_\1", f"_{identifier}_").lower())
+    }
+    assert avoided == set()
+
+
+def identifiers(node: ast.AST) -> Iterator[str]:
+    """What a node of the tree names."""
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        yield node.id
+    elif isinstance(node, ast.arg):
+        yield node.arg
+    elif isinstance(node, FUNCTIONS | ast.ClassDef):
+        yield node.name
 
 
 def test_references_can_be_looked_up() -> None:

@@ -39,10 +39,13 @@ def console() -> Console:
 
 def page(
     headline: str | Sequence[str],
-    *parts: Table | Sequence[str] | tuple[str, Content] | None,
+    *parts: Table | Sequence[str | Text] | tuple[str, Content] | None,
     notes: Iterable[str] = (),
 ) -> None:
-    """Print a report: tables, lines and tables with a title, an empty line before each; notes."""
+    """Print a report: tables, lines and tables with a title, an empty line before each; notes.
+
+    It is the printer of all commands. Strings may hold anything from outside, a Text may not.
+    """
     out = console()
     for line in [headline] if isinstance(headline, str) and headline else headline:
         say(out, line, "bold")
@@ -55,20 +58,17 @@ def page(
             if isinstance(part, Table):
                 out.print(part)
                 continue
-            for line in part:
-                say(out, line)
-    for text in notes:
-        note(out, text)
+            for text in part:
+                say(out, text)
+    for each in notes:
+        say(out, f"note: {each}", "yellow")
 
 
-def say(out: Console, text: object, style: str = "", before: str = "") -> None:
+def say(out: Console, text: str | Text, style: str = "", before: str = "") -> None:
     """Print a line that may hold anything from outside, behind ``before``."""
-    out.print(Text(before + printable(text, LINE_LIMIT), style=style), soft_wrap=True)
-
-
-def note(out: Console, text: str) -> None:
-    """Print a note."""
-    say(out, text, "yellow", "note: ")
+    if not isinstance(text, Text):
+        text = Text(before + printable(text, LINE_LIMIT), style=style)
+    out.print(text, soft_wrap=True)
 
 
 def show_table(out: Console, title: str, content: Content) -> None:

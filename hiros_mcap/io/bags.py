@@ -8,7 +8,7 @@ fields. Chunks are compressed, so that it takes as much memory as the file.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,11 +26,10 @@ from hiros_mcap.io.container import (
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import Damage, joined
 from hiros_mcap.io.detectors.registry import detector_readers
-from hiros_mcap.io.detectors.ros_types import types_of
+from hiros_mcap.io.ros_types import ros2_types, types_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.typesys.store import Typestore
 
 _MAGIC = {b"#ROSBAG V2.0": "a ROS 1 bag", b"SQLite format 3": "a SQLite bag"}
 _FOLDER = "metadata.yaml"  # what makes a folder a rosbag2 recording
@@ -283,17 +282,6 @@ def open_bag(path: Path, kind: str) -> Iterator[Any]:
     except Exception as error:  # noqa: BLE001 - dozens of kinds, down to those of sqlite
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
-
-
-def ros2_types(texts: Mapping[str, str]) -> Typestore:
-    """Types of ``texts`` on top of ROS 2's standard ones, whose Header has no ``seq``."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in texts.items():
-        types = get_types_from_msg(text, name)
-        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
-    return store
 
 
 def _metadata(connection: Connection) -> dict[str, str]:

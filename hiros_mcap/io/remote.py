@@ -35,6 +35,16 @@ def protocol_of(address: str) -> str:
     return address.partition("://")[0].lower()
 
 
+_LIBRARIES = {
+    "s3": ("s3fs",),
+    "gs": ("gcsfs",),
+    "http": ("aiohttp",),
+    "https": ("aiohttp",),
+    "sftp": ("paramiko",),
+}
+"""What fsspec needs for a protocol."""
+
+
 @contextmanager
 def in_words(address: str) -> Iterator[None]:
     """Turn whatever a store has to say against an address into one LogError with a remedy."""
@@ -51,7 +61,8 @@ def _fault(address: str, error: Exception) -> str:
     reason = " ".join(str(error).split()).rstrip(".") or kind
     status = getattr(error, "status", None) or getattr(error, "code", None)
     if isinstance(error, ImportError):
-        return f'{protocol}:// needs further libraries: pip install "hiros-mcap[remote]" ({reason})'
+        libraries = " ".join(("fsspec", *_LIBRARIES.get(protocol, ())))
+        return f"{protocol}:// needs further libraries: pip install {libraries} ({reason})"
     if isinstance(error, ValueError) and "rotocol" in reason:
         return f"nobody knows the protocol {protocol}://; there are s3, gs, https, sftp and others"
     if isinstance(error, FileNotFoundError) or status == 404:

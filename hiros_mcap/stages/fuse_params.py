@@ -21,21 +21,15 @@ class FuseParams(Params):
     )
     window: Seconds = fixed(
         10.0,
-        ge=0,
-        description="Seconds that are smoothed at once. Results do not depend on it as long as the "
+        "Seconds that are smoothed at once. Results do not depend on it as long as the "
         "look-ahead is long; 0 = every instant as soon as it has its look-ahead.",
     )
     max_lag: float = fixed(
         math.inf,
-        gt=0,
-        description="Longest time, s, from the cameras' mean time to the result's log time. A "
-        "result that would be later if it waited for the cameras' next messages has less "
-        "look-ahead.",
+        "Longest time, s, from the cameras' mean time to the result's log time. A result that "
+        "would be later if it waited for the cameras' next messages has less look-ahead.",
     )
-    follow_noise: bool = fixed(
-        False,
-        description="Learn on the way which cameras are noisier than others.",
-    )
+    follow_noise: bool = fixed(False, "Learn on the way which cameras are noisier than others.")
     acceleration: Accelerations = advanced(
         3.0,
         description="Spectral density of the acceleration of a joint at rest, m2/s3. Joints that "
@@ -51,9 +45,8 @@ class FuseParams(Params):
     """Time constant, s, with which such an offset wanders."""
     freedom: float = fixed(
         4.0,
-        gt=0,
-        description="Degrees of freedom of the noise (Student's t). With fewer, outliers count "
-        "less. 4 to 20 differ by 0 to 4 %.",
+        "Degrees of freedom of the noise (Student's t). With fewer, outliers count less. 4 to "
+        "20 differ by 0 to 4 %.",
     )
     pose_angle: float = advanced(
         0.3,
@@ -73,8 +66,7 @@ class ConstrainParams(Params):
 
     window: Seconds = fixed(
         10.0,
-        ge=0,
-        description="Seconds that are corrected at once. 0 = each pose by those before it, as in "
+        "Seconds that are corrected at once. 0 = each pose by those before it, as in "
         "fuse-realtime.",
     )
     enough: Seconds = advanced(
@@ -84,7 +76,5 @@ class ConstrainParams(Params):
         "other lengths in other poses, so a few seconds in one pose do not give them. Results wait "
         "for it. In fuse-realtime, which does not wait, 5.",
     )
-    rigid: bool = fixed(True, description="Keep the distances within head, thorax and pelvis, too.")
-    prior: bool = fixed(
-        True, description="Use the motion of the person in the window as a prior of each pose."
-    )
+    rigid: bool = fixed(True, "Keep the distances within head, thorax and pelvis, too.")
+    prior: bool = fixed(True, "Use the motion of the person in the window as a prior of each pose.")

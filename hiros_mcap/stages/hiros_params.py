@@ -59,15 +59,13 @@ class TrackParams(Params):
     )
     min_distance: float = fixed(
         0.25,
-        ge=0,
-        description="A detection is a duplicate and starts no track if it is this near, m, to a "
-        "person who is already in the same message (0.1: published code).",
+        "A detection is a duplicate and starts no track if it is this near, m, to a person who "
+        "is already in the same message (0.1: published code).",
     )
     orientation_weight: float = fixed(
         0.05,
-        ge=0,
-        description="Weight of eq 9 against eq 8 in eq 6, m per rad. The paper adds metres and "
-        "radians one to one; a detection that faces the wrong way then costs as much as 3 m.",
+        "Weight of eq 9 against eq 8 in eq 6, m per rad. The paper adds metres and radians one "
+        "to one; a detection that faces the wrong way then costs as much as 3 m.",
     )
     position_weight: ClassVar[float] = 1.0
     """Weight of the positions in eq 8. 0 leaves them out: velocities and orientations then decide
@@ -86,8 +84,7 @@ class TrackParams(Params):
     weight_by_velocity: ClassVar[bool] = True
     """Use the velocity weight w_v of eq 11."""
     flip_aware: bool = fixed(
-        True,
-        description="Also compare detections with left and right swapped; needs marker names.",
+        True, "Also compare detections with left and right swapped; needs marker names."
     )
     merge_tracks: bool = advanced(
         True,
@@ -103,9 +100,7 @@ class TrackParams(Params):
         4, ge=1, description="A detection with fewer markers starts no track."
     )
     confirm_detections: int = fixed(
-        5,
-        ge=1,
-        description="Number of detections that confirm a track, if two cameras or more report it.",
+        5, "Number of detections that confirm a track, if two cameras or more report it."
     )
     confirm_seconds: Seconds = advanced(
         0.5,
@@ -115,30 +110,25 @@ class TrackParams(Params):
     )
     confirm_alone: Seconds = fixed(
         1.0,
-        ge=0,
-        description="The same for a body that stands still where none of the other cameras looks. "
-        "If it is longer than the look-ahead, the person's first frames have no id.",
+        "The same for a body that stands still where none of the other cameras looks. If it is "
+        "longer than the look-ahead, the person's first frames have no id.",
     )
     contradiction: float = fixed(
         0.5,
-        ge=0,
-        description="Largest number of misses per report. Other cameras that look at a track of a "
-        "single camera contradict it when they miss it more often.",
+        "Largest number of misses per report. Other cameras that look at a track of a single "
+        "camera contradict it when they miss it more often.",
     )
     horizon: ClassVar[float] = 0.2
     """Time, s, for which eq 7 predicts constant velocity. After that velocities fade."""
     fade: Seconds = fixed(
         0.3,
-        ge=0,
-        description="Time constant, s, with which velocities fade beyond the horizon. 0 = a track "
-        "stands still there.",
+        "Time constant, s, with which velocities fade beyond the horizon. 0 = a track stands "
+        "still there.",
     )
     gate_growth: float = fixed(
         0.75,
-        ge=0,
-        le=1000,
-        description="Growth of the gate, m/s, while a track is unseen for longer than the horizon, "
-        "up to twice the gate. 0 = off (paper).",
+        "Growth of the gate, m/s, while a track is unseen for longer than the horizon, up to "
+        "twice the gate. 0 = off (paper).",
     )
     position_noise: ClassVar[float] = 0.04
     """SD, m, of a marker that one camera reports (raw error 57 mm)."""
@@ -193,8 +183,8 @@ class MergeParams(Params):
 
     flips: Literal["relabel", "drop"] = fixed(
         "relabel",
-        description="With sides.over_time = false: what happens to a view that faces the wrong "
-        "way. relabel: its left and right are swapped if this brings it near the others, otherwise "
+        "With sides.over_time = false: what happens to a view that faces the wrong way. "
+        "relabel: its left and right are swapped if this brings it near the others, otherwise "
         "it is dropped. drop: it is dropped (paper).",
     )
     max_delta_time: Seconds = Field(
@@ -205,9 +195,7 @@ class MergeParams(Params):
     )
     cameras: int = fixed(
         0,
-        ge=0,
-        description="Number of messages that fill the buffer (third trigger); 0 = the number of "
-        "known cameras.",
+        "Number of messages that fill the buffer (third trigger); 0 = the number of known cameras.",
     )
     max_position_delta: float = advanced(
         0.2,
@@ -216,64 +204,56 @@ class MergeParams(Params):
     )
     max_orientation_delta: float = fixed(
         math.pi / 4,
-        description="Views of a link agree if they differ by less than this, rad (eq 10); <= 0 "
-        "turns the vote off.",
+        "Views of a link agree if they differ by less than this, rad (eq 10); <= 0 turns the "
+        "vote off.",
     )
     max_facing_delta: float = fixed(
         math.pi / 2,
-        description="With sides.over_time = false: views agree if their facing directions differ "
-        "by less than this, rad (section 3.2); <= 0 turns the search for flips off.",
+        "With sides.over_time = false: views agree if their facing directions differ by less "
+        "than this, rad (section 3.2); <= 0 turns the search for flips off.",
     )
     facing: Literal["auto", "pelvis", "sides"] = fixed(
         "auto",
-        description="How the facing direction is measured. pelvis: orientation of the pelvis "
-        "(paper). sides: line from the left to the right shoulders and hips. auto: whichever of "
-        "the two differs more.",
+        "How the facing direction is measured. pelvis: orientation of the pelvis (paper). "
+        "sides: line from the left to the right shoulders and hips. auto: whichever of the two "
+        "differs more.",
     )
     pelvis_link: str = fixed(
         "",
-        description="Link that gives the orientation of the pelvis. Empty: the first link of the "
-        "root marker.",
+        "Link that gives the orientation of the pelvis. Empty: the first link of the root marker.",
     )
     past_votes: bool = fixed(
         True,
-        description="The previous merged pose votes like a camera and breaks ties (published code; "
-        "not in the paper).",
+        "The previous merged pose votes like a camera and breaks ties (published code; not in "
+        "the paper).",
     )
     ties: Literal["nearest", "drop"] = fixed(
         "nearest",
-        description="What happens if two groups of views are equally large. nearest: the group "
-        "nearest to the previous pose wins, then the more confident one. drop: the marker or link "
-        "is left out, or the whole person if views face opposite ways (published code).",
+        "What happens if two groups of views are equally large. nearest: the group nearest to "
+        "the previous pose wins, then the more confident one. drop: the marker or link is left "
+        "out, or the whole person if views face opposite ways (published code).",
     )
-    compensate_motion: bool = fixed(
-        True, description="Move views to the merged time with their velocities."
-    )
+    compensate_motion: bool = fixed(True, "Move views to the merged time with their velocities.")
     confidence_power: float = fixed(
         2.0,
-        ge=0,
-        description="Exponent of the confidences in eq 12 (paper: 1). A marker that the detector "
-        "guesses has half the confidence but about five times the error.",
+        "Exponent of the confidences in eq 12 (paper: 1). A marker that the detector guesses "
+        "has half the confidence but about five times the error.",
     )
     robust_scale: float = fixed(
         0.05,
-        description="A view this far from the mean, m, counts half, and a farther view counts less "
-        "(Cauchy weights on top of eq 12); <= 0 = plain eq 12.",
+        "A view this far from the mean, m, counts half, and a farther view counts less (Cauchy "
+        "weights on top of eq 12); <= 0 = plain eq 12.",
     )
     offset_time: Seconds = fixed(
         5.0,
-        ge=0,
-        description="Time constant, s, of the learned offset between each camera and the others, "
-        "per marker. The offset is subtracted, so the mean does not jump when a camera drops out. "
-        "3 to 30 s reduce the error after the filter by 1 to 3 %. 0 = off (paper).",
+        "Time constant, s, of the learned offset between each camera and the others, per "
+        "marker. The offset is subtracted, so the mean does not jump when a camera drops out. 3 "
+        "to 30 s reduce the error after the filter by 1 to 3 %. 0 = off (paper).",
     )
     bridge: float = fixed(
         0.12,
-        ge=0,
-        le=5,
-        description="Time, s, for which a person who is in no message of the buffer continues at "
-        "constant velocity. Without it, people whom only one camera sees would flicker. 0 = off "
-        "(paper).",
+        "Time, s, for which a person who is in no message of the buffer continues at constant "
+        "velocity. Without it, people whom only one camera sees would flicker. 0 = off (paper).",
     )
     carry: float = Field(
         1.0,
@@ -321,27 +301,24 @@ class CalibrationParams(Params):
     )
     short_link: Metres = fixed(
         0.15,
-        description="max_variation treats links shorter than this, m, as if they had this length. "
-        "The noise of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise "
-        "would reject everybody.",
+        "max_variation treats links shorter than this, m, as if they had this length. The noise "
+        "of a joint does not shrink with the link: a hand of 5 cm with 2 cm of noise would "
+        "reject everybody.",
     )
     max_free: float = fixed(
         0.3,
-        ge=0.0,
-        le=1.0,
-        description="Share of the links that may fail the quality gate. These links keep their "
-        "measured lengths; the others become constant. If more links fail, the person is not "
-        "calibrated. With 0 (paper), one failing link rejects the person, even a thumb that a "
-        "single camera guesses.",
+        "Share of the links that may fail the quality gate. These links keep their measured "
+        "lengths; the others become constant. If more links fail, the person is not calibrated. "
+        "With 0 (paper), one failing link rejects the person, even a thumb that a single camera "
+        "guesses.",
     )
     debias: bool = fixed(
         True,
-        description="Correct the lengths for noise, which makes links look longer. false: plain "
-        "(robust) mean, as in the paper.",
+        "Correct the lengths for noise, which makes links look longer. false: plain (robust) "
+        "mean, as in the paper.",
     )
     refine: bool = fixed(
-        True,
-        description="Continue to measure after the calibration, and adjust the lengths slowly.",
+        True, "Continue to measure after the calibration, and adjust the lengths slowly."
     )
     max_refinement: ClassVar[float] = 0.01
     """Largest relative change of a length by refinement. It is small because a person's lengths are
@@ -360,9 +337,9 @@ class OptimizeParams(CalibrationParams):
 
     lengths: Literal["exact", "paper"] = fixed(
         "exact",
-        description="exact: lengths are rigid, and markers move as little as possible. paper: the "
-        "weights of eq. 18, which correct small errors only in part. exact has the smaller joint "
-        "error, and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
+        "exact: lengths are rigid, and markers move as little as possible. paper: the weights "
+        "of eq. 18, which correct small errors only in part. exact has the smaller joint error, "
+        "and a coefficient of variation of the lengths below 0.001 instead of 0.035.",
     )
     max_length_error: Metres = advanced(
         0.1,
@@ -374,17 +351,17 @@ class OptimizeParams(CalibrationParams):
     )
     outliers: Literal["restore", "remove"] = fixed(
         "restore",
-        description="What happens to an outlier. restore: it moves to where the other markers and "
-        "the lengths put it, so skeletons stay complete; a robust fit finds which end of a wrong "
-        "link is the outlier. remove: the distal marker of a wrong link and all links that touch "
-        "it become absent (paper).",
+        "What happens to an outlier. restore: it moves to where the other markers and the "
+        "lengths put it, so skeletons stay complete; a robust fit finds which end of a wrong "
+        "link is the outlier. remove: the distal marker of a wrong link and all links that "
+        "touch it become absent (paper).",
     )
     align_links: bool = fixed(
         False,
-        description="Rotate link orientations with the directions of the links. Detectors measure "
-        "orientations independently of positions, and better than the ends of a short link can. On"
-        " logs made from real motion, this option raises the mean orientation error from 2.6 to "
-        "4.2 degrees.",
+        "Rotate link orientations with the directions of the links. Detectors measure "
+        "orientations independently of positions, and better than the ends of a short link can. "
+        "On logs made from real motion, this option raises the mean orientation error from 2.6 "
+        "to 4.2 degrees.",
     )
     solver: Literal["lm", "ceres"] = Field(
         "lm",
@@ -393,19 +370,6 @@ class OptimizeParams(CalibrationParams):
     )
     tolerance: ClassVar[float] = 1e-06
     """The solver has converged when no coordinate moves farther than this, m, in a step."""
-
-    @classmethod
-    def paper(cls) -> OptimizeParams:
-        """Return the parameters of the paper as printed (its L, which it does not give, 0.1 m)."""
-        return cls(
-            lengths="paper",
-            max_length_error=0.1,
-            outliers="remove",
-            align_links=True,
-            max_free=0.0,
-            debias=False,
-            refine=False,
-        )
 
 
 class FilterParams(Params):
@@ -442,9 +406,8 @@ class FilterParams(Params):
     )
     bridge: Seconds = fixed(
         0.2,
-        ge=0,
-        description="Longest gap, s, of a marker or link that is filled, with half of its last "
-        "confidence. A gap stays empty if the look-ahead shows that it is longer.",
+        "Longest gap, s, of a marker or link that is filled, with half of its last confidence. "
+        "A gap stays empty if the look-ahead shows that it is longer.",
     )
     max_gap: Seconds = advanced(
         1.0,
@@ -454,8 +417,8 @@ class FilterParams(Params):
     )
     keep_lengths: bool = fixed(
         True,
-        description="Give each link its mean length in the input. Smoothing each joint separately "
-        "shortens limbs that swing.",
+        "Give each link its mean length in the input. Smoothing each joint separately shortens "
+        "limbs that swing.",
     )
     length_time: ClassVar[float] = 2.0
     """Time constant, s, of the mean length of a link. A longer time is slightly better if no

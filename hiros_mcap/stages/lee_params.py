@@ -14,8 +14,8 @@ class ClusterParams(Params):
 
     method: Literal["dbscan", "average"] = fixed(
         "dbscan",
-        description="dbscan: average the largest cluster. average: average all candidates (variants"
-        " A1 and A2).",
+        "dbscan: average the largest cluster. average: average all candidates (variants A1 and "
+        "A2).",
     )
     radius: float = Field(
         0.1,
@@ -38,11 +38,9 @@ class ClusterParams(Params):
         ge=1,
         description="N_c of algorithm 1, including the point. With 1 (paper), nothing is noise.",
     )
-    reference_helps: bool = fixed(
-        True, description="Add the reference position to the candidates (2.2.2)."
-    )
+    reference_helps: bool = fixed(True, "Add the reference position to the candidates (2.2.2).")
     previous_helps: bool = fixed(
-        True, description="Add the previous position to the candidates: 1-frame smoothing (2.2.2)."
+        True, "Add the previous position to the candidates: 1-frame smoothing (2.2.2)."
     )
     memory: ClassVar[float] = 0.1
     """Longest time, s, for which a merged position serves as the previous one; three frames at 30
@@ -53,9 +51,7 @@ class ClusterParams(Params):
         "synchronised by wire; those of a log often are not.",
     )
     cameras: int = fixed(
-        0,
-        ge=0,
-        description="Number of messages in a merged instant; 0 = the number of known cameras.",
+        0, "Number of messages in a merged instant; 0 = the number of known cameras."
     )
     max_delta_time: Seconds = advanced(
         0.07,

@@ -62,7 +62,7 @@ class KalmanParams(Params):
         description="Predict in whole steps of this length, s (paper: 0.033). 0 = predict exactly "
         "to the time of each message, which cameras without a common clock need.",
     )
-    use_confidence: bool = fixed(True, description="Divide sigma_r^2 by the confidence (eq 8).")
+    use_confidence: bool = fixed(True, "Divide sigma_r^2 by the confidence (eq 8).")
     min_confidence: float = advanced(
         0.5, ge=0, le=1, description="th (III-C): joints with lower confidence are only predicted."
     )
@@ -89,16 +89,13 @@ class KalmanParams(Params):
     )
     range_noise: float = fixed(
         0.0,
-        ge=0,
-        le=1,
-        description="Adds (range_noise x distance^2)^2 to sigma_r^2, with the distance from the "
-        "camera in m; in 1/m. OpenPTrack has 0.0026.",
+        "Adds (range_noise x distance^2)^2 to sigma_r^2, with the distance from the camera in "
+        "m; in 1/m. OpenPTrack has 0.0026.",
     )
     max_gap: Seconds = fixed(
         1.0,
-        gt=0,
-        description="Time, s, without a detection after which the filter of a person restarts (not "
-        "in the paper).",
+        "Time, s, without a detection after which the filter of a person restarts (not in the "
+        "paper).",
     )
     hold: ClassVar[float] = 0.2
     """Time, s, for which an undetected person stays in the output; at most max_gap."""

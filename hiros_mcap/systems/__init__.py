@@ -109,8 +109,8 @@ def system(name: str) -> System:
 
 def sections_of(name: str) -> tuple[str, ...]:
     """Return the sections of the configuration that a system reads; ConfigError as in system."""
-    own = system(name).sections
-    return ("input", "clock", *(("noise",) if "fuse" in own else ()), "output", *own)
+    sections = system(name).sections
+    return ("input", "clock", *(("noise",) if "fuse" in sections else ()), "output", *sections)
 
 
 def chain_of(name: str, stages: str = "") -> tuple[str, ...]:

@@ -71,9 +71,9 @@ def plot(
     topic = output_channels(log, [channel] if channel else [])[-1]
     with bar(f"plotting {log.name}", quiet=quiet):
         frames, model, _ = read_channel(log, topic)
-        found = find_truth(log, truth)
+        its_truth = find_truth(log, truth)
         start = frames[0].stamp if frames else 0
-        true = None if found is None else found.moved(start=start)
+        true = None if its_truth is None else its_truth.moved(start=start)
         collected = curves.collect(f"{log}: {topic}", frames, model, true)
         about = headline(log).lines(curves.verdict(collected), curves.summary_row(frames, model))
         collected = replace(collected, about=about)

@@ -362,11 +362,11 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
     from hiros_viewer.destinations import has_display
     from hiros_viewer.live import live_page, live_view
 
-    def tell(text: str) -> None:
+    def say(text: str) -> None:
         print(f"hiros: {text}", file=sys.stderr, flush=True)
 
     def closed() -> None:
-        tell("the viewer was closed; processing goes on")
+        say("the viewer was closed; processing goes on")
 
     later = f"look at the result with: hiros view {target} --web"
     try:
@@ -374,7 +374,7 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
             return stack.enter_context(live_view(source.name, closed))
         if sys.stderr.isatty():
             announce = f"no screen here; open {{}} and stop with Ctrl-C, or {later}"
-            page = live_page(source.name, closed, lambda url: tell(announce.format(url)))
+            page = live_page(source.name, closed, lambda url: say(announce.format(url)))
             return stack.enter_context(page)
         warn(f"--view: there is no screen here; {later}")
     except HirosError:

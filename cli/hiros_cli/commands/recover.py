@@ -76,13 +76,13 @@ def _show(recovery: Recovery, target: Path) -> None:
             recovery.channels,
             ("Channel", lambda c: c.topic),
             (">Recovered", lambda c: c.recovered),
-            (">Lost", lambda c: _known(c.lost)),
-            (">Bytes lost", lambda c: _known(c.lost_bytes)),
+            (">Lost", lambda c: _count(c.lost)),
+            (">Bytes lost", lambda c: _count(c.lost_bytes)),
             (">Time lost", lambda c: "unknown" if c.lost_s is None else f"{c.lost_s:.2f} s"),
         ),
         [*lines, f"wrote {quantity(recovery.recovered, 'message')} to {target}"],
     )
 
 
-def _known(number: int | None) -> str:
+def _count(number: int | None) -> str:
     return "unknown" if number is None else str(number)

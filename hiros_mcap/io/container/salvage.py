@@ -63,7 +63,7 @@ class RecoveringReader(McapReader):
         """Return the channels that a chunk defines; the walk took note of their definitions."""
         rows = (row for row in definitions.tolist() if row[0] == Opcode.CHANNEL)
         view = memoryview(data)
-        return frozenset(r.parse_channel(view[start:stop]).id for _, start, stop in rows)
+        return frozenset(r.Channel.read(r.Cursor(view[start:stop])).id for _, start, stop in rows)
 
     def _accepted(self, chunk: r.Chunk, table: Table) -> Table:
         """Return the messages whose channel is known."""

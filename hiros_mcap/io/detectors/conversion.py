@@ -31,8 +31,8 @@ from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
-from hiros_mcap.io.detectors.ros_types import cdr_of, decoder_of, types_of
 from hiros_mcap.io.layout import Layout, check_schema
+from hiros_mcap.io.ros_types import cdr_of, decoder_of, types_of
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.summary import quantity
 
