@@ -138,6 +138,8 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
     """
+    if len(blocks) == 1:
+        return _copied(blocks[0] if order is None else blocks[0].select(order))
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -159,6 +161,17 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
         joined,
         _join_uncertainty(blocks, of_block, rows),
     )
+
+
+def _copied(block: Block) -> Block:
+    """Return a copy of the people of a block's frames, which lie one behind the other in it."""
+    ends = np.cumsum(block.sizes)
+    targets = ends - block.sizes
+    people, known = block.people, block.uncertainty
+    copy = People.allocate(int(ends[-1]), people.markers.shape[1], people.links.shape[1])
+    gather(block.rows, targets, people, copy)
+    known = known and known.at(_rows_between(block.rows))
+    return replace(block, rows=np.stack([targets, ends], axis=1), people=copy, uncertainty=known)
 
 
 class HeldFrames:
@@ -191,7 +204,9 @@ class HeldFrames:
         self._blocks = []
         for own, block in blocks:
             begin, end = np.searchsorted(kept, [own[0], own[-1] + 1])
-            if end > begin:
+            if end - begin == len(own):
+                self._blocks.append((own, block))
+            elif end > begin:
                 places = np.searchsorted(own, kept[begin:end])
                 self._blocks.append((own[places], block.select(places)))
 
@@ -253,8 +268,3 @@ def by_block(stage: Stage) -> BlockStage:
         yield from map(Block.of, stage(frames_of(blocks)))
 
     return run
-
-
-def most_often(ids: list[int]) -> int:
-    """How often the most frequent id of a frame comes: once, in any frame that makes sense."""
-    return 1 if len(set(ids)) == len(ids) else max(map(ids.count, ids))

@@ -48,7 +48,7 @@ class Layout:
     difference : the first field that is not as published; "" when there is none.
     """
 
-    def __init__(self, read: Callable[[Bytes], Any] | None = None, difference: str = "") -> None:
+    def __init__(self, read: Callable[[Any], Any] | None = None, difference: str = "") -> None:
         self._read = read
         self.difference = difference
 
@@ -136,7 +136,7 @@ def _refuse_missing(found: list[tuple[str, str]]) -> None:
             raise hiros_schemas.DefinitionError(fault)
 
 
-def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[Bytes], Any]:
+def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[Any], Any]:
     """Make a decoder of the generic library for exactly the definitions that were checked."""
     if definitions[_TIME] != _PUBLISHED[_TIME]:
         raise hiros_schemas.DefinitionError(f"schema cannot be used: it has another {_TIME}")

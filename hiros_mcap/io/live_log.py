@@ -16,7 +16,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import hiros_schemas
 from hiros_mcap.body.transforms import parse_tf, read_extrinsics
@@ -35,8 +35,7 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector, people_finder
 from hiros_mcap.io.log import look_into
-from hiros_mcap.io.opened_log import Log, Reading, Spans
-from hiros_mcap.skeletons import Stamps
+from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.summary import quantity
 
 LISTEN_S = 1.0
@@ -51,47 +50,6 @@ _PROBED = 100
 _ONLY_GROUPS = "live input reads SkeletonGroups only; record the log, then process the file"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class LiveLog(Log):
-    """A log that is still being written, as known when it was opened by :func:`open_live`."""
-
-    reader: LiveReader
-    topics: Sequence[str] | None = None
-    """Globs of the channels that are wanted."""
-    has_extrinsics: bool = False
-    """Whether the poses are given, so that the input's transforms do not count."""
-
-    is_live = True
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """Log times, ns, of the first and the latest message of the cameras."""
-        return self.reader.span
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Notes about the log."""
-        if not self.reader.forgotten:
-            return super().remarks
-        n = quantity(self.reader.forgotten, "message")
-        return (*super().remarks, f"{n} from before the first person neither read nor copied")
-
-    def joined_by(self, camera: CameraChannel) -> Self:
-        """Return the log with one camera more; results stay in the frame in which they began."""
-        return self._but(keep=["fixed_frame"], cameras=(*self.cameras, camera))
-
-    def read(
-        self,
-        *,
-        fixed: bool = True,
-        spans: Spans | None = None,
-        step: int = 0,
-        times: list[Stamps] | None = None,
-    ) -> Reading:
-        """Return the reading of the log; see :meth:`Log.read`."""
-        return LiveReading(self, fixed=fixed, spans=spans, step=step, times=times)
-
-
 class LiveReading(Reading):
     """The one reading of a log that is still being written.
 
@@ -101,17 +59,9 @@ class LiveReading(Reading):
 
     log: LiveLog
 
-    def __init__(
-        self,
-        log: LiveLog,
-        *,
-        fixed: bool,
-        spans: Spans | None,
-        step: int,
-        times: list[Stamps] | None,
-    ) -> None:
+    def __init__(self, log: LiveLog, **how: Any) -> None:
         log = replace(log, transforms=deepcopy(log.transforms))
-        super().__init__(log, fixed=fixed, spans=spans, step=step, times=times)
+        super().__init__(log, **how)
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
         self._finders: dict[int, Callable[[Message], bool]] = {}
@@ -204,6 +154,37 @@ class LiveReading(Reading):
             camera = replace(camera, sources=names)
         self.log = log.joined_by(camera)
         self._use(camera)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiveLog(Log):
+    """A log that is still being written, as known when it was opened by :func:`open_live`."""
+
+    reader: LiveReader
+    topics: Sequence[str] | None = None
+    """Globs of the channels that are wanted."""
+    has_extrinsics: bool = False
+    """Whether the poses are given, so that the input's transforms do not count."""
+
+    is_live = True
+    reading = LiveReading
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Log times, ns, of the first and the latest message of the cameras."""
+        return self.reader.span
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes about the log."""
+        if not self.reader.forgotten:
+            return super().remarks
+        n = quantity(self.reader.forgotten, "message")
+        return (*super().remarks, f"{n} from before the first person neither read nor copied")
+
+    def joined_by(self, camera: CameraChannel) -> Self:
+        """Return the log with one camera more; results stay in the frame in which they began."""
+        return self._but(keep=["fixed_frame"], cameras=(*self.cameras, camera))
 
 
 def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:

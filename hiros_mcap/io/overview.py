@@ -6,7 +6,7 @@ import math
 import os
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -136,24 +136,24 @@ class Overview:
     has_checksums: bool
     """Whether a damaged message would be noticed."""
     channels: tuple[ChannelRow, ...]
-    cameras: tuple[CameraRow, ...]
-    markers: tuple[str, ...]
-    links: tuple[str, ...]
-    people: tuple[PersonRow, ...]
+    people: tuple[PersonRow, ...] = ()
     """Of the last stage's channel, or of the truth in a file with nothing else."""
-    run: RunRow | None
+    run: RunRow | None = None
     """How the results came about; None where there are none."""
-    fixed_frame: str
-    """Frame that results would be in, "" if there is none."""
-    fault: str
+    fault: str = ""
     """Why the log cannot be processed, "" if it can."""
-    warnings: tuple[str, ...]
+    fixed_frame: str = ""
+    """Frame that results would be in, "" if there is none."""
+    cameras: tuple[CameraRow, ...] = ()
+    markers: tuple[str, ...] = ()
+    links: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """What would make results doubtful, with the remedy."""
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
     """Notes about the log."""
-    skipped: Mapping[str, Mapping[str, int]]
+    skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Messages that give nothing, by topic and reason."""
-    clocks: tuple[str, ...]
+    clocks: tuple[str, ...] = ()
     """What the times of the messages say about the cameras' clocks."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -217,43 +217,13 @@ def look(
         if kind and not parts_of(Path(path)):
             return _of_bag(Path(path), kind, error.fault)
         with open_reader(path) as reader:
-            return _of_any(path, reader, error.fault)
+            return replace(_of_file(path, reader), fault=error.fault)
     with log:
-        return _of_recording(path, log)
+        return _with_cameras(_of_file(path, log.reader), log)
 
 
-def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
-    """Report on a log whose skeletons can be read."""
-    fixed, fault = _fixed_frame(log)
-    reading = log.read(fixed=False)
-    counts = _counts(reading)
-    start, end = log.span
-    kind = _kind(log.reader, log.channels)
-    return Overview(
-        path=str(path),
-        kind=kind,
-        seconds=(end - start) / 1e9,
-        megabytes=_size(Path(log.path)) / 1e6,
-        has_checksums=log.reader.has_checksums,
-        channels=_channel_rows(log.reader, _spans(log.reader)),
-        cameras=tuple(
-            count.row(name, _unresolved(log, count.frame, fixed)) for name, count in counts.items()
-        ),
-        markers=log.model.marker_names,
-        links=log.model.link_names,
-        people=_people(path, log.channels) if kind == "result" else (),
-        run=_run(log.reader) if kind == "result" else None,
-        fixed_frame=fixed,
-        fault=fault,
-        warnings=log.warnings if fixed else (),
-        remarks=log.remarks,
-        skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
-        clocks=clocks_in_words(judge_clocks(log.times()), start),
-    )
-
-
-def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Overview:
-    """Report on a log without skeletons to process."""
+def _of_file(path: str | os.PathLike[str], reader: McapReader) -> Overview:
+    """Report on a file, whether its skeletons can be processed or not."""
     channels, spans = channels_of(reader), _spans(reader)
     kind = _kind(reader, channels)
     start = min((begin for begin, _ in spans.values()), default=0)
@@ -264,18 +234,32 @@ def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Ove
         seconds=(end - start) / 1e9,
         megabytes=_size(Path(reader.path)) / 1e6,
         has_checksums=reader.has_checksums,
-        channels=_channel_rows(reader, spans),
-        cameras=(),
-        markers=(),
-        links=(),
-        people=() if kind == "other" else _people(path, channels),
+        channels=_channel_rows(channels, spans),
+        people=_people(reader, channels) if kind in ("result", "golden", "truth") else (),
         run=_run(reader) if kind in ("result", "golden") else None,
-        fixed_frame="",
+    )
+
+
+def _with_cameras(overview: Overview, log: Log) -> Overview:
+    """Add what is known of the cameras of a log whose skeletons can be read."""
+    fixed, fault = _fixed_frame(log)
+    reading = log.read(fixed=False)
+    counts = _counts(reading)
+    start, end = log.span
+    return replace(
+        overview,
+        seconds=(end - start) / 1e9,
         fault=fault,
-        warnings=(),
-        remarks=(),
-        skipped={},
-        clocks=(),
+        fixed_frame=fixed,
+        cameras=tuple(
+            count.row(name, _unresolved(log, count.frame, fixed)) for name, count in counts.items()
+        ),
+        markers=log.model.marker_names,
+        links=log.model.link_names,
+        warnings=log.warnings if fixed else (),
+        remarks=log.remarks,
+        skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
+        clocks=clocks_in_words(judge_clocks(log.times()), start),
     )
 
 
@@ -299,17 +283,7 @@ def _of_bag(path: Path, kind: str, fault: str) -> Overview:
             _channel_row(name, encoding, len(own), (min(own), max(own)) if own else None)
             for name, own in sorted(stamps.items())
         ),
-        cameras=(),
-        markers=(),
-        links=(),
-        people=(),
-        run=None,
-        fixed_frame="",
         fault=fault,
-        warnings=(),
-        remarks=(),
-        skipped={},
-        clocks=(),
     )
 
 
@@ -373,11 +347,10 @@ def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
 
 
 def _channel_rows(
-    reader: McapReader, spans: Mapping[int, tuple[int, int]]
+    channels: Iterable[ChannelInfo], spans: Mapping[int, tuple[int, int]]
 ) -> tuple[ChannelRow, ...]:
     return tuple(
-        _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id))
-        for i in channels_of(reader)
+        _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id)) for i in channels
     )
 
 
@@ -393,14 +366,14 @@ def _channel_row(
 # Results and truths
 
 
-def _people(path: str | os.PathLike[str], channels: Iterable[ChannelInfo]) -> tuple[PersonRow, ...]:
+def _people(reader: McapReader, channels: Iterable[ChannelInfo]) -> tuple[PersonRow, ...]:
     """People of the last stage, else of the truths."""
     topics = [i.topic for i in channels if i.count and i.has_type(hiros_schemas.SKELETON_GROUP)]
     last = [topic for topic in OUTPUT_TOPICS if topic in topics][-1:]
     rows = []
     for topic in last or [topic for topic in topics if topic.startswith(f"{TRUTH_PREFIX}/")]:
         stamps: dict[int, list[int]] = {}
-        with open_log(path, topics=[topic], output_prefix="/none") as log:
+        with open_log(reader, topics=[topic], output_prefix="/none") as log:
             for frame in log.frames():
                 for _, person in frame.tracked():
                     stamps.setdefault(person, []).append(frame.stamp)

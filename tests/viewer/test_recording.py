@@ -260,7 +260,8 @@ def test_a_camera_is_shown_from_its_own_pose(
     pose = Rigid(np.array(ahead, float), np.array([1.0, 2.0, 0.0]))
     box = np.array([0.0, 1.0, 4.0]), np.array([2.0, 3.0, 6.0])
     content = Content(["filtered"], [0], ["left"], *box, {"left": pose})
-    (grid, *_) = cameras(content).contents
+    layout: Any = cameras(content)
+    grid = layout.contents[0]
     eye = grid.contents[0].properties["EyeControls3D"]
     assert np.allclose(eye.position.as_arrow_array().to_pylist(), [[1.0, 2.0, height]])
     (looked_at,) = eye.look_target.as_arrow_array().to_pylist()
@@ -272,7 +273,8 @@ def test_a_camera_beside_the_eye_does_not_hide_the_picture() -> None:
     poses = {name: Rigid(np.array([0, 0, 0, 1.0]), np.array(p)) for name, p in places.items()}
     box = np.array([-1.0, -1.0, 2.0]), np.array([1.0, 1.0, 4.0])
     content = Content(["filtered"], [0], list(places), *box, poses)
-    (grid, *_) = cameras(content).contents
+    layout: Any = cameras(content)
+    grid = layout.contents[0]
     shown = grid.contents[0].contents
     for name, hidden in (("left", "**"), ("beside", "**"), ("far", "name")):
         assert f"- /world/cameras/{name}/{hidden}" in shown

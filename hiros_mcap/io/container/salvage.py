@@ -19,8 +19,7 @@ import numpy as np
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.chunks import ChunkRecords, Table, read_chunk
-from hiros_mcap.io.container.compression import COMPRESSIONS
+from hiros_mcap.io.container.chunks import COMPRESSIONS, ChunkRecords, Table, read_chunk
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import MAX_CHUNK, FormatError, Opcode
@@ -52,8 +51,6 @@ class RecoveringReader(McapReader):
 
     Raises LogError if the file cannot be opened, or nothing in it can be read.
     """
-
-    recovery: Recovery
 
     def _walk(self) -> Contents:
         contents, self.recovery = salvage(self._file)

@@ -22,7 +22,7 @@ MAX_RECORD = 64 * 2**20
 _RUN = 1 << 20
 _AHEAD = 1 << 14
 _NAMES = 1 << 18
-_LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)
 Reader = Callable[[int, int], int | None]
@@ -142,9 +142,9 @@ class Walk(ABC):
             try:
                 opcode, begin, stop = self._next()
                 reader = self._skip if opcode == last else self._reader(readers, opcode, stop)
-                if opcode != Opcode.MESSAGE_INDEX:
+                if self._index is not None and opcode != Opcode.MESSAGE_INDEX:
                     self._leave_chunk(whole=True)
-                if opcode not in _LOOSE:
+                if self._run is not None and opcode not in _LOOSE:
                     self._end_run()
                 if opcode == last:
                     return
