@@ -138,6 +138,8 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
     """
+    if len(blocks) == 1:
+        return _copied(blocks[0] if order is None else blocks[0].select(order))
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
@@ -147,7 +149,7 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
     joined = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
     for k, block in enumerate(blocks):
         own = of_block == k
-        gather(_pieces(rows[own], targets[own]), block.people, joined)
+        gather(rows[own], targets[own], block.people, joined)
     names, sources, frame_ids = _common_names(blocks)
     return Block(
         np.concatenate([block.stamps for block in blocks])[wanted],
@@ -159,6 +161,17 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
         joined,
         _join_uncertainty(blocks, of_block, rows),
     )
+
+
+def _copied(block: Block) -> Block:
+    """Return a copy of the people of a block's frames, which lie one behind the other in it."""
+    ends = np.cumsum(block.sizes)
+    targets = ends - block.sizes
+    people, known = block.people, block.uncertainty
+    copy = People.allocate(int(ends[-1]), people.markers.shape[1], people.links.shape[1])
+    gather(block.rows, targets, people, copy)
+    known = known and known.at(_rows_between(block.rows))
+    return replace(block, rows=np.stack([targets, ends], axis=1), people=copy, uncertainty=known)
 
 
 class HeldFrames:
@@ -191,7 +204,9 @@ class HeldFrames:
         self._blocks = []
         for own, block in blocks:
             begin, end = np.searchsorted(kept, [own[0], own[-1] + 1])
-            if end > begin:
+            if end - begin == len(own):
+                self._blocks.append((own, block))
+            elif end > begin:
                 places = np.searchsorted(own, kept[begin:end])
                 self._blocks.append((own[places], block.select(places)))
 
@@ -203,14 +218,6 @@ def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Sta
     pairs = list(zip(tables, blocks, strict=True))
     sources = np.concatenate([table[block.sources] for table, block in pairs])
     return tuple(numbers), sources, np.concatenate([table[b.frame_ids] for table, b in pairs])
-
-
-def _pieces(rows: Stamps, targets: Stamps) -> Stamps:
-    """(K, 3) What :func:`gather` copies: neighbouring frames (N, 2) as one piece."""
-    goes_on = (rows[1:, 0] == rows[:-1, 1]) & (np.diff(rows[:, 0]) == np.diff(targets))
-    starts = np.flatnonzero(np.concatenate([np.ones(min(len(rows), 1), np.bool_), ~goes_on]))
-    last = np.append(starts[1:], len(rows)) - 1
-    return np.stack([rows[starts, 0], rows[last[: len(starts)], 1], targets[starts]], axis=1)
 
 
 def _rows_between(rows: Stamps) -> Stamps:
@@ -261,8 +268,3 @@ def by_block(stage: Stage) -> BlockStage:
         yield from map(Block.of, stage(frames_of(blocks)))
 
     return run
-
-
-def most_often(ids: list[int]) -> int:
-    """How often the most frequent id of a frame comes: once, in any frame that makes sense."""
-    return 1 if len(set(ids)) == len(ids) else max(map(ids.count, ids))

@@ -34,15 +34,33 @@ ELSEWHERE = {"--cluster"}
 """Options that need other machines."""
 
 
-def generated() -> dict[str, str]:
-    """Return the pages that the site's hook makes."""
+def hook() -> Any:
+    """Return the module with the site's hooks."""
     spec = importlib.util.spec_from_file_location("pages", DOCS / "pages.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    pages: dict[str, str] = module.generated()
+    return module
+
+
+def generated() -> dict[str, str]:
+    """Return the pages that the site's hook makes."""
+    pages: dict[str, str] = hook().generated()
     return pages
+
+
+def test_names_in_docstrings_are_shown_as_code() -> None:
+    html = "<p>see :func:<code>hiros_mcap.process</code>, :class:<code>~a.Frame</code></p>"
+    shown = "<p>see <code>hiros_mcap.process</code>, <code>a.Frame</code></p>"
+    assert hook().on_page_content(html, page=None) == shown
+
+
+def test_no_two_pages_have_one_title() -> None:
+    texts = [*generated().values(), *(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md"))]
+    titles = [text.removeprefix("# ").splitlines()[0] for text in texts]
+    assert len(titles) > 25
+    assert len(set(titles)) == len(titles)
 
 
 def test_the_reference_holds_every_command_parameter_and_public_name() -> None:

@@ -35,19 +35,20 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4350,
-    "hiros_viewer": 4450,
-    "hiros_mcap": 2350,
+    "hiros_cli": 4540,
+    "hiros_viewer": 4720,
+    "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
     "evaluate": 3180,
-    "io": 12160,
-    "kernels": 10050,
+    "io": 12139,
+    "kernels": 10045,
     "many": 1200,
+    "plan": 570,
     "regression": 1650,
     "running": 3100,
-    "simulate": 2900,
-    "stages": 7700,
+    "simulate": 3070,
+    "stages": 7420,
     "systems": 400,
     "hiros_schemas": 400,
 }

@@ -206,12 +206,12 @@ def open_missing_streams() -> None:
 
 def fail(error: Exception, *, debug: bool) -> int:
     """Print one line about ``error`` and return the exit code that belongs to it."""
-    from hiros_cli.printable import error_line, lacks_memory
+    from hiros_cli.printable import error_line, lacks_memory, left_out
     from hiros_mcap.errors import HirosError
 
     if debug:
         _show_traceback(error)
-    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error))
+    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error) or left_out(error))
     print(error_line(error, bug=bug), file=sys.stderr)
     return BUG if bug else BAD_INPUT
 

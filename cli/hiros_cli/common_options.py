@@ -91,9 +91,10 @@ def _file_handler(path: Path) -> logging.Handler:
         with path.open("rb") as file:
             if file.read(len(LOG_MARK)) != LOG_MARK.encode():
                 raise LogError("exists and is not a log of hiros; choose another name", path=path)
-    handler = logging.FileHandler(path, encoding="utf-8", errors="backslashreplace")
     if is_new:
-        handler.stream.write(LOG_MARK)
+        with path.open("w", encoding="utf-8") as file:
+            file.write(LOG_MARK)
+    handler = logging.FileHandler(path, encoding="utf-8", errors="backslashreplace")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     return handler
 

@@ -52,6 +52,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "export": 1,
     "logs": 1,
     "calibrate.board": 1,
+    "plan": 1,
 }
 """What ``--json`` prints -> version of its fields, docs/json.md. A new field does not change the
 version; a field that goes, or means something else, does."""

@@ -410,6 +410,19 @@ class _Camera(BaseModel):
     residual_mm: float | None = None
 
 
+class RoomTable(BaseModel):
+    """The table ``[room]`` of a file with poses, as ``hiros plan`` writes it."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    area: tuple[float, float, float, float]
+    """Least x and y, greatest x and y, m."""
+    fov: tuple[float, float]
+    """Field of view of each camera, across and upright, degrees."""
+    range: tuple[float, float]
+    """Nearest and farthest depth that a camera sees, m."""
+
+
 class _Extrinsics(BaseModel):
     """An extrinsics file."""
 
@@ -417,6 +430,7 @@ class _Extrinsics(BaseModel):
 
     camera: Annotated[list[_Camera], Field(min_length=1)]
     clock: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    room: RoomTable | None = None
 
 
 def read_extrinsics(path: str | Path) -> TransformTree:
@@ -455,6 +469,11 @@ def read_clocks(path: str | Path) -> dict[str, float]:
     ``hiros calibrate people`` writes it. Raises ConfigError as :func:`read_extrinsics` does.
     """
     return _extrinsics(Path(path)).clock
+
+
+def read_room(path: str | Path) -> RoomTable | None:
+    """Read the table ``[room]`` of a file with poses; raises as :func:`read_extrinsics` does."""
+    return _extrinsics(Path(path)).room
 
 
 class CameraEntry(NamedTuple):

@@ -224,10 +224,11 @@ def _read(source: Source, globs: Sequence[str]) -> dict[str, Channel]:
     """Read some channels in one pass."""
     with open_log(source, topics=globs, output_prefix="/none") as log:
         frames: dict[str, list[Frame]] = {camera.channel.topic: [] for camera in log.cameras}
-        for topics, block in log.read(fixed=False):
+        read = log.read(fixed=False)
+        for topics, block in read:
             for topic, frame in zip(topics, block.frames(), strict=True):
                 frames[topic].append(frame)
-        skipped = {topic: dict(log.accounts[topic].skipped) for topic in frames}
+        skipped = {topic: dict(read.accounts[topic].skipped) for topic in frames}
         return {
             topic: Channel(log.path, some, log.model, skipped[topic])
             for topic, some in frames.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -11,6 +12,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.layout import Layout
 
 OUTPUT_PREFIX = "/hiros"
 OUTPUT_TOPICS = tuple(
@@ -68,6 +70,20 @@ class ChannelInfo:
     def has_type(self, name: str) -> bool:
         """Whether messages are of a type, ``pkg/msg/Type``; the form ``pkg/Type`` is the same."""
         return self.schema in (name, hiros_schemas.short_name(name))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChannel:
+    """A skeleton channel that is read."""
+
+    channel: ChannelInfo
+    layout: Layout
+    sources: Mapping[str, str]
+    """The name that each of its cameras goes by; usually there is one camera."""
+    frames: tuple[str, ...]
+    """Coordinate frames of its detections."""
+    size: float = math.nan
+    """Size of the first people on it, m; NaN if nobody is."""
 
 
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:

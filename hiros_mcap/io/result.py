@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -74,15 +74,10 @@ class Motion:
     def between(self, start: float, end: float) -> Motion:
         """Return the instants from ``start`` to ``end``, s from the log's first skeleton."""
         inside = (self.times >= start) & (self.times <= end)
-        turns, sd = self.orientations, self.deviations
-        return replace(
-            self,
-            times=self.times[inside],
-            positions=self.positions[inside],
-            confidences=self.confidences[inside],
-            orientations=None if turns is None else turns[inside],
-            deviations=None if sd is None else sd[inside],
-        )
+        names = ("times", "positions", "confidences", "orientations", "deviations")
+        arrays = ((name, getattr(self, name)) for name in names)
+        part: dict[str, Any] = {name: a[inside] for name, a in arrays if a is not None}
+        return replace(self, **part)
 
     def at(self, times: Floats) -> Motion:
         """Interpolate by cubic splines to ``times``, s; NaN in pauses longer than GAP_S."""
@@ -301,14 +296,12 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         topics = [info.topic for info in channels_of(reader)]
         if chosen not in topics:
             raise ConfigError(f"{path}: no channel {chosen!r} (there are: {_listed(topics)})")
-        start = span_of(reader)[0]
-        events = stored_events(reader)
-    with open_log(path, topics=[escape(chosen)], output_prefix="/none") as log:
-        frames = list(log.frames())
-        model = log.model
+        start, events = span_of(reader)[0], stored_events(reader)
+        with open_log(reader, topics=[escape(chosen)], output_prefix="/none") as log:
+            frames, model = list(log.frames()), log.model
+        known = read_uncertainty(reader) if chosen == UNCERTAIN_TOPIC else {}
     if own.detections == 0 and frames:
         start = frames[0].stamp  # results are logged later than the data that they belong to
-    known = read_uncertainty(path) if chosen == UNCERTAIN_TOPIC else {}
     rows: dict[int, list[_Instant]] = {}
     for frame in frames:
         for k, person in frame.tracked():

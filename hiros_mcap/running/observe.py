@@ -10,7 +10,7 @@ import numpy as np
 
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.frames import Block
-from hiros_mcap.skeletons import UNTRACKED, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Flags, Stamps
 
 DETECTIONS = "detections"
 """Name of what goes into the first stage."""
@@ -29,12 +29,13 @@ class MessageRate:
     time: int = 0
     """ns."""
 
-    def add(self, stamp: int) -> None:
-        """Take note of a message."""
-        if self.last and 0 < stamp - self.last < _GAP:
-            self.intervals += 1
-            self.time += stamp - self.last
-        self.last = stamp
+    def add(self, stamps: Stamps) -> None:
+        """Take note of messages, in order."""
+        intervals = np.diff(stamps, prepend=self.last or stamps[0])
+        regular = intervals[(intervals > 0) & (intervals < _GAP)]
+        self.intervals += len(regular)
+        self.time += int(regular.sum())
+        self.last = int(stamps[-1])
 
     @property
     def hertz(self) -> float:
@@ -121,12 +122,12 @@ class Presence:
     frames: int = 0
     predicted: int = 0
 
-    def add(self, stamp: int, *, is_predicted: bool) -> None:
-        """Take note of a frame."""
-        self.frames += 1
-        self.predicted += is_predicted
-        self.first = min(self.first, stamp)
-        self.last = max(self.last, stamp)
+    def add(self, stamps: Stamps, predicted: Flags) -> None:
+        """Take note of frames."""
+        self.frames += len(stamps)
+        self.predicted += int(predicted.sum())
+        self.first = min(self.first, int(stamps.min()))
+        self.last = max(self.last, int(stamps.max()))
 
 
 class Observer:
@@ -152,31 +153,30 @@ class Observer:
         if channel == DETECTIONS:
             self.sample.add(block)
             self.pauses.add(block.stamps)
-            for stamp, source, _ in block.messages():
-                self.rates[source].add(stamp)
+            for code in np.unique(block.sources).tolist():
+                self.rates[block.names[code]].add(block.stamps[block.sources == code])
             return
         self.written[channel] += len(block)
         if channel == "tracked":
-            for (_, source, _), ids in zip(block.messages(), _ids(block), strict=True):
-                self.seen_by[source].update(ids)
+            rows, owners = block.everybody()
+            for code in np.unique(block.sources).tolist():
+                own = block.people.ids[rows[block.sources[owners] == code]]
+                self.seen_by[block.names[code]].update(np.unique(own).tolist())
         if channel == self.chain[-1]:
             self._count(block)
 
     def _count(self, block: Block) -> None:
         """Take note of who is in the frames of the last stage."""
-        ids, unseen = block.people.ids.tolist(), block.people.confidences < LEAST_CONFIDENCE
-        for stamp, (begin, end) in zip(block.stamps.tolist(), block.rows.tolist(), strict=True):
-            for row in range(begin, end):
-                if ids[row] != UNTRACKED:
-                    presence = self.people.setdefault(ids[row], Presence(stamp, stamp))
-                    presence.add(stamp, is_predicted=bool(unseen[row]))
+        rows, owners = block.everybody()
+        ids, unseen = block.people.ids[rows], block.people.confidences[rows] < LEAST_CONFIDENCE
+        _, firsts = np.unique(ids, return_index=True)
+        for person in ids[np.sort(firsts)].tolist():
+            if person != UNTRACKED:
+                own = ids == person
+                stamps = block.stamps[owners[own]]
+                presence = self.people.setdefault(person, Presence(int(stamps[0]), int(stamps[0])))
+                presence.add(stamps, unseen[own])
 
     def cameras_of(self, person: int) -> tuple[str, ...]:
         """Return the sorted names of the cameras that saw a person."""
         return tuple(source for source, ids in sorted(self.seen_by.items()) if person in ids)
-
-
-def _ids(block: Block) -> list[list[int]]:
-    """Return the ids of the people of each frame."""
-    ids = block.people.ids.tolist()
-    return [ids[begin:end] for begin, end in block.rows.tolist()]

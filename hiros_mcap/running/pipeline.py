@@ -26,7 +26,7 @@ from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
-from hiros_mcap.io.log import DAMAGED, Log, Source, open_log
+from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.observe import DETECTIONS, Observer
@@ -184,15 +184,17 @@ def run_log(
     run, chain = set_up(prepared), chain_of(options.system, options.stages)
     _log.info("%s: system %s: %s", log.path, options.system, ", ".join(chain))
     observer = Observer(chain)
-    report = Report(prepared, run, observer)
+    reading = log.read()
+    report = Report(prepared, run, observer, reading)
     with output(prepared, run) as out:
         sinks = [observer.see, *_shown_to(watcher, log, chain), out.write]
-        _consume(stream(prepared.detections(), run, chain, sinks, watch), log, progress or Silent())
+        detections = prepared.detections(reading)
+        _consume(stream(detections, run, chain, sinks, watch), log, progress or Silent())
         watch.charge("read", log.reader.cpu_s)
         prepared.clocks.tell(run.events)
         prepared.poses.tell(run.events)
         if options.strict:
-            _refuse_skipped(log, report.summary(None))
+            _refuse_skipped(reading, report.summary(None))
         with watch.timing("write"):
             out.commit(report.summary(None))
         watch.charge("write", out.cpu_s)
@@ -244,12 +246,11 @@ def _consume(blocks: Iterator[Block], log: Log, progress: Progress) -> None:
     progress.update(end - start, end - start)
 
 
-def _refuse_skipped(log: Log, summary: Summary) -> None:
+def _refuse_skipped(reading: Reading, summary: Summary) -> None:
     """Raise LogError if any message was skipped."""
     for camera in summary.cameras:
         for reason, n in camera.skipped.items():
-            error = log.accounts[camera.topic].first_error
+            error = reading.accounts[camera.topic].first_error
             detail = f" ({error})" if error and reason == DAMAGED else ""
-            raise LogError(
-                f"{n} messages skipped: {reason}{detail}", path=log.path, topic=camera.topic
-            )
+            fault = f"{n} messages skipped: {reason}{detail}"
+            raise LogError(fault, path=reading.log.path, topic=camera.topic)

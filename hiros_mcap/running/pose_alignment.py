@@ -18,7 +18,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.body.transforms import same_place
+from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.camera_graph import coarse_clocks
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
@@ -73,6 +73,12 @@ class PoseAlignment:
     """Cameras that were moved in the middle of the log."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
+    better: tuple[Mapping[str, TimedPoses], str] | None = None
+    """Poses of frames that the run uses in place of the log's, and the frame that they are in."""
+
+    def used_in(self, log: Log) -> Log:
+        """Return the log with the poses that the run uses."""
+        return log.with_poses(*self.better) if self.better else log
 
     @property
     def replaced(self) -> bool:
@@ -193,7 +199,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         _require(log, alignment)
     poses = _poses_used(posed)
     if poses:
-        log.use_poses(poses, log.fixed_frame)
+        alignment.better = poses, log.fixed_frame
         alignment.to_given = _to_given(posed)
     return alignment
 
@@ -343,9 +349,9 @@ def _from_nothing(survey: Survey, clocks: ClockAlignment, error: LogError | None
     for camera in found.cameras:
         if camera.pose is not None:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
-    log.use_poses(poses, found.fixed_frame)
     cameras = [summary_of(camera, used=True) for camera in found.cameras]
-    return PoseAlignment(cameras, from_nothing=True, moves=tuple(_moves_of(found)))
+    moves, better = tuple(_moves_of(found)), (poses, found.fixed_frame)
+    return PoseAlignment(cameras, from_nothing=True, moves=moves, better=better)
 
 
 def _moves_of(found: PeopleCalibration) -> Iterator[Move]:

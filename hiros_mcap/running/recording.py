@@ -46,7 +46,7 @@ class Recording:
         """
         with open_input(source, config, options) as log:
             prepared = prepare(log, config, options, Stopwatch())
-            _ = log.span  # needs the file
+            _ = prepared.log.span  # needs the file
             return cls(prepared, tuple(prepared.detections()))
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log
+from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
 from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.observe import Observer, Presence
@@ -57,11 +57,12 @@ class Report:
     prepared: Prepared
     run: Run
     observer: Observer
+    reading: Reading
 
     @property
     def log(self) -> Log:
-        """The log that is read."""
-        return self.prepared.log
+        """The log that is read, as far as it is known."""
+        return self.reading.log
 
     @property
     def clocks(self) -> ClockAlignment:
@@ -112,7 +113,7 @@ class Report:
     def _camera(self, camera: CameraChannel) -> CameraSummary:
         """Return what became of a camera's messages."""
         counts, hertz = self.run.events.counts, self.observer.rates
-        account = self.log.accounts[camera.channel.topic]
+        account = self.reading.accounts[camera.channel.topic]
         sources = sorted(camera.sources.values())
         rates = [hertz[source].hertz for source in sources if source in hertz]
         # Cameras that share messages: the one that lost most, since each lost a part of them.
@@ -170,7 +171,7 @@ class Report:
             few += [f"{camera.topic}: {n} {why}" for why, n in lost.items() if why != DAMAGED]
         if few:
             yield f"a few messages were not used: {'; '.join(few)}"
-        for account in self.log.accounts.values():
+        for account in self.reading.accounts.values():
             if account.first_error:
                 n = account.skipped[DAMAGED]
                 yield (
@@ -181,7 +182,7 @@ class Report:
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
         yield from self.poses.warnings()
         yield from self._displaced()
-        yield from self.log.warnings
+        yield from self.reading.warnings
         if not self.observer.people:
             yield from self._nobody()
 
@@ -229,8 +230,8 @@ class Report:
         yield from unmatched_globs(self.log, self.prepared.options)
         yield from self.observer.pauses.notes(self.log.span[0])
         yield from self.poses.notes()
-        yield from self.log.remarks
-        for account in self.log.accounts.values():
+        yield from self.reading.remarks
+        for account in self.reading.accounts.values():
             yield from _input_notes(account)
         totals: Counter[str] = Counter()
         for (kind, _), n in self.run.events.counts.items():

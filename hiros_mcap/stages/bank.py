@@ -51,10 +51,10 @@ class Bank(Generic[P]):
         for person in np.unique(people[people != UNTRACKED]).tolist():
             own = np.flatnonzero(people == person)
             times = stamps[own]
-            before = self.last_seen.get(person, times[0])
-            if (np.diff(times, prepend=before) > self._patience).any():
+            before, last = self.last_seen.get(person, times[0]), int(times.max())
+            if last - before > self._patience < np.diff(times, prepend=before).max():
                 self.forget(person)
-            rows[own] = self.row(person, int(times.max()))
+            rows[own] = self.row(person, last)
         if len(stamps):
             self.expire(int(stamps.max()))
         return rows

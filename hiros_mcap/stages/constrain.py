@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,9 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, HeldFrames
 from hiros_mcap.skeletons import (
     POSITION,
+    STATE,
     UNTRACKED,
+    Flags,
     Floats,
     Ints,
     SkeletonModel,
@@ -71,23 +73,53 @@ def constrain_blocks(
     params = params or ConstrainParams()
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
-    waiting: deque[Block] = deque()
+    waiting: deque[_Waiting] = deque()
     held, first, begin = HeldFrames(), 0, None
     for block in blocks:
         for number, (stamp, _, log_time) in enumerate(block.messages(), held.add(block)):
             begin = stamp if begin is None else begin
             if stamp - begin >= params.window * 1e9:
-                waiting.append(bodies.measured(held.copies(range(first, number + 1))))
+                waiting.append(_Waiting(bodies.measured(held.copies(range(first, number + 1)))))
                 first, begin = number + 1, None
-                while waiting and bodies.can_correct(waiting[0], stamp):
-                    yield bodies.corrected(waiting.popleft(), log_time)
+                while waiting and bodies.can_correct(waiting[0].block, stamp):
+                    yield bodies.corrected(waiting.popleft().whole(), log_time)
+                if waiting:
+                    waiting[-1].pack()
         held.keep(range(first, held.count))
     if held.count > first:
-        waiting.append(bodies.measured(held.copies(range(first, held.count))))
+        waiting.append(_Waiting(bodies.measured(held.copies(range(first, held.count)))))
     bodies.end_of_log()
-    end = int(waiting[-1].log_times[-1]) if waiting else 0
+    end = int(waiting[-1].block.log_times[-1]) if waiting else 0
     while waiting:
-        yield bodies.corrected(waiting.popleft(), end)
+        yield bodies.corrected(waiting.popleft().whole(), end)
+
+
+class _Waiting:
+    """A window that waits for lengths. Packed, it has only the columns that hold numbers."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self._used: list[Flags] = []
+
+    def pack(self) -> None:
+        """Leave out the columns of markers and links that are NaN everywhere."""
+        states = self.block.people.markers, self.block.people.links
+        self._used = [np.asarray(~np.isnan(each).all(axis=(0, 1))) for each in states]
+        self._put(*[each[:, :, used] for each, used in zip(states, self._used, strict=True)])
+
+    def whole(self) -> Block:
+        """Return the block with all columns."""
+        if self._used:
+            packed = self.block.people.markers, self.block.people.links
+            whole = [np.full((*each.shape[:2], STATE), np.nan) for each in packed]
+            for each, used, some in zip(whole, self._used, packed, strict=True):
+                each[:, :, used] = some
+            self._put(*whole)
+        return self.block
+
+    def _put(self, markers: Floats, links: Floats) -> None:
+        people = self.block.people._replace(markers=markers, links=links)
+        self.block = replace(self.block, people=people)
 
 
 @dataclass

@@ -17,12 +17,13 @@ Nothing is changed while too little is known of a person.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, CameraNumbers, join
+from hiros_mcap.frames import Block, CameraNumbers
 from hiros_mcap.kernels import limb_deviations as kernels
 from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
@@ -83,27 +84,33 @@ class _KnownLimbs:
 
     def compare(self, block: Block) -> Block:
         """Return a block with less confident markers, and without those of distorted views."""
-        if not block.sizes.any():
-            return block
-        m = block.people.markers.shape[1]
-        # A copy of these frames only: the tracker may still write into others of the arrays.
-        out = join([block])
-        messages = self._messages(out)
-        centres = np.empty((len(out.people.ids), 3))
-        work = kernels.PlausibleWork(np.empty(m), np.empty(m), centres, np.empty(1))
+        people, (rows, owners) = block.people, block.everybody()
+        past_rows = np.full(len(people.ids), -1, np.int64)
+        past_rows[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
+        messages = kernels.ComparedMessages(
+            block.stamps, self._cameras.of(block), block.rows, past_rows
+        )
+        work = kernels.PlausibleWork.of(*people.markers.shape[:2])
         nowhere = np.full(3, np.nan)
         places = np.array([self._places.get(name, nowhere) for name in self._cameras])
         self._make_room(len(places))
         counts = np.zeros((2, len(places)), np.int64)
+        # What is not written is shared: the tracker may still write into others of the arrays.
+        people = people._replace(marker_confidences=people.marker_confidences.copy())
         kernels.find_implausible(
-            messages, out.people, places, self._links, self._bank.past, self._settings, counts, work
+            messages, people, places, self._links, self._bank.past, self._settings, counts, work
         )
         if not counts.any():
             return block
         for kind, by_camera in zip((DISTORTED, CONTRADICTORY), counts.tolist(), strict=True):
             for source, n in zip(self._cameras, by_camera, strict=True):
                 self._events.count(kind, source, n)
-        return out
+        if work.left_out.any():
+            people = people.copy()
+            for array in people.markers, people.marker_confidences, people.links:
+                array[work.left_out] = np.nan
+            people.link_confidences[work.left_out] = np.nan
+        return replace(block, people=people)
 
     def _make_room(self, n_cameras: int) -> None:
         """Remember more cameras."""
@@ -111,11 +118,6 @@ class _KnownLimbs:
         if n_cameras > seen.shape[1]:
             seen = np.pad(seen, ((0, 0), (0, n_cameras)))
             self._bank.past = self._bank.past._replace(seen=seen)
-
-    def _messages(self, block: Block) -> kernels.ComparedMessages:
-        """Return the messages of a block, and where its people are remembered."""
-        rows = self._bank.rows_of(block.people.ids, np.repeat(block.stamps, block.sizes))
-        return kernels.ComparedMessages(block.stamps, self._cameras.of(block), block.rows, rows)
 
 
 def links_of(model: SkeletonModel) -> kernels.LimbLinks:

@@ -23,7 +23,7 @@ import typer
 
 from hiros_cli.app import run
 from hiros_cli.commands import app
-from hiros_cli.commands.simulate import _params
+from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.help_page import EXAMPLES
 from hiros_mcap import __version__, kernels
@@ -125,7 +125,7 @@ def test_the_help_of_simulate_states_the_bounds_that_hold(
     assert [name for name, _ in stated] == ["people", "cameras", "seconds", "rate"]
     for name, bound in stated:
         with pytest.raises(ConfigError, match=rf"--{name}: .* {bound}, is"):
-            _params({name: int(bound) + 1})
+            simulate_params({name: int(bound) + 1})
     assert "real depth camera has, at most 100." in text
 
 

@@ -6,6 +6,7 @@ import re
 import tempfile
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -170,6 +171,28 @@ def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path: Path, scene: Sc
         last = list(log.frames())[-1]
     assert last.n_people == 0
     assert last.frame_id.startswith("camera_")
+
+
+def test_messages_without_skeletons_are_counted_and_transforms_are_not(
+    tmp_path: Path, scene: Scene
+) -> None:
+    def with_arrows(scene: Scene) -> made.Made:
+        arrow = made.ROS2.types[made.MARKERS]([made.default("visualization_msgs/msg/Marker")])
+        for topic, name, log_time, data in islice(only("camera_0", azure)(scene), 5):
+            yield topic, name, log_time, data
+            yield topic, name, log_time, made.ROS2.serialize_cdr(arrow, name)
+
+    def with_humans(scene: Scene) -> made.Made:
+        yield from islice(made.humans(scene), 20)
+
+    for maker, wanted in (
+        (with_arrows, ["/camera_0/body_tracking_data: 5 messages"]),
+        (with_humans, []),
+    ):
+        with open_log(write_ros2(tmp_path / f"{maker.__name__}.mcap", scene, maker)) as log:
+            assert any(frame.n_people for frame in log.frames())
+            remarks = [text for text in log.remarks if "without skeletons" in text]
+        assert remarks == [f"{what} without skeletons left out" for what in wanted]
 
 
 def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path: Path, scene: Scene) -> None:

@@ -215,6 +215,17 @@ def test_messages_whose_channel_is_lost_are_counted(path: Path) -> None:
     assert (loss.topic, loss.lost, loss.lost_bytes) == ("channel 1 without a definition", 1, 7)
 
 
+def test_the_indexes_of_a_lost_chunk_are_its_own(path: Path) -> None:
+    first = [channel(), channel(2, "/b"), message(), message(2)]
+    at = len(first[0]) + len(first[1])
+    parts = [chunk(*first, times=(5, 5)), index(1, [(5, at)]), index(2, [(5, at + len(first[2]))])]
+    lost = chunk(message(2), times=(5, 5), crc=1), index(2, [(5, 0)])
+    rows, recovery = left_of(path, mcap_file(path, *parts, *lost).read_bytes())
+    assert [row[0] for row in rows] == [1, 2]
+    assert [damage.counts for damage in recovery.damages] == [{2: 1}]
+    assert [(c.topic, c.lost) for c in recovery.channels] == [("/a", 0), ("/b", 1)]
+
+
 def test_indexes_of_times_of_today_match(path: Path) -> None:
     messages = [(c, t + 1_700_000_000_000_000_001, d) for c, t, d in make_messages()]
     _, recovery = left_of(path, write_log(path, messages).read_bytes())

@@ -57,6 +57,12 @@ system = "hiros"
 """
 
 
+def test_the_total_adds_what_every_log_took() -> None:
+    cases = [("a", "equal", 1.0), ("b", "error", 2.5), ("c", "different", 0.2)]
+    results = [CaseResult(name, status, seconds=s) for name, status, s in cases]  # type: ignore[arg-type]
+    assert check_report.totals(results) == ("1 of 3 logs as expected, 1 different, 1 failed, 3.7 s")
+
+
 def test_the_sample_logs_give_what_they_gave() -> None:
     results = run_suite(load_suite(SAMPLES / "suite.toml"), SuiteOptions(jobs=1))
     assert {r.name: (r.error, r.differences) for r in results} == {

@@ -17,7 +17,7 @@ from hiros_mcap import stages
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import COUNTED, TOO_LATE, counted
 from hiros_mcap.frames import Block
-from hiros_mcap.io.log import Log
+from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import (
     DETECTIONS,
@@ -40,8 +40,9 @@ MS, S = 1_000_000, 1_000_000_000
 def rate(*stamps: float) -> MessageRate:
     """A camera that sent messages stamped at these times, s."""
     result = MessageRate()
-    for stamp in stamps:
-        result.add(round((100 + stamp) * S))
+    for some in stamps[:2], stamps[2:]:  # of two blocks
+        if some:
+            result.add(np.array([round((100 + stamp) * S) for stamp in some]))
     return result
 
 
@@ -178,7 +179,7 @@ def report_on(run: Run) -> Report:
     observer = Observer(["tracked", "optimized"])
     log, options = cast(Log, None), ProcessOptions()
     prepared = Prepared(log, run.config, options, ClockAlignment(), PoseAlignment(), Stopwatch())
-    return Report(prepared, run, observer)
+    return Report(prepared, run, observer, cast(Reading, None))
 
 
 def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:

@@ -42,7 +42,7 @@ def folder(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def followed(log: Log, blocks: Iterable[Block]) -> tuple[list[Frame], PoseAlignment]:
     alignment = PoseAlignment()
-    return list(frames_of(PoseFollower(log, alignment).correct(blocks))), alignment
+    return list(frames_of(PoseFollower(log.read(), alignment).correct(blocks))), alignment
 
 
 def assert_same(ones: Sequence[Frame], others: Sequence[Frame]) -> None:

@@ -11,7 +11,7 @@ from builders import Room, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
-from hiros_mcap.frames import by_frame
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
@@ -221,6 +221,8 @@ def test_results_wait_for_lengths_that_other_poses_show() -> None:
     late = [(frame.log_time - frame.stamp) * 1e-9 for frame in out]
     assert max(late) <= params.enough + 2 * params.window
     assert max(late[150:]) <= params.window
+    blocks = (join([(Block.of(f), 0) for f in frames[k : k + 35]]) for k in range(0, 240, 35))
+    assert all(map(same, frames_of(constrain_blocks(blocks, model, params)), out))
 
 
 # -- a room ----------------------------------------------------------------------------------------

@@ -419,6 +419,17 @@ def test_links_turn_with_their_directions():
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
 
 
+def test_a_link_of_the_right_length_moves_with_its_ends():
+    """Its length has no weight (eq 18), but its neighbour moves an end."""
+    frame = person(displaced(wrist=[0.02, 0.0, 0.0], hand=[0.02, 0.0, 0.0]))
+    frame.links[0, 4, :3] = frame.positions[0, 4:6].mean(axis=0)
+    result = optimized(frame, OptimizeParams(lengths="paper"))
+    assert np.linalg.norm(result.positions[0, 4] - frame.positions[0, 4]) > 1e-4
+    np.testing.assert_allclose(
+        result.links[0, 4, :3], result.positions[0, 4:6].mean(axis=0), rtol=0, atol=1e-9
+    )
+
+
 def test_links_keep_their_measured_orientation_by_default():
     frame = person(displaced(hand=[0.03, 0.0, 0.0]))
     np.testing.assert_array_equal(optimized(frame).orientations, frame.orientations)

@@ -729,6 +729,16 @@ def test_angular_velocities_of_a_steady_turn() -> None:
     assert last.orientations == pytest.approx(frames[-1].orientations)
 
 
+def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only() -> None:
+    frames = [seen([person()], at(k), turns=k < 45 or k == 59) for k in range(60)]
+    for k, frame in enumerate(frames[:45]):
+        frame.links[0, :, 3:7] = about_z(3.0 * k / 30)
+    params = AT_ONCE.model_copy(update={"horizon": 0.2})
+    frames[-1].links[0, :, 3:7] = about_z(3.0 * (44 / 30 + params.horizon))  # as predicted
+    last = list(track(frames, MODEL, params))[-1]
+    assert last.links[0, :, 12] == pytest.approx(np.full(7, 3.0), abs=0.1)
+
+
 def test_velocities_of_the_detector_are_kept() -> None:
     frames = [seen([person()], at(k)) for k in range(10)]
     for frame in frames:

@@ -19,6 +19,7 @@ from hiros_cli.commands import (
     export,
     import_joints,
     info,
+    plan,
     plot,
     process,
     recover,
@@ -100,6 +101,7 @@ app.command("import", cls=HelpfulCommand)(import_joints.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
 app.command(cls=HelpfulCommand)(demo.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)
+app.command(cls=HelpfulCommand)(plan.plan)
 app.command(cls=HelpfulCommand)(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
 app.command(cls=HelpfulCommand)(show_config.config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -154,7 +155,7 @@ def _facts(overview: Overview) -> list[str]:
     elif overview.cameras:
         lines.append(f"fixed frame: none; {overview.fault}")
     else:
-        fault, _, _ = overview.fault.partition("; its channels:")  # the table has them
+        fault = re.split("; its channels:|; it has ", overview.fault)[0]  # the table has them
         lines.append(f"nothing to process: {fault}")
     if not overview.has_checksums:
         lines.append("no checksums: nobody would notice a damaged message")

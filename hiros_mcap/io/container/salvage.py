@@ -19,8 +19,7 @@ import numpy as np
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.chunks import ChunkRecords, Table, read_chunk
-from hiros_mcap.io.container.compression import COMPRESSIONS
+from hiros_mcap.io.container.chunks import COMPRESSIONS, ChunkRecords, Table, read_chunk
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import MAX_CHUNK, FormatError, Opcode
@@ -53,8 +52,6 @@ class RecoveringReader(McapReader):
     Raises LogError if the file cannot be opened, or nothing in it can be read.
     """
 
-    recovery: Recovery
-
     def _walk(self) -> Contents:
         contents, self.recovery = salvage(self._file)
         return contents
@@ -63,7 +60,7 @@ class RecoveringReader(McapReader):
         """Return the channels that a chunk defines; the walk took note of their definitions."""
         rows = (row for row in definitions.tolist() if row[0] == Opcode.CHANNEL)
         view = memoryview(data)
-        return frozenset(r.parse_channel(view[start:stop]).id for _, start, stop in rows)
+        return frozenset(r.Channel.read(r.Cursor(view[start:stop])).id for _, start, stop in rows)
 
     def _accepted(self, chunk: r.Chunk, table: Table) -> Table:
         """Return the messages whose channel is known."""

@@ -70,8 +70,8 @@ class StrictWalk(Walk):
         opcode, begin, stop = self._next()
         if opcode != Opcode.HEADER:
             raise FormatError(f"a header is expected, not a {r.name_of(opcode)} record")
-        at = r.Cursor(self._content(begin, stop))
-        self.contents.profile, self.contents.library = at.string(), at.string()
+        header = r.Header.read(self._cursor(begin, stop))
+        self.contents.profile, self.contents.library = header.profile, header.library
         self.at = stop
 
     # -- the policy ----------------------------------------------------------------------------
@@ -146,13 +146,13 @@ class StrictWalk(Walk):
     def _statistics(self, begin: int, stop: int) -> None:
         if self.contents.statistics is not None:
             raise FormatError("there are two statistics records")
-        self.contents.statistics = r.parse_statistics(self._content(begin, stop))
+        self.contents.statistics = r.Statistics.read(self._cursor(begin, stop))
 
     def _chunk_index(self, begin: int, stop: int) -> None:
-        self.chunk_indexes.append(r.parse_chunk_index(self._content(begin, stop)))
+        self.chunk_indexes.append(r.ChunkIndex.read(self._cursor(begin, stop)))
 
     def _extra_index(self, begin: int, stop: int) -> None:
-        self.extras.append(r.Cursor(self._content(begin, stop)).number(8))
+        self.extras.append(self._cursor(begin, stop).read8())
 
     def _agreement(self) -> None:
         """Compare what the summary claims to exist with what the walk found."""

@@ -22,7 +22,7 @@ MAX_RECORD = 64 * 2**20
 _RUN = 1 << 20
 _AHEAD = 1 << 14
 _NAMES = 1 << 18
-_LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 
 Definition = TypeVar("Definition", r.Schema, r.Channel)
 Reader = Callable[[int, int], int | None]
@@ -47,10 +47,10 @@ class Contents:
     def define(self, opcode: int, content: r.Bytes) -> int:
         """Note a schema or channel, return its id; raises FormatError if it had another meaning."""
         if opcode == Opcode.SCHEMA:
-            schema = r.parse_schema(content)
+            schema = r.Schema.read(r.Cursor(content))
             # The format asks readers to ignore a schema with the id that means "none".
             return _put(self.schemas, schema, "schema") if schema.id else 0
-        return _put(self.channels, r.parse_channel(content), "channel")
+        return _put(self.channels, r.Channel.read(r.Cursor(content)), "channel")
 
 
 def _put(table: dict[int, Definition], new: Definition, kind: str) -> int:
@@ -142,9 +142,9 @@ class Walk(ABC):
             try:
                 opcode, begin, stop = self._next()
                 reader = self._skip if opcode == last else self._reader(readers, opcode, stop)
-                if opcode != Opcode.MESSAGE_INDEX:
+                if self._index is not None and opcode != Opcode.MESSAGE_INDEX:
                     self._leave_chunk(whole=True)
-                if opcode not in _LOOSE:
+                if self._run is not None and opcode not in _LOOSE:
                     self._end_run()
                 if opcode == last:
                     return
@@ -202,6 +202,9 @@ class Walk(ABC):
             raise FormatError(f"a record of {stop - begin} bytes; the limit is {MAX_RECORD}")
         return self._peek(begin, stop - begin)
 
+    def _cursor(self, begin: int, stop: int) -> r.Cursor:
+        return r.Cursor(self._content(begin, stop))
+
     # -- what the records of the data section hold ---------------------------------------------
 
     def _skip(self, begin: int, stop: int) -> int:
@@ -256,9 +259,10 @@ class Walk(ABC):
 
     def _attachment(self, begin: int, stop: int) -> None:
         at = r.Cursor(self._peek(begin, min(stop - begin, _NAMES)))
-        log_time, create_time = at.number(8), at.number(8)
-        name, media_type, size = at.string(), at.string(), at.number(8)
-        data = begin + at.at
+        log_time, create_time = at.read8(), at.read8()
+        name, media_type = at.read_prefixed_string(), at.read_prefixed_string()
+        size = at.read8()
+        data = begin + at.count
         if size > stop - data - 4:
             raise FormatError("an attachment's data reach past its record")
         crc = int.from_bytes(self.file.read(data + size, 4), "little")
@@ -270,12 +274,12 @@ class Walk(ABC):
         )
 
     def _metadata(self, begin: int, stop: int) -> None:
-        at = r.Cursor(self._content(begin, stop))
-        self.contents.metadata.append((at.string(), at.strings()))
+        metadata = r.Metadata.read(self._cursor(begin, stop))
+        self.contents.metadata.append((metadata.name, metadata.metadata))
 
     def _data_end(self, begin: int, stop: int) -> None:
         """Compare the checksum of the data section, which may cover what has no other one."""
-        crc = r.Cursor(self._content(begin, stop)).number(4)
+        crc = r.DataEnd.read(self._cursor(begin, stop)).data_section_crc
         holds = not (crc and self._checksum) or crc == self.file.crc(0, self.at)
         self.contents.has_data_crc = crc != 0 and holds
         if not holds:

@@ -22,12 +22,10 @@ from isal.isal_zlib import crc32
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.atomic import OutputFile
-from hiros_mcap.io.container.compression import COMPRESSIONS, compress
-from hiros_mcap.io.container.file import LogFile
+from hiros_mcap.io.container.atomic import OutputFile, Sink
+from hiros_mcap.io.container.chunks import COMPRESSIONS, compress
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import Opcode
-from hiros_mcap.io.container.scan import scan
 
 CHUNK_SIZE = 2 << 20
 """A chunk is closed when its records reach this many bytes. 2 and 4 MiB take 5 % less than 1 MiB,
@@ -66,14 +64,14 @@ class _Batch:
 
 
 class McapWriter:
-    """An MCAP file in the making; nothing appears at ``path`` before ``commit``.
+    """An MCAP file in the making; nothing appears at its path before ``commit``.
 
     Use it as a context manager: leaving it without a commit, by an error or not, removes every
     trace and leaves a former file untouched.
 
     Parameters
     ----------
-    path : the output.
+    out : the output, a file or where else the bytes go.
     inputs : files that must not be the output.
     compression : zstd, lz4 or "" for none.
     chunk_size : bytes of records per chunk.
@@ -81,7 +79,7 @@ class McapWriter:
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        out: str | os.PathLike[str] | Sink,
         *,
         inputs: Iterable[str | os.PathLike[str]] = (),
         compression: str = "zstd",
@@ -89,7 +87,6 @@ class McapWriter:
     ) -> None:
         if compression not in COMPRESSIONS:
             raise ValueError(f"compression is one of {COMPRESSIONS}, not {compression!r}")
-        self.path = path
         self.schemas: dict[int, r.Schema] = {}
         self.channels: dict[int, r.Channel] = {}
         self.counts: Counter[int] = Counter()
@@ -105,13 +102,11 @@ class McapWriter:
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
-        self._out = self._open(inputs)
+        self._out = out if isinstance(out, Sink) else OutputFile(out, inputs)
+        self.path = self._out.path
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="hiros-write")
         header = r.record(Opcode.HEADER, r.text("ros2"), r.text(f"hiros {__version__}"))
         self._submit(self._out.write, r.MAGIC, header)
-
-    def _open(self, inputs: Iterable[str | os.PathLike[str]]) -> OutputFile:
-        return OutputFile(self.path, inputs)
 
     def __enter__(self) -> Self:
         return self
@@ -351,17 +346,7 @@ class McapWriter:
         self._submit(self._flush)
         self._wait()
         self._summary()
-        self._publish()
-
-    def _publish(self) -> None:
-        self._out.sync()
-        check = LogFile(self._out.temp)
-        try:
-            # The checksum was computed from the bytes written; the order of records is checked.
-            scan(check, checksum=False)
-        finally:
-            check.close()
-        self._out.publish()
+        self._out.commit()
 
     # -- in the background ---------------------------------------------------------------------
 
