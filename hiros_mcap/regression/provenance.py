@@ -75,9 +75,8 @@ def changes(now: Provenance, was: Provenance) -> list[Difference]:
         return []
     if not now:
         return [Difference("run", "version and configuration", "known", _NONE)]
-    former = without_constants(was.parameters)
-    keys = dict.fromkeys([*former, *now.parameters])
-    rows = [("configuration", k, former.get(k), now.parameters.get(k)) for k in keys]
+    former, new = map(without_constants, (was.parameters, now.parameters))
+    rows = [("configuration", k, former.get(k), new.get(k)) for k in dict.fromkeys([*former, *new])]
     rows += [("run", name, was.run.get(key), now.run.get(key)) for key, name in _RUN.items()]
     return [
         Difference(
