@@ -10,6 +10,8 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 SAMPLE := sample_data/two_people_crossing.mcap
 CODE   := hiros_mcap cli schemas viewer tests benchmarks docs
+# On a terminal pip shows what it downloads, elsewhere only what goes wrong.
+INSTALL = $(BIN)/python -m pip install --disable-pip-version-check $(if $(MAKE_TERMERR),,--quiet)
 
 .PHONY: demo test lint types tests docs format dist clean
 
@@ -49,16 +51,20 @@ $(BIN)/python:
 	  rm -rf $(VENV); exit 1; }
 
 $(VENV)/.installed: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@echo "1/2 installing hiros and its libraries into $(VENV): 1.3 GB, some minutes; half of it is the viewer"
+	$(INSTALL) -e .
+	@echo "2/2 compiling the kernels for this machine, once: a minute or more"
 	$(BIN)/hiros warmup
 	@touch $@
 
 $(VENV)/.installed-dev: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@echo "installing hiros and the development tools into $(VENV): 2 GB, some minutes"
+	$(INSTALL) -e '.[dev]'
 	@touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-docs: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@echo "installing hiros and the tools for the site into $(VENV)"
+	$(INSTALL) -e '.[docs]'
 	@touch $@ $(VENV)/.installed
 
 clean:

@@ -1,4 +1,4 @@
-"""Compiles the kernels into the wheel; CONTRIBUTING.md says how they are used.
+"""Compiles the kernels into the wheel (CONTRIBUTING.md says how they are used); its README.
 
 The build hook runs this file once more as a program, with numba's settings for the compilation.
 """
@@ -16,9 +16,22 @@ from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 ROOT = Path(__file__).parent
 sys.path[:0] = [str(ROOT), str(ROOT / "cli")]
+
+
+class CustomMetadataHook(MetadataHookInterface):
+    """Gives an index a README whose links lead to the repository."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        """Set the README."""
+        from readme_links import absolute
+
+        text = (ROOT / "README.md").read_text(encoding="utf-8")
+        text = absolute(text, metadata["urls"]["Source"])
+        metadata["readme"] = {"content-type": "text/markdown", "text": text}
 
 
 class CustomBuildHook(BuildHookInterface):

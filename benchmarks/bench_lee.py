@@ -16,7 +16,7 @@ from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
 from hiros_mcap.stages.cluster import cluster_blocks
-from hiros_mcap.stages.cluster_params import ClusterParams
+from hiros_mcap.stages.lee_params import ClusterParams
 from hiros_mcap.stages.predict import predict
 from hiros_mcap.stages.track import track_blocks
 

@@ -11,12 +11,13 @@ from collections.abc import Callable
 import numpy as np
 
 from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.hiros_params import OptimizeParams
 from hiros_mcap.stages.limb_calibration import calibrate_limbs
 from hiros_mcap.stages.optimize import optimize_blocks
-from hiros_mcap.stages.optimize_params import OptimizeParams
 
 optimize = by_frame(optimize_blocks)
 
@@ -59,12 +60,13 @@ def cpu_per_frame(run: Callable[[], object], repeats: int = 3) -> float:
 
 def main() -> None:
     """Print the tables."""
+    paper = load_config(preset="paper", system="hiros").optimize
     rng = np.random.default_rng(0)
     variants = {
         "exact (default)": OptimizeParams(),
-        "paper": OptimizeParams.paper(),
+        "paper": paper,
         "exact, Ceres": OptimizeParams(solver="ceres"),
-        "paper, Ceres": OptimizeParams.paper().model_copy(update={"solver": "ceres"}),
+        "paper, Ceres": paper.model_copy(update={"solver": "ceres"}),
     }
     print(f"{'CPU ms per frame':24s}" + "".join(f"{n:3d} people" for n in (1, 4, 10)))
     made = {people: make(people, rng) for people in (1, 4, 10)}

@@ -19,7 +19,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from hiros_mcap.config import load_config
+from hiros_mcap.config import Table, load_config
 from hiros_mcap.evaluate.logs import evaluate_log, find_truth
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.running.pipeline import process
@@ -27,12 +27,12 @@ from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 
-FUSE: Mapping[str, tuple[str, ...]] = {
-    "all steps": (),
-    "no offsets of cameras": ("fuse.offset=0",),
-    "a look-ahead of 0.1 s": ("fuse.lookahead=0.1", "fuse.window=0"),
-    "no rigid groups": ("constrain.rigid=false",),
-    "no prior": ("constrain.prior=false",),
+FUSE: Mapping[str, Table] = {
+    "all steps": {},
+    "no offsets of cameras": {"fuse": {"offset": 0.0}},
+    "a look-ahead of 0.1 s": {"fuse": {"lookahead": 0.1, "window": 0.0}},
+    "no rigid groups": {"constrain": {"rigid": False}},
+    "no prior": {"constrain": {"prior": False}},
 }
 
 
@@ -44,16 +44,16 @@ def main() -> None:
         truth = find_truth(log, sys.argv[2] if len(sys.argv) > 2 else None)
         if truth is None:
             sys.exit(f"{log} has no truth")
-        show("hiros", "hiros", (), log, truth)
+        show("hiros", "hiros", {}, log, truth)
         for name, changes in FUSE.items():
             show(f"fuse, {name}", "fuse", changes, log, truth)
 
 
-def show(title: str, system: str, changes: tuple[str, ...], log: Path, truth: Truth) -> None:
+def show(title: str, system: str, changes: Table, log: Path, truth: Truth) -> None:
     """Process a log and print one row."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mcap"
-        config = load_config(None, changes, system=system)
+        config = load_config(system=system, named={title: changes})
         summary = process(log, out, config=config, options=ProcessOptions(system=system, keep=()))
         (result,) = evaluate_log(out, truth, ["/hiros/filtered"]).values()
     s, held = result.scores, result.coverage

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parent.parent
 WIDTH = 78
+_ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):<code>~?")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -28,6 +29,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, text in {**generated(), "walkthrough.md": walkthrough()}.items():
         files.append(File.generated(config, path, content=text))
     return files
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Show names that docstrings cite (``:class:`Frame```) as code alone."""
+    return _ROLE.sub("<code>", html)
 
 
 def generated() -> dict[str, str]:
@@ -124,9 +130,10 @@ def parameters() -> str:
 
 
 def _tables(params: Any) -> Iterator[str]:
+    from hiros_mcap.config import settable
     from hiros_mcap.params import is_advanced
 
-    fields = type(params).model_fields
+    fields = {name: type(params).model_fields[name] for name in settable(params)}
     schema = params.model_json_schema()["properties"]
     for title, wanted in (("", False), ("Advanced", True)):
         rows = [
@@ -177,7 +184,7 @@ def python() -> str:
     import hiros_mcap
     import hiros_schemas
 
-    parts = ["# Python"]
+    parts = ["# Every Python name"]
     for module in (hiros_mcap, hiros_schemas):
         parts.append(f"## {module.__name__}\n\n{inspect.getdoc(module)}")
         parts += [f"::: {home}" for home in _public(module)]

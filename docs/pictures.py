@@ -2,7 +2,7 @@
 
 ::
 
-    python docs/pictures.py          # writes overview.png, stages.png and cameras.png
+    python docs/pictures.py          # writes overview.png, stages.png, cameras.png and floor.png
 
 It needs a Vulkan driver; Debian's packages are libvulkan1 and mesa-vulkan-drivers.
 """
@@ -17,9 +17,13 @@ from pathlib import Path
 from matplotlib.image import imread, imsave
 from rerun.experimental import ViewerClient
 
+from hiros_mcap.plan.planning import make_plan
 from hiros_mcap.running.pipeline import process
+from hiros_mcap.simulate import SimulateParams
 from hiros_viewer.columns import TIMELINE
+from hiros_viewer.curves import save_png
 from hiros_viewer.destinations import running_viewer, save
+from hiros_viewer.floor_picture import floor_figure
 from hiros_viewer.replay import ViewOptions, replay
 
 HERE = Path(__file__).parent
@@ -29,7 +33,9 @@ MENU = 37
 
 
 def main() -> None:
-    """Process the sample log, and take a picture of it in three layouts."""
+    """Draw a plan; process the sample log, and take a picture of it in three layouts."""
+    plan = make_plan(SimulateParams(people=2, cameras=4, area=(-3.0, -2.5, 3.0, 2.5)), height=2.2)
+    save_png(floor_figure(plan), HERE / "floor.png")
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "crossing.hiros.mcap"
         process(LOG, result)

@@ -64,6 +64,10 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
+    if name == "process":
+        from hiros_mcap.kernels import announce
+
+        announce()
     return getattr(import_module(f"hiros_mcap.{_HOMES[name]}"), name)
 
 

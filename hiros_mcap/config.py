@@ -7,9 +7,11 @@ are accepted, and an error names the layer, the parameter and what would have be
 from __future__ import annotations
 
 import difflib
-import math
+import json
+import os
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -20,26 +22,30 @@ from hiros_mcap._version import __version__
 from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import parse, read_toml
-from hiros_mcap.params import Params, advanced, explain, is_advanced
-from hiros_mcap.stages.associate_params import AssociateParams
-from hiros_mcap.stages.cluster_params import ClusterParams
-from hiros_mcap.stages.constrain_params import ConstrainParams
-from hiros_mcap.stages.filter_params import FilterParams
-from hiros_mcap.stages.fuse_params import FuseParams
-from hiros_mcap.stages.kalman_params import KalmanParams
-from hiros_mcap.stages.merge_params import MergeParams
-from hiros_mcap.stages.moving_average_params import MovingAverageParams
-from hiros_mcap.stages.optimize_params import OptimizeParams
-from hiros_mcap.stages.plausible_params import PlausibleParams
-from hiros_mcap.stages.predict_params import PredictParams
-from hiros_mcap.stages.sides_params import SidesParams
-from hiros_mcap.stages.straighten_params import StraightenParams
-from hiros_mcap.stages.track_params import TrackParams
+from hiros_mcap.params import Params, advanced, explain, is_advanced, is_fixed
+from hiros_mcap.stages.fuse_params import ConstrainParams, FuseParams
+from hiros_mcap.stages.hiros_params import (
+    FilterParams,
+    MergeParams,
+    OptimizeParams,
+    PlausibleParams,
+    SidesParams,
+    TrackParams,
+)
+from hiros_mcap.stages.lee_params import ClusterParams, PredictParams
+from hiros_mcap.stages.malaguti_params import (
+    AssociateParams,
+    KalmanParams,
+    MovingAverageParams,
+    StraightenParams,
+)
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""
 
 WIDTH = 80
+SETTINGS = "hiros.toml"
+"""A file of this name holds the parameters for the logs in its folder."""
 
 
 class InputParams(Params):
@@ -52,8 +58,9 @@ class InputParams(Params):
     model: str = Field(
         "",
         description="Skeleton of the results where detectors have different ones: union, "
-        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, or the topic of a "
-        "camera. Empty: as in the log, the union if there are several.",
+        "azure-kinect, kinect-v2, zed-18, zed-34, zed-38, zed-70, ros4hri, openpose-25, "
+        "mediapipe-33, or the topic of a camera. Empty: as in the log, the union if there are "
+        "several.",
     )
     unit: Literal["m", "cm", "mm"] = Field("m", description="Unit of the log's positions.")
 
@@ -89,7 +96,7 @@ class ClockParams(Params):
         return dict(self.__pydantic_extra__)
 
 
-Factor = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Factor = Annotated[float, Field(ge=1e-6, le=1000)]
 
 
 class NoiseParams(Params):
@@ -103,7 +110,7 @@ class NoiseParams(Params):
     __pydantic_extra__: dict[str, Factor | dict[str, Factor]]
 
     @model_validator(mode="after")
-    def _known(self) -> Self:
+    def _check(self) -> Self:
         for name, value in self.__pydantic_extra__.items():
             if name not in (*_NOISE_NUMBERS, *_NOISE_TABLES):
                 raise ValueError(f"{name}: there is no such key")
@@ -118,8 +125,8 @@ class NoiseParams(Params):
 
     def table(self, name: str) -> dict[str, float]:
         """Joint -> factor of the deviation ("joints"), or camera -> of the variance ("cameras")."""
-        found = self.__pydantic_extra__.get(name, {})
-        return found if isinstance(found, dict) else {}
+        table = self.__pydantic_extra__.get(name, {})
+        return table if isinstance(table, dict) else {}
 
 
 _NOISE_NUMBERS, _NOISE_TABLES = ("sigma", "power", "guessed"), ("joints", "cameras")
@@ -203,139 +210,30 @@ class Config(Params):
     )
 
 
-# People around occlusions: nothing of it is in a paper.
-_AS_PUBLISHED: dict[str, Any] = {
-    "reidentify": 0.0,
-    "max_jump": math.inf,
-    "fade": 0.0,
-    "gate_growth": 0.0,
-    "merge_tracks": False,
-    "confirm_alone": 0.5,
-}
+PRESETS = (NO_PRESET, "realtime", "paper", "upstream")
+"""Named changes to the defaults of hiros; ``systems/presets`` has a file for each."""
 
-_PAPER: Table = {
-    "input": {"poses": "given"},
-    # A detection that no track takes is a person at once; nothing waits for later frames.
-    "track": {
-        "orientation_weight": 1.0,
-        "flip_aware": False,
-        **_AS_PUBLISHED,
-        "confirm_detections": 1,
-        "confirm_seconds": 0.0,
-        "confirm_alone": 0.0,
-        "contradiction": math.inf,
-        "lookahead": 0.0,
-        "reorder": 0.1,
-    },
-    "plausible": {"limbs": False},
-    "sides": {"over_time": False},
-    # Equation 12 as printed, on the views as they are; turned-round views are dropped.
-    "merge": {
-        "facing": "pelvis",
-        "flips": "drop",
-        "past_votes": False,
-        "compensate_motion": False,
-        "confidence_power": 1.0,
-        "robust_scale": 0.0,
-        "offset_time": 0.0,
-        "bridge": 0.0,
-        "carry": 0.0,
-    },
-    "optimize": {
-        "lookahead": 0.0,
-        "max_free": 0.0,
-        "debias": False,
-        "refine": False,
-        "lengths": "paper",
-        "max_length_error": 0.1,
-        "outliers": "remove",
-        "align_links": True,
-    },
-    # Causal, at the low end of the 6 to 10 Hz that section 3.4 names.
-    "filter": {"cutoff": 6.0, "lookahead": 0.0, "bridge": 0.0, "keep_lengths": False},
-}
+_TABLES = Path(__file__).parent / "systems" / "presets"
+"""Values of presets, and of systems that are another one with other parameters."""
 
-PRESETS: Mapping[str, Table] = {
-    "default": {},
-    "realtime": {
-        "input": {"clocks": "causal"},
-        "track": {"lookahead": 0.0, "reorder": 0.1, "reidentify": 0.0},
-        "sides": {"lookahead": 0.0},
-        "optimize": {"lookahead": 0.0},
-        "filter": {"lookahead": 0.0, "cutoff": 8.0},
-    },
-    "paper": _PAPER,
-    "upstream": {
-        **_PAPER,
-        "track": {**_PAPER["track"], "max_distance": 0.8, "min_distance": 0.1, "max_gap": 0.5},
-        "merge": {**_PAPER["merge"], "past_votes": True},
-        "optimize": {**_PAPER["optimize"], "short_link": 0.0},
-    },
-}
-"""Named changes to the defaults.
-
-realtime: no stage waits for later frames. paper: what Hi-ROS 2023 prints, where it prints it.
-upstream: the same with workable launch values of the published code; its defects are not rebuilt.
-"""
+_REMOVED: Table = {"track": {"min_links": 0}, "optimize": {"symmetric": False}}
+"""Parameters of former versions, and the value whose behaviour every run has now."""
 
 
-SYSTEM_DEFAULTS: Mapping[str, Table] = {
-    "hiros-realtime": PRESETS["realtime"],
-    # 0.04 s of a usual camera, and 0.1 s in all.
-    "fuse-realtime": {
-        "input": {"clocks": "causal"},
-        "track": {"lookahead": 0.0, "reorder": 0.002, "reidentify": 0.0},
-        "sides": {"lookahead": 0.0},
-        "fuse": {
-            "lookahead": 0.1,
-            "max_lag": 0.1,
-            "window": 0.0,
-            "freedom": 8.0,
-            "follow_noise": True,
-        },
-        "constrain": {"window": 0.0, "enough": 5.0},
-        "filter": {"lookahead": 0.0, "cutoff": 8.0},
-    },
-    # Numbers of the public code (OpenPTrack v2): variances 100 and 0.036.
-    "openptrack": {
-        "kalman": {
-            "measurement_noise": 0.19,
-            "process_noise": 10.0,
-            "use_confidence": False,
-            "min_confidence": 0.0,
-            "history": 0,
-            "range_noise": 0.0026,
-            "max_gap": 8.0,
-        },
-        "associate": {"max_gap": 8.0},
-    },
-    "average": {
-        "merge": {
-            "flips": "drop",
-            "max_facing_delta": 0.0,
-            "max_position_delta": 0.0,
-            "max_orientation_delta": 0.0,
-            "confidence_power": 0.0,
-            "robust_scale": 0.0,
-            "offset_time": 0.0,
-            "bridge": 0.0,
-            "carry": 0.0,
-            "past_votes": False,
-            "compensate_motion": False,
-        },
-    },
-    "lee": {"track": _AS_PUBLISHED},
-    "lee-a1": {"track": _AS_PUBLISHED, "cluster": {"method": "average", "rearrange": "off"}},
-    "lee-a2": {"track": _AS_PUBLISHED, "cluster": {"method": "average"}},
-    "lee-a3": {"track": _AS_PUBLISHED, "cluster": {"previous_helps": False}},
-    "lee-a4": {"track": _AS_PUBLISHED},
-}
-"""Systems that are another one with other parameters -> what they change."""
+@cache
+def _values_of(name: str) -> Table:
+    """Return what a preset or system changes, on top of its ``base``; nothing if it has no file."""
+    path = _TABLES / f"{name}.toml"
+    if not path.exists():
+        return {}
+    table = read_toml(path)
+    base = _values_of(table.pop("base", NO_PRESET))
+    return {s: {**base.get(s, {}), **table.get(s, {})} for s in {**base, **table}}
 
 
 def presets_of(system: str) -> tuple[str, ...]:
     """Return the presets that a system takes: all change hiros and what shares its stages."""
-    return tuple(PRESETS) if takes_presets(system) else (NO_PRESET,)
+    return PRESETS if takes_presets(system) else (NO_PRESET,)
 
 
 def load_config(
@@ -368,24 +266,32 @@ def load_config(
             f"preset {preset} is of hiros and means nothing to {system}; run the system hiros, or "
             f"fuse-realtime without a preset if nothing may wait for later frames"
         )
-    layers = [(f"system {system}", SYSTEM_DEFAULTS.get(system, {}))]
-    layers += [(f"preset {preset}", PRESETS[preset])]
-    if path is not None:
-        layers.append((str(path), read_toml(path)))
+    layers = [(f"system {system}", _values_of(system)), (f"preset {preset}", _values_of(preset))]
+    layers += [(str(path), read_toml(path))] if path is not None else []
     layers += list((named or {}).items())
     layers += [("--set", _assignment(text)) for text in overrides]
     merged: Table = {}
     origins: dict[tuple[str, ...], str] = {}
     for origin, table in layers:
         _check_names(table, origin)
+        is_text = origin in ("--set", str(path))
         for section, values in table.items():
-            merged.setdefault(section, {}).update(values)
+            chosen = _without_fixed(section, values, merged, origin, are_refused=is_text)
+            merged.setdefault(section, {}).update(chosen)
             origins[(section,)] = origin
-            origins.update({(section, name): origin for name in values})
+            origins.update({(section, name): origin for name in chosen})
     try:
         return Config.model_validate(merged)
     except ValidationError as error:
         raise _explained(error, origins) from None
+
+
+def settings_beside(log: str | os.PathLike[str]) -> Path | None:
+    """Return the file with the parameters for a log, or for a folder of logs, if there is one."""
+    path = Path(log)
+    is_folder = path.is_dir() and not (path / "metadata.yaml").is_file()  # a bag is one log
+    file = (path if is_folder else path.parent) / SETTINGS
+    return file if file.is_file() else None
 
 
 def _assignment(text: str) -> Table:
@@ -415,12 +321,54 @@ def _check_names(table: Mapping[str, Any], origin: str) -> None:
             raise ConfigError(f"{origin}: {section} is a section, not a value")
         if _section(section).model_config.get("extra") == "allow":
             continue
-        known = _section(section).model_fields
+        there = _section(section).model_fields
         for name in values:
-            if name not in known:
+            if name not in there and name not in constants_of(section):
                 raise ConfigError(
-                    f"{origin}: no parameter {section}.{name}{_instead(name, known, section)}"
+                    f"{origin}: no parameter {section}.{name}{_instead(name, there, section)}"
                 )
+
+
+def _without_fixed(
+    section: str, values: Mapping[str, Any], merged: Table, origin: str, *, are_refused: bool
+) -> dict[str, Any]:
+    """Return the values that count: a user may repeat one that is fixed, but not change it.
+
+    Raises ConfigError if one differs from what the system, the preset or the code sets.
+    """
+    chosen, constants = dict(values), constants_of(section)
+    for name in values:
+        field = _section(section).model_fields.get(name)
+        if name in constants:
+            now, why = constants[name], "it is a constant now"
+        elif field is not None and is_fixed(field) and are_refused:
+            now = merged.get(section, {}).get(name, field.default)
+            why = "only the system and the preset set it"
+        else:
+            continue
+        if chosen.pop(name) != now:
+            raise ConfigError(
+                f"{origin}: {section}.{name} is no parameter any more: {why}, "
+                f"{toml_value(now)}; leave it out"
+            )
+    return chosen
+
+
+def constants_of(section: str) -> dict[str, Any]:
+    """Return the constants of a section that former versions took as parameters."""
+    params = _section(section)
+    constants = {name: getattr(params, name) for name in sorted(params.__class_vars__)}
+    return constants | _REMOVED.get(section, {})
+
+
+def without_constants(parameters: Mapping[str, str]) -> dict[str, str]:
+    """Return ``section.parameter`` -> JSON without those that are constants of the same value."""
+    constants = {
+        f"{section}.{name}": json.dumps(value)
+        for section in Config.model_fields
+        for name, value in constants_of(section).items()
+    }
+    return {k: v for k, v in parameters.items() if k not in constants or v != constants[k]}
 
 
 def _section(name: str) -> type[Params]:
@@ -430,9 +378,9 @@ def _section(name: str) -> type[Params]:
     return section
 
 
-def _instead(name: str, known: Iterable[str], section: str = "") -> str:
+def _instead(name: str, there: Iterable[str], section: str = "") -> str:
     """Return what the user may have meant, and everything that there is."""
-    names = list(known)
+    names = list(there)
     prefix = f"{section}." if section else ""
     near = difflib.get_close_matches(name, names, n=1)
     guess = f"; did you mean {prefix}{near[0]}?" if near else ""
@@ -447,7 +395,11 @@ def _explained(error: ValidationError, origins: Mapping[tuple[str, ...], str]) -
 
 
 def to_toml(
-    config: Config, sections: Collection[str] = Config.model_fields, *, everything: bool = True
+    config: Config,
+    sections: Collection[str] = Config.model_fields,
+    *,
+    everything: bool = True,
+    fixed: bool = True,
 ) -> str:
     """Return ``config`` as TOML that :func:`load_config` reads back, documented by comments.
 
@@ -455,15 +407,17 @@ def to_toml(
     ----------
     sections : those to print, such as :func:`hiros_mcap.systems.sections_of` a system.
     everything : also print advanced parameters that have their default values.
+    fixed : also print what only systems and presets set, which completes the account of a run.
     """
     blocks = [f"# hiros {__version__}: parameters with the values in effect.\n"]
     hidden = 0
     for section in (name for name in Config.model_fields if name in sections):
         params: Params = getattr(config, section)
-        names = [
-            name for name in type(params).model_fields if everything or _is_shown(params, name)
-        ]
-        hidden += len(type(params).model_fields) - len(names)
+        fields = settable(params)
+        names = [name for name in fields if everything or _is_shown(params, name)]
+        hidden += len(fields) - len(names)
+        if fixed:
+            names += [name for name in type(params).model_fields if name not in fields]
         if params.model_extra:
             title = f"# {Config.model_fields[section].description}\n"
             blocks.append(title + tomli_w.dumps({section: params.model_extra}))
@@ -474,6 +428,12 @@ def to_toml(
     if hidden:
         blocks.append(f"# {hidden} advanced parameters have their defaults; --all shows them.\n")
     return "\n".join(blocks)
+
+
+def settable(params: Params) -> list[str]:
+    """Return the names of the parameters that a user can set."""
+    fields = type(params).model_fields.items()
+    return [name for name, field in fields if not is_fixed(field)]
 
 
 def _is_shown(params: Params, name: str) -> bool:

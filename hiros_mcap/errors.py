@@ -14,6 +14,9 @@ Anything else that escapes is a bug of ours and exits with 70.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class HirosError(Exception):
     """Root of the tree. ``str(error)`` is one line that a user can act on."""
@@ -47,3 +50,14 @@ class ConfigError(HirosError):
 
 class RegistrationError(HirosError, ValueError):
     """Points that do not tell a pose: of a wrong shape, too few, on a line, or on no sphere."""
+
+
+@contextmanager
+def naming(path: object, topic: str | None = None) -> Iterator[None]:
+    """Give the LogErrors of a block that name no file the name of one."""
+    try:
+        yield
+    except LogError as error:
+        if error.path is not None:
+            raise
+        raise type(error)(error.fault, path=path, topic=error.topic or topic) from None

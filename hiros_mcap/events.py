@@ -40,7 +40,6 @@ COUNTED: Mapping[str, tuple[str, str]] = {
     "duplicate": ("detection", "ignored: the same camera had already reported the person"),
     "too few markers": ("detection", "started no track: fewer markers than track.min_markers"),
     "swap": ("pair", "of joints re-arranged: left and right were swapped"),
-    "too few links": ("detection", "started no track: fewer orientations than track.min_links"),
 }
 """Kind of an event that a stage counts -> noun, what happened to it."""
 

@@ -25,10 +25,12 @@ class Block:
     """(N,) time of each frame, ns."""
     log_times: Stamps
     """(N,) ns."""
-    sources: Sequence[str]
-    """N names."""
-    frame_ids: Sequence[str]
-    """N names of coordinate frames."""
+    sources: Stamps
+    """(N,) number of each camera among ``names``."""
+    frame_ids: Stamps
+    """(N,) number of each coordinate frame among ``names``."""
+    names: tuple[str, ...]
+    """Of cameras and coordinate frames."""
     rows: Stamps
     """(N, 2) first row of each frame's people, and the row after the last."""
     people: People
@@ -36,7 +38,7 @@ class Block:
     """Of the same rows; None = no stage has said anything."""
 
     def __repr__(self) -> str:
-        return f"<Block {len(self)} frames, {int(np.ptp(self.rows, axis=1).sum())} people>"
+        return f"<Block {len(self)} frames, {int(self.sizes.sum())} people>"
 
     def __len__(self) -> int:
         """N."""
@@ -48,49 +50,63 @@ class Block:
         return cls(
             np.array([frame.stamp], np.int64),
             np.array([frame.log_time], np.int64),
-            (frame.source,),
-            (frame.frame_id,),
+            np.array([0]),
+            np.array([1]),
+            (frame.source, frame.frame_id),
             np.array([[0, frame.n_people]], np.int64),
             frame.people,
             frame.uncertainty,
         )
+
+    @property
+    def sizes(self) -> Stamps:
+        """(N,) people of each frame."""
+        return np.asarray(self.rows[:, 1] - self.rows[:, 0])
+
+    def source(self, i: int) -> str:
+        """Name of the camera of frame ``i``."""
+        return self.names[int(self.sources[i])]
 
     def frame(self, i: int) -> Frame:
         """Frame ``i``; its arrays are views."""
         rows = slice(*self.rows[i].tolist())
         stamp, log_time = int(self.stamps[i]), int(self.log_times[i])
         known = self.uncertainty and self.uncertainty.at(rows)
-        source, frame_id = self.sources[i], self.frame_ids[i]
-        return Frame(stamp, log_time, source, frame_id, self.people.at(rows), known)
+        frame_id = self.names[int(self.frame_ids[i])]
+        return Frame(stamp, log_time, self.source(i), frame_id, self.people.at(rows), known)
 
-    def messages(self) -> Iterator[tuple[int, str, int, Part]]:
-        """Stamp, source, log time and place of every frame, in order."""
-        times = zip(self.stamps.tolist(), self.sources, self.log_times.tolist(), strict=True)
-        for i, (stamp, source, log_time) in enumerate(times):
-            yield stamp, source, log_time, (self, i)
+    def messages(self) -> Iterator[tuple[int, str, int]]:
+        """Stamp, source and log time of every frame, in order."""
+        names = [self.names[k] for k in self.sources.tolist()]
+        return zip(self.stamps.tolist(), names, self.log_times.tolist(), strict=True)
 
-    def select(self, places: Sequence[int], log_times: Sequence[int]) -> Block:
-        """Return some of the frames, with other log times, of the same arrays."""
-        chosen = np.array(places, np.int64)
-        return Block(
-            self.stamps[chosen],
-            np.array(log_times, np.int64),
-            [self.sources[i] for i in places],
-            [self.frame_ids[i] for i in places],
-            self.rows[chosen],
-            self.people,
-            self.uncertainty,
+    def everybody(self) -> tuple[Stamps, Stamps]:
+        """Rows of all people, (P,) in the order of the frames, and (P,) the frame of each."""
+        owners = np.repeat(np.arange(len(self)), self.sizes)
+        return _rows_between(self.rows), owners
+
+    def select(self, frames: slice | Sequence[int] | Stamps) -> Block:
+        """Return some of the frames, of the same arrays."""
+        chosen = frames if isinstance(frames, slice) else np.asarray(frames, np.int64)
+        return replace(
+            self,
+            stamps=self.stamps[chosen],
+            log_times=self.log_times[chosen],
+            sources=self.sources[chosen],
+            frame_ids=self.frame_ids[chosen],
+            rows=self.rows[chosen],
         )
+
+    def logged_at(self, log_times: Stamps | Sequence[int]) -> Block:
+        """Return the same frames with other log times, (N,) ns."""
+        return replace(self, log_times=np.asarray(log_times, np.int64))
 
     def restamped(self, stamps: Stamps) -> Block:
         """Return the same frames at other times, (N,) ns; people's times change with them."""
         if np.array_equal(stamps, self.stamps):
             return self
-        times = self.people.stamps.copy()
-        shifts = (stamps - self.stamps).tolist()
-        for shift, (begin, end) in zip(shifts, self.rows.tolist(), strict=True):
-            own = times[begin:end]
-            own[own > 0] += shift
+        times, (rows, owners) = self.people.stamps.copy(), self.everybody()
+        times[rows] += np.where(times[rows] > 0, (stamps - self.stamps)[owners], 0)
         return replace(self, stamps=stamps, people=self.people._replace(stamps=times))
 
     def frames(self) -> Iterator[Frame]:
@@ -101,56 +117,130 @@ class Block:
 
 P = ParamSpec("P")
 
-Part = tuple[Block, int]
-"""A frame of a block."""
-
 BlockStage = Callable[[Iterable[Block]], Iterator[Block]]
 """A step of a system: a generator over blocks, whose frames are those of a Stage."""
 
 
-def join(parts: Sequence[Part]) -> Block:
-    """Return a block of some frames of any blocks, in this order; arrays are copied."""
-    sources: dict[int, tuple[People, list[tuple[int, int, int]]]] = {}
-    rows, total = [], 0
-    bounds: dict[int, list[list[int]]] = {}
-    for block, i in parts:
-        if id(block) not in bounds:
-            bounds[id(block)] = block.rows.tolist()
-        begin, end = bounds[id(block)][i]
-        rows.append((total, total + end - begin))
-        _, pieces = sources.setdefault(id(block.people), (block.people, []))
-        if pieces and pieces[-1][1] == begin and pieces[-1][2] + begin - pieces[-1][0] == total:
-            pieces[-1] = pieces[-1][0], end, pieces[-1][2]
-        else:
-            pieces.append((begin, end, total))
-        total += end - begin
-    some = parts[0][0].people
-    joined = People.allocate(total, some.markers.shape[1], some.links.shape[1])
-    for people, pieces in sources.values():
-        gather(np.array(pieces, np.int64), people, joined)
+class CameraNumbers(dict[str, int]):
+    """Numbers the cameras of some blocks in the order in which their first frames come."""
+
+    def of(self, block: Block) -> Stamps:
+        """(N,) Number of the camera of each frame."""
+        codes, first = np.unique(block.sources, return_index=True)
+        numbers = np.zeros(len(block.names), np.int64)
+        for code in codes[np.argsort(first)].tolist():
+            numbers[code] = self.setdefault(block.names[code], len(self))
+        return np.asarray(numbers[block.sources])
+
+
+def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
+    """Return the frames of blocks, one block behind the other; arrays are copied.
+
+    ``order`` : which frames, counted through all blocks, come in which order; None = all.
+    """
+    if len(blocks) == 1:
+        return _copied(blocks[0] if order is None else blocks[0].select(order))
+    of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
+    wanted = np.arange(len(of_block)) if order is None else order
+    of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
+    ends = np.cumsum(rows[:, 1] - rows[:, 0])
+    targets = ends - (rows[:, 1] - rows[:, 0])
+    some = blocks[0].people
+    joined = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
+    for k, block in enumerate(blocks):
+        own = of_block == k
+        gather(rows[own], targets[own], block.people, joined)
+    names, sources, frame_ids = _common_names(blocks)
     return Block(
-        np.array([block.stamps[i] for block, i in parts], np.int64),
-        np.array([block.log_times[i] for block, i in parts], np.int64),
-        [block.sources[i] for block, i in parts],
-        [block.frame_ids[i] for block, i in parts],
-        np.array(rows, np.int64),
+        np.concatenate([block.stamps for block in blocks])[wanted],
+        np.concatenate([block.log_times for block in blocks])[wanted],
+        sources[wanted],
+        frame_ids[wanted],
+        names,
+        np.stack([targets, ends], axis=1),
         joined,
-        _join_uncertainty(parts),
+        _join_uncertainty(blocks, of_block, rows),
     )
 
 
-def _join_uncertainty(parts: Sequence[Part]) -> Uncertainty | None:
-    """Return the uncertainty of some frames of any blocks; None if one of them has none."""
-    known = [block.uncertainty for block, _ in parts if block.uncertainty is not None]
-    if len(known) < len(parts):
+def _copied(block: Block) -> Block:
+    """Return a copy of the people of a block's frames, which lie one behind the other in it."""
+    ends = np.cumsum(block.sizes)
+    targets = ends - block.sizes
+    people, known = block.people, block.uncertainty
+    copy = People.allocate(int(ends[-1]), people.markers.shape[1], people.links.shape[1])
+    gather(block.rows, targets, people, copy)
+    known = known and known.at(_rows_between(block.rows))
+    return replace(block, rows=np.stack([targets, ends], axis=1), people=copy, uncertainty=known)
+
+
+class HeldFrames:
+    """Frames that wait, numbered as they come."""
+
+    def __init__(self) -> None:
+        self._blocks: list[tuple[Stamps, Block]] = []
+        """Numbers of the frames that wait in a block, and these frames."""
+        self.count = 0
+        """Frames so far: the number of the next one."""
+
+    def add(self, block: Block) -> int:
+        """Hold the frames of a block; return the number of the first."""
+        first, self.count = self.count, self.count + len(block)
+        if len(block):
+            self._blocks.append((np.arange(first, self.count), block))
+        return first
+
+    def copies(self, numbers: Sequence[int]) -> Block:
+        """Return copies of the frames with these numbers, in this order; at least one."""
+        wanted = np.array(numbers)
+        first, last = wanted.min(), wanted.max()
+        held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
+        every = np.concatenate([own for own, _ in held])
+        return join([block for _, block in held], np.searchsorted(every, wanted))
+
+    def keep(self, numbers: Sequence[int]) -> None:
+        """Let go of all frames but these."""
+        kept, blocks = np.array(sorted(numbers), np.int64), self._blocks
+        self._blocks = []
+        for own, block in blocks:
+            begin, end = np.searchsorted(kept, [own[0], own[-1] + 1])
+            if end - begin == len(own):
+                self._blocks.append((own, block))
+            elif end > begin:
+                places = np.searchsorted(own, kept[begin:end])
+                self._blocks.append((own[places], block.select(places)))
+
+
+def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Stamps]:
+    """Return names for all blocks, and the numbers of the sources and of the frame_ids of all."""
+    numbers = CameraNumbers()
+    tables = [np.array([numbers.setdefault(n, len(numbers)) for n in b.names]) for b in blocks]
+    pairs = list(zip(tables, blocks, strict=True))
+    sources = np.concatenate([table[block.sources] for table, block in pairs])
+    return tuple(numbers), sources, np.concatenate([table[b.frame_ids] for table, b in pairs])
+
+
+def _rows_between(rows: Stamps) -> Stamps:
+    """(P,) All rows of frames (N, 2), in their order."""
+    sizes = rows[:, 1] - rows[:, 0]
+    skipped = rows[:, 0] - (np.cumsum(sizes) - sizes)
+    return np.asarray(np.repeat(skipped, sizes) + np.arange(sizes.sum()))
+
+
+def _join_uncertainty(
+    blocks: Sequence[Block], of_block: Stamps, rows: Stamps
+) -> Uncertainty | None:
+    """Return the uncertainty of frames with these ``rows`` of blocks; None if a block has none."""
+    some = [block.uncertainty for block in blocks if block.uncertainty is not None]
+    if len(some) < len(blocks):
         return None
-    rows = [slice(*block.rows[i].tolist()) for block, i in parts]
-    some = [each.at(own) for each, own in zip(known, rows, strict=True)]
+    begins = np.cumsum([0, *(len(each.deviations) for each in some)])
+    whole = _rows_between(rows + begins[of_block, None])
     return Uncertainty(
-        np.concatenate([each.deviations for each in some]),
-        np.concatenate([each.cameras for each in some]),
+        np.concatenate([each.deviations for each in some])[whole],
+        np.concatenate([each.cameras for each in some])[whole],
         max((each.names for each in some), key=len),
-        np.concatenate([each.shared for each in some]),
+        np.concatenate([each.shared for each in some])[whole],
     )
 
 
@@ -178,8 +268,3 @@ def by_block(stage: Stage) -> BlockStage:
         yield from map(Block.of, stage(frames_of(blocks)))
 
     return run
-
-
-def most_often(ids: list[int]) -> int:
-    """How often the most frequent id of a frame comes: once, in any frame that makes sense."""
-    return 1 if len(set(ids)) == len(ids) else max(map(ids.count, ids))

@@ -16,6 +16,10 @@ _PLAIN = {_UNKNOWN: "there is no such key", "missing": "is missing"}
 Seconds = Annotated[float, Field(ge=0, le=86_400)]
 """A time that a stage waits or remembers, s. A day stands for "for ever": no recording is as long,
 and it fits into the nanoseconds of stamps."""
+Metres = Annotated[float, Field(ge=0, le=10)]
+"""A standard deviation of positions, m. With 10 m a measurement says nothing within a room."""
+Accelerations = Annotated[float, Field(ge=1e-6, le=1e5)]
+"""How strongly people accelerate, in m/s2 or m2/s3. A throwing hand has 1000 m/s2."""
 _LARGEST = 1e9
 """No number of any parameter is larger, unless it is infinite."""
 _LARGEST_INTEGER = 1 << 53
@@ -26,7 +30,8 @@ class Params(BaseModel):
 
     A subclass gives every field a default that works on an unknown log, its unit and the source
     of the number (a paper's section, or what was measured) in ``Field(description=...)``, and marks
-    what only an expert changes with :func:`advanced` in place of ``Field``.
+    what only an expert changes with :func:`advanced` in place of ``Field``, what only systems and
+    presets change with :func:`fixed`. A number that nobody changes is a ClassVar.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
@@ -44,6 +49,16 @@ class Params(BaseModel):
 def advanced(default: Any, **options: Any) -> Any:
     """Return a Field that ``hiros config`` shows only with ``--all``."""
     return Field(default, json_schema_extra={"advanced": True}, **options)
+
+
+def fixed(default: Any, description: str) -> Any:
+    """Return a Field that only systems, presets and Python set, not the users of a run."""
+    return Field(default, description=description, json_schema_extra={"fixed": True})
+
+
+def is_fixed(field: FieldInfo) -> bool:
+    """Whether a field was made by :func:`fixed`."""
+    return isinstance(field.json_schema_extra, dict) and "fixed" in field.json_schema_extra
 
 
 def is_advanced(field: FieldInfo) -> bool:

@@ -192,6 +192,8 @@ class Summary:
     """Time that the run took, s."""
     system: str = ""
     """Name of the system that was run."""
+    settings: str = ""
+    """File that the parameters came from, "" if none did."""
     cameras: tuple[CameraSummary, ...] = ()
     poses: tuple[PoseSummary, ...] = ()
     """Empty if the run did not compare the cameras' poses with the people."""
@@ -258,7 +260,7 @@ class Summary:
 
         This is what an output file may hold: the same input gives the same bytes.
         """
-        varying = {"source", "target", "wall_s", "times_real_time", "stages"}
+        varying = {"source", "target", "settings", "wall_s", "times_real_time", "stages"}
         return {key: value for key, value in self.to_dict().items() if key not in varying}
 
 

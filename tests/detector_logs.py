@@ -12,6 +12,7 @@ from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from scipy.spatial.transform import Rotation
 
 import hiros_schemas
 from hiros_mcap.io.channels import TRUTH_PREFIX
@@ -252,25 +253,28 @@ def humans(scene: Scene) -> Made:
         for person, joints in enumerate(points_in(frame, scene.names, "ros4hri")):
             joints[1] = (joints[3] + joints[6]) / 2  # the torso's frame is between the shoulders
             body = f"{frame.source[-1]}{person + 10:04d}"
+            turns = [Rotation.from_rotvec([0.3 * k, 0.7, -0.2 * k]) for k in range(len(joints))]
             rows = []
             for joint, name in enumerate(model.marker_names):
-                parent = parents.get(joint)
-                at = joints[joint] - (joints[parent] if parent is not None else 0)
-                above = frame.frame_id if parent is None else f"{model.marker_names[parent]}_{body}"
-                rows.append((above, f"{name}_{body}", at))
+                above, at, turn = frame.frame_id, joints[joint], turns[joint]
+                if joint in parents:
+                    parent = parents[joint]
+                    above, back = f"{model.marker_names[parent]}_{body}", turns[parent].inv()
+                    at, turn = back.apply(at - joints[parent]), back * turn
+                rows.append((above, f"{name}_{body}", at, turn.as_quat()))
             yield "/tf", TF, frame.log_time, tf_message(stamp_of(frame), rows)
 
 
-def tf_message(stamp: int, rows: Sequence[tuple[str, str, Floats]]) -> bytes:
-    transform, vector = "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/Vector3"
-    turn = ROS2.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+def tf_message(stamp: int, rows: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
+    types = [ROS2.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion")]
+    transform, pose = (ROS2.types[f"geometry_msgs/msg/Transform{s}"] for s in ("Stamped", ""))
     found = [
-        ROS2.types[transform](
+        transform(
             header(stamp, parent),
             child,
-            ROS2.types["geometry_msgs/msg/Transform"](ROS2.types[vector](*map(float, at)), turn),
+            pose(*(kind(*map(float, x)) for kind, x in zip(types, (at, xyzw), strict=True))),
         )
-        for parent, child, at in rows
+        for parent, child, at, xyzw in rows
     ]
     return bytes(ROS2.serialize_cdr(ROS2.types[TF](found), TF))
 

@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 from pytest import MonkeyPatch
 from stick_figures import MODEL
 
-from hiros_mcap.config import PRESETS, Config, load_config, to_toml
+import hiros_mcap
+from hiros_mcap.config import PRESETS, Config, load_config, settable, to_toml, toml_value
 from hiros_mcap.defaults import default_system
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.params import Params, advanced
@@ -31,7 +32,7 @@ def test_every_preset_is_valid_and_reads_back(preset: str, tmp_path: Path) -> No
     config = load_config(preset=preset, system="hiros")
     path = tmp_path / "hiros.toml"
     path.write_text(to_toml(config))
-    assert load_config(path) == config
+    assert load_config(path, preset=preset, system="hiros") == config
 
 
 def test_every_parameter_is_printed_with_its_documentation() -> None:
@@ -40,10 +41,38 @@ def test_every_parameter_is_printed_with_its_documentation() -> None:
     for section in Config.model_fields:
         params = getattr(Config(), section)
         assert set(printed.get(section, ())) == set(type(params).model_fields)
+        users = tomllib.loads(to_toml(Config(), [section], fixed=False)).get(section, ())
+        assert [*users] == settable(params)
         for name, field in type(params).model_fields.items():
             assert field.description, f"{section}.{name} has no description"
             # What it cites, a user must be able to look up: a paper's section, an equation.
             assert not re.search(r"\b[A-Z]\d{2}\b|the peer", field.description), field.description
+
+
+def test_times_noises_and_rates_have_finite_bounds() -> None:
+    """Squared and summed, a number without a bound is infinite, and a run ends in the middle."""
+    bounded = set()
+    for section in Config.model_fields:
+        params = getattr(Config(), section)
+        schemas = params.model_json_schema().get("properties", {})
+        for name, schema in ((name, schemas[name]) for name in settable(params)):
+            words = f"{name} {schema['description']}"
+            of_them = re.search(r"noise|, (s|Hz|m/s2?|m2/s3)[:;., ]|\bSD\b|deviation of", words)
+            if schema.get("type") == "number" and of_them and "weight" not in name:
+                bounded.add(f"{section}.{name}")
+                has_both = {"minimum", "exclusiveMinimum"} & schema.keys() and "maximum" in schema
+                assert has_both, f"{section}.{name}"
+    assert len(bounded) > 20
+
+
+@pytest.mark.parametrize(
+    "assignment",
+    ["fuse.acceleration=1e9", "fuse.offset=1e9", "noise.sigma=1e9", "filter.cutoff=1e-12"],
+)
+def test_numbers_beyond_physics_are_one_line(assignment: str) -> None:
+    name = assignment.partition("=")[0]
+    with pytest.raises(ConfigError, match=f"^--set: {name}.*: should be (less|greater) than"):
+        load_config(overrides=[assignment])
 
 
 class Reads:
@@ -100,9 +129,9 @@ def test_advanced_parameters_are_printed_if_asked_for_or_changed(
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_what_config_prints_gives_the_same_configuration(name: str, tmp_path: Path) -> None:
     config = load_config(overrides=["output.precision=full"], system=name)
-    (tmp_path / "hiros.toml").write_text(to_toml(config, sections_of(name), everything=False))
+    printed = to_toml(config, sections_of(name), everything=False, fixed=False)
+    (tmp_path / "hiros.toml").write_text(printed)
     assert load_config(tmp_path / "hiros.toml", system=name) == config
-    assert load_config(tmp_path / "hiros.toml") == config
 
 
 def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Path) -> None:
@@ -117,10 +146,10 @@ def test_an_assignment_beats_the_file_and_the_file_beats_the_preset(tmp_path: Pa
     ("assignment", "section", "name", "value"),
     [
         ("filter.order=3", "filter", "order", 3),
-        ("merge.facing=pelvis", "merge", "facing", "pelvis"),
-        ("merge.facing='pelvis'", "merge", "facing", "pelvis"),
-        ("merge.past_votes=false", "merge", "past_votes", False),
-        (" merge.bridge = 0.5 ", "merge", "bridge", 0.5),
+        ("filter.method=butterworth", "filter", "method", "butterworth"),
+        ("filter.method='butterworth'", "filter", "method", "butterworth"),
+        ("plausible.limbs=false", "plausible", "limbs", False),
+        (" merge.carry = 0.5 ", "merge", "carry", 0.5),
         ("input.fixed_frame=lab/floor", "input", "fixed_frame", "lab/floor"),
         (
             "optimize.calibration_windows=[[1, 2], [3, 4]]",
@@ -139,7 +168,10 @@ def test_assignments(assignment: str, section: str, name: str, value: object) ->
     [
         ("merge.max_delta_tim=1", "--set: no parameter merge.max_delta_tim; did you mean merge.ma"),
         ("marge.max_delta_time=1", "--set: no section 'marge'; did you mean merge? (there are: in"),
-        ("filter.cutoff=-1", "--set: filter.cutoff: should be greater than 0, is -1"),
+        (
+            "filter.cutoff=-1",
+            "--set: filter.cutoff: should be greater than or equal to 0.01, is -1",
+        ),
         ("filter.cutoff=fast", "--set: filter.cutoff: should be a valid number, "),
         ("filter.method=x", "--set: filter.method: should be 'state_space' or 'butterworth', is"),
         ("filter.order=4", "--set: filter: order of a state-space filter must be 2 or 3"),
@@ -153,11 +185,53 @@ def test_a_wrong_assignment_says_what_would_be_right(assignment: str, said: str)
     assert str(caught.value).startswith(said)
 
 
+FORMER = [
+    ("track.fade", 0.3, 0.5, "only the system and the preset set it, 0.3; leave it out"),
+    ("track.horizon", 0.2, 0.5, "it is a constant now, 0.2; leave it out"),
+    ("optimize.symmetric", False, True, "it is a constant now, false; leave it out"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "other", "said"), FORMER, ids=str)
+def test_a_parameter_that_went_may_be_repeated_but_not_changed(
+    name: str, value: object, other: object, said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "hiros.toml"
+    path.write_text(f"{name} = {toml_value(value)}\n")
+    assert load_config(path) == Config()
+    path.write_text(f"{name} = {toml_value(other)}\n")
+    message = f"{name} is no parameter any more: {said}"
+    for origin, file, overrides in ((path, path, []), ("--set", None, [f"{name}={other}".lower()])):
+        with pytest.raises(ConfigError) as caught:
+            load_config(file, overrides)
+        assert str(caught.value) == f"{origin}: {message}"
+
+
+def test_what_a_preset_sets_may_be_repeated_with_it_only(tmp_path: Path) -> None:
+    config = load_config(preset="paper", system="hiros")
+    path = tmp_path / "hiros.toml"
+    path.write_text(to_toml(config))
+    assert load_config(path, preset="paper", system="hiros") == config
+    with pytest.raises(ConfigError, match="no parameter any more: only the system and the preset"):
+        load_config(path, system="hiros")
+
+
+def test_the_account_of_a_run_gives_its_configuration_again() -> None:
+    config = load_config(preset="paper", system="hiros")
+    stored = tomllib.loads(to_toml(config))
+    assert load_config(system="hiros", named={"out.mcap": stored}) == config
+
+
+def test_every_table_of_values_is_of_a_preset_or_a_system() -> None:
+    named = {path.stem for path in (Path(hiros_mcap.__file__).parent / "systems/presets").iterdir()}
+    assert named - {"as_published"} <= {*PRESETS, *SYSTEMS}
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (b"[filter]\ncutof = 4\n", "no parameter filter.cutof; did you mean filter.cutoff?"),
-        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than 0, is 0"),
+        (b"[filter]\ncutoff = 0\n", "filter.cutoff: should be greater than or equal to 0.01, is 0"),
         (b"filter = 4\n", "filter is a section, not a value"),
         (b"[filter\n", "not TOML: "),
         (b"\xff", "not text: "),

@@ -11,14 +11,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import detector_files
 import pytest
 import typer
 
 import hiros_mcap
 from hiros_cli.app import run
 from hiros_cli.commands import app
+from hiros_cli.commands.import_joints import import_
 from hiros_mcap import open_result
-from hiros_mcap.config import Config
+from hiros_mcap.config import Config, settable
+from hiros_mcap.io.joints.mapping import DETECTOR_FILES
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -31,15 +34,33 @@ ELSEWHERE = {"--cluster"}
 """Options that need other machines."""
 
 
-def generated() -> dict[str, str]:
-    """Return the pages that the site's hook makes."""
+def hook() -> Any:
+    """Return the module with the site's hooks."""
     spec = importlib.util.spec_from_file_location("pages", DOCS / "pages.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    pages: dict[str, str] = module.generated()
+    return module
+
+
+def generated() -> dict[str, str]:
+    """Return the pages that the site's hook makes."""
+    pages: dict[str, str] = hook().generated()
     return pages
+
+
+def test_names_in_docstrings_are_shown_as_code() -> None:
+    html = "<p>see :func:<code>hiros_mcap.process</code>, :class:<code>~a.Frame</code></p>"
+    shown = "<p>see <code>hiros_mcap.process</code>, <code>a.Frame</code></p>"
+    assert hook().on_page_content(html, page=None) == shown
+
+
+def test_no_two_pages_have_one_title() -> None:
+    texts = [*generated().values(), *(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md"))]
+    titles = [text.removeprefix("# ").splitlines()[0] for text in texts]
+    assert len(titles) > 25
+    assert len(set(titles)) == len(titles)
 
 
 def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
@@ -49,7 +70,7 @@ def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
         assert f"## hiros {name}" in pages["reference/commands.md"]
     assert "Usage: hiros process [OPTIONS] LOG...\n" in pages["reference/commands.md"]
     for section, field in Config.model_fields.items():
-        for name in type(field.default).model_fields:
+        for name in settable(field.default):
             assert f"| `{name}` |" in pages["reference/parameters.md"], section
     for name in set(hiros_mcap.__all__) - {"__version__"}:
         assert f"::: hiros_mcap.{name}\n" in pages["reference/python.md"]
@@ -110,15 +131,22 @@ def write_suite(folder: Path) -> None:
 
 
 def write_import(folder: Path) -> None:
-    """Write the mapping file that docs/detectors.md shows, and the files that it describes."""
+    """Write the mapping files that docs/detectors.md shows, and the files that they describe."""
     page = (DOCS / "detectors.md").read_text(encoding="utf-8")
-    mapping = re.search(r"```toml\n(unit = .*?)```", page, re.DOTALL)
-    assert mapping is not None
-    (folder / "lab.toml").write_text(mapping[1], encoding="utf-8")
+    for name, mapping in re.findall(r"```toml\n# (\w+\.toml)\n(.*?)```", page, re.DOTALL):
+        (folder / name).write_text(mapping, encoding="utf-8")
+    detector_files.write_all(folder, folder / "lab.mcap")
     head = ",".join(f"{name}_{axis}" for name in ("LSHO", "RSHO", "HEAD") for axis in "xyz")
     rows = [f"{1.7e12 + 33 * i:.0f},1,{i},1400,0,{i + 400},1400,0,200,1700,{i}" for i in range(90)]
     for name in ("left.csv", "right.csv"):
         (folder / name).write_text("\n".join([f"timestamp,id,{head}", *rows]))
+
+
+def test_every_detector_has_a_recipe() -> None:
+    recipes = [line for line in commands(DOCS / "detectors.md") if line.startswith("import")]
+    for detector in DETECTOR_FILES:
+        assert any(f"--mapping {detector}" in line for line in recipes), detector
+        assert detector in import_.__annotations__["mapping"], detector
 
 
 def test_at_least_one_page_has_commands() -> None:

@@ -62,7 +62,7 @@ def test_people_are_reordered_in_every_array_from_a_row_on() -> None:
 
 def test_joined_frames_keep_their_people_in_this_order() -> None:
     blocks = [Block.of(numbered(n, 10 * n)) for n in (2, 0, 3)]
-    joined = join([(blocks[k], 0) for k in (2, 1, 0, 2)])
+    joined = join([blocks[k] for k in (2, 1, 0, 2)])
     assert joined.rows.tolist() == [[0, 3], [3, 3], [3, 5], [5, 8]]
     assert joined.people.ids.tolist() == [30, 31, 32, 20, 21, 30, 31, 32]
     assert joined.people.markers[:, 1, 4].tolist() == joined.people.ids.tolist()

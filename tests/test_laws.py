@@ -163,7 +163,7 @@ def test_it_does_not_matter_how_frames_are_cut_into_blocks(name: str, seed: int)
     expected = run_system(name, frames, crossing())
     cuts = np.flatnonzero(rng.random(len(frames)) < 0.2).tolist()
     blocks: Iterator[Block] = (
-        join([(Block.of(frame), 0) for frame in frames[a:b]])
+        join([Block.of(frame) for frame in frames[a:b]])
         for a, b in pairwise([0, *cuts, len(frames)])
         if b > a
     )
@@ -236,7 +236,7 @@ def test_the_tracker_gives_the_same_message_by_message(
     """With and without the compiled loop over many messages: ids, states, order and log times."""
     rng = np.random.default_rng(seed)
     frames = [f.select([]) if rng.random() < 0.05 else f for f in crossing().frames]
-    block = join([(Block.of(frame), 0) for frame in frames])
+    block = join([Block.of(frame) for frame in frames])
     at_once = list(frames_of(track_blocks([block], crossing().model, cameras=crossing().cameras)))
     monkeypatch.setattr("hiros_mcap.stages.track._Tracker._follow", lambda *_: 0)
     one_by_one = list(track_blocks([block], crossing().model, cameras=crossing().cameras))

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,9 @@ from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.places import place_of
 from hiros_mcap.many.find import are_many, distinct_names, find_logs
 from hiros_mcap.many.jobs import Finding, ProcessJob
-from hiros_mcap.many.manifest import LogRecord, Manifest, Verdict
+from hiros_mcap.many.manifest import Identity, LogRecord, Manifest, Verdict
 from hiros_mcap.many.run_logs import Folder, in_processes, run_logs, run_one
+from hiros_mcap.many.totals import ColumnTotal, column_totals
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 BAG = "rosbag2_bagfile_information:\n  version: 8\n"
@@ -425,6 +427,27 @@ def test_export_of_many_does_not_replace_foreign_files(
         "one_person_walking.trc", "two_people_crossing.0.trc", "two_people_crossing.1.trc"
     }  # fmt: skip
     assert run([*command, "--what", "joints"]) == 0  # its own files
+    (tmp_path / "one_person_walking.trc").write_text("corrected by hand")
+    assert run(command) == 2
+    assert (tmp_path / "one_person_walking.trc").read_text() == "corrected by hand"
+
+
+def test_a_log_is_known_if_nothing_has_changed() -> None:
+    record = LogRecord("/a.mcap", "a", "done", files={"a.mcap": 3}, input=Identity(7, ""))
+    manifest = Manifest("process")
+    manifest.add(record)
+    assert manifest.knows(record, {"a.mcap": 3}) is record
+    assert manifest.knows(record, {"a.mcap": 4}) is None
+    others = {"name": "b", "version": "0", "configuration": "c", "input": Identity(8, "")}
+    for field, value in others.items():
+        assert manifest.knows(replace(record, **{field: value}), {"a.mcap": 3}) is None, field
+
+
+def test_totals_are_those_of_the_numbers_that_are_known() -> None:
+    values = [1.0, 2, 6.0, float("nan"), "text"]
+    records = [LogRecord(f"/{v}", "x", "done", values={"n": v}) for v in values]
+    totals = column_totals(records, ProcessJob(Config()))
+    assert totals == {"n": ColumnTotal(3, mean=3.0, median=2.0, least=1.0, most=6.0, sum=None)}
 
 
 def test_the_table_of_many_logs_as_csv(

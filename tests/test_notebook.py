@@ -16,14 +16,14 @@ NOTEBOOK = Path(__file__).parents[1] / "docs" / "walkthrough.ipynb"
 
 
 @pytest.fixture(scope="module")
-def cells() -> list[Any]:
-    """The code cells, executed."""
+def cells(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """The code cells, executed outside of any checkout."""
     book = nbformat.read(NOTEBOOK, as_version=4)
     with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
         from nbclient import NotebookClient
 
         patch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-        resources = {"metadata": {"path": str(NOTEBOOK.parent)}}
+        resources = {"metadata": {"path": str(tmp_path_factory.mktemp("elsewhere"))}}
         NotebookClient(book, timeout=300, resources=resources).execute()
     return [cell for cell in book.cells if cell.cell_type == "code"]
 
@@ -43,7 +43,7 @@ def test_the_repository_holds_no_outputs() -> None:
 
 def test_objects_are_one_line(cells: list[Any]) -> None:
     assert shown(cells, "summary.result()") == (
-        "<Result crossing.hiros.mcap /hiros/filtered: 2 people, 5.0 s, 32 markers>"
+        "<Result demo.hiros.mcap /hiros/filtered: 2 people, 10.0 s, 32 markers>"
     )
     assert shown(cells, "hiros_mcap.process(").count("\n") == 0
     assert shown(cells, "hiros_mcap.process(").startswith("<Summary ")

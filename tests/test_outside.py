@@ -14,12 +14,18 @@ from hiros_mcap.body.transforms import read_extrinsics
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import HirosError
 from hiros_mcap.io.attachments import stored_events, stored_report
-from hiros_mcap.io.channels import CONFIG_ATTACHMENT, EVENTS_ATTACHMENT, REPORT_ATTACHMENT
+from hiros_mcap.io.channels import (
+    CONFIG_ATTACHMENT,
+    EVENTS_ATTACHMENT,
+    LIMBS_ATTACHMENT,
+    REPORT_ATTACHMENT,
+)
 from hiros_mcap.io.container import McapReader, McapWriter
 from hiros_mcap.io.export.marker_set import load_marker_set
 from hiros_mcap.io.foxglove import FoxgloveInput
 from hiros_mcap.io.joints.importing import import_joints
 from hiros_mcap.io.overview import look
+from hiros_mcap.regression.differences import limbs_of
 from hiros_mcap.regression.metrics import load_metrics
 from hiros_mcap.regression.suite import load_suite
 from hiros_mcap.regression.tolerances import load_tolerances
@@ -129,6 +135,13 @@ def test_odd_attachments_are_damaged(data: bytes, tmp_path: Path) -> None:
         with McapReader(path) as reader, pytest.raises(HirosError, match=f"{name} is damaged"):
             read(reader)
         look(path)  # what it says of itself is left out
+
+
+@pytest.mark.parametrize("data", [b"\xff", b"[" * DEEP, b"[person]\n0 = 3"])
+def test_odd_limb_lengths_of_a_result_are_named(data: bytes, tmp_path: Path) -> None:
+    path = with_attachment(tmp_path / "x.mcap", LIMBS_ATTACHMENT, data)
+    with pytest.raises(HirosError, match=r"x\.mcap: "):
+        limbs_of(path)
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * DEEP, "[input]\na = 2026-01-01"])

@@ -13,9 +13,11 @@ from stick_figures import MODEL, at, person, seen
 
 import hiros_mcap
 import hiros_viewer
+from hiros_mcap import kernels
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.result import Motion, Result
+from hiros_mcap.kernels import shipped
 
 PACKAGES = ("hiros_mcap", "hiros_viewer", "hiros_schemas")
 DOCUMENTED = (Path(__file__).parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
@@ -96,3 +98,21 @@ def test_a_summary_leads_to_its_result(walking: Path, tmp_path: Path) -> None:
     )
     with pytest.raises(ConfigError, match="wrote no log"):
         hiros_mcap.process(walking).result()
+
+
+def test_who_imports_process_is_told_of_a_compilation(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(kernels, "compiled", set)
+    monkeypatch.setattr(shipped, "usable", lambda: False)
+    for _ in range(2):
+        kernels.announce.cache_clear()
+        hiros_mcap.__getattr__("Config")
+    assert caplog.messages == []
+    hiros_mcap.__getattr__("process")
+    hiros_mcap.__getattr__("process")
+    assert caplog.messages == [kernels.NOTICE]
+    monkeypatch.setattr(shipped, "usable", lambda: True)
+    kernels.announce.cache_clear()
+    hiros_mcap.__getattr__("process")
+    assert caplog.messages == [kernels.NOTICE]

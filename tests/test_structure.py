@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hiros_mcap.config import Config, settable
+
 ROOT = Path(__file__).parents[1]
 FOLDERS = {
     "hiros_mcap": ROOT,
@@ -33,19 +35,20 @@ UPWARDS = {
 }
 """Imports that do not go down the list of CONTRIBUTING.md. This set only shrinks."""
 CEILINGS = {
-    "hiros_cli": 4250,
-    "hiros_viewer": 4450,
+    "hiros_cli": 4540,
+    "hiros_viewer": 4720,
     "hiros_mcap": 2400,
     "body": 1800,
     "calibrate": 5300,
-    "evaluate": 3100,
-    "io": 12100,
-    "kernels": 10050,
+    "evaluate": 3180,
+    "io": 12139,
+    "kernels": 10045,
     "many": 1200,
-    "regression": 1700,
-    "running": 3000,
-    "simulate": 2900,
-    "stages": 7700,
+    "plan": 570,
+    "regression": 1650,
+    "running": 3100,
+    "simulate": 3070,
+    "stages": 7420,
     "systems": 400,
     "hiros_schemas": 400,
 }
@@ -117,6 +120,10 @@ def test_few_parameters(name: str) -> None:
     assert {f.name: parameters(f) for f in functions if parameters(f) > most} == {}
 
 
+def test_few_parameters_are_for_users() -> None:
+    assert sum(len(settable(field.default)) for field in Config.model_fields.values()) <= 70
+
+
 def test_no_parameter_is_read_by_its_number() -> None:
     for name in LIBRARY:
         assert re.findall(r"numbers\[\d+\]", MODULES[name].read_text()) == [], name
@@ -152,6 +159,36 @@ def test_no_import_circles() -> None:
 
     for name in MODULES:
         visit(name, [])
+
+
+AVOIDED = re.compile(
+    r"_(found|known|own|said|told|tells?|look(s|ed)?|judge[sd]?|settled?|meets?|met|weighs?|doubts?)_"
+)
+"""Words that no variable, function or class has in the packages that are clean of them."""
+CLEAN = ("evaluate", "regression", "many", "systems", "config", "params")
+"""Layers and modules; this list only grows."""
+
+
+def test_names_are_nouns_of_the_field() -> None:
+    avoided = {
+        (name, identifier)
+        for name, tree in TREES.items()
+        if layer_of(name) in CLEAN
+        for node in ast.walk(tree)
+        for identifier in identifiers(node)
+        if AVOIDED.search(re.sub("([A-Z])", r"_\1", f"_{identifier}_").lower())
+    }
+    assert avoided == set()
+
+
+def identifiers(node: ast.AST) -> Iterator[str]:
+    """What a node of the tree names."""
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        yield node.id
+    elif isinstance(node, ast.arg):
+        yield node.arg
+    elif isinstance(node, FUNCTIONS | ast.ClassDef):
+        yield node.name
 
 
 def test_references_can_be_looked_up() -> None:

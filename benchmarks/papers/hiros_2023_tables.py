@@ -10,7 +10,6 @@ from paper_report import Rows, Table
 from published import ANGLES, TIMES, Pair
 
 from hiros_mcap.evaluate import Scores
-from hiros_mcap.evaluate.score_tables import pair
 from hiros_mcap.summary import number
 
 CONFIGURATIONS = ("T", "TMF", "TMOF")
@@ -82,7 +81,7 @@ def _with_gains(pairs: Sequence[Pair]) -> list[str]:
     """T, TMF, TMOF, and by how much RMSE (SD) of the last two differ from the first."""
     changes = [[100 * (late[i] / pairs[0][i] - 1) for i in (0, 1)] for late in pairs[1:]]
     gains = [f"{rmse:.1f}% ({deviation:.1f}%)" for rmse, deviation in changes]
-    return [*(pair(*p) for p in pairs), *gains]
+    return [*(f"{number(r, 2)} ({number(sd, 2)})" for r, sd in pairs), *gains]
 
 
 def position_table(runs: Sequence[ActionRun]) -> Table:

@@ -58,14 +58,14 @@ def run(arguments: list[str]) -> int:
             if stop.exit_code is not None:
                 raise
             code = _report(error, debug=debug)
-        stop.settle(code)
+        stop.end_with(code)
     except BaseException as error:
         # A signal strikes anywhere, also between a lock and its release or while an error is
         # reported. Whatever is raised after it came is neither an answer nor a fault.
         if stop.exit_code is None:
             raise
         code = stop.exit_code
-        stop.settle(code)
+        stop.end_with(code)
         if debug:
             _show_traceback(error)
     return code
@@ -75,12 +75,15 @@ def _run(arguments: list[str]) -> int:
     open_missing_streams()
     for variable in SINGLE_THREADED:
         os.environ.setdefault(variable, "1")
+    from hiros_cli.common_options import split
     from hiros_cli.compiling import importing
 
     with importing():
         from hiros_cli.commands import dispatch
 
-    code = dispatch(arguments)
+    chosen, rest = split(arguments)
+    with chosen.in_effect(arguments):
+        code = dispatch(rest)
     sys.stdout.flush()
     return code
 
@@ -113,7 +116,7 @@ class Stop:
         self.exit_code: int | None = None
         self._signum = 0
         self._last = -math.inf
-        self._settled: int | None = None
+        self._code: int | None = None
         self._report_lost = sys.unraisablehook
 
     def catch(self) -> None:
@@ -126,25 +129,25 @@ class Stop:
             if signum is not None and signal.getsignal(signum) is not signal.SIG_IGN:
                 signal.signal(signum, self._stop)
 
-    def settle(self, code: int) -> None:
+    def end_with(self, code: int) -> None:
         """Say how the program ends: a signal does not change it, but may hurry it."""
-        self._settled = code
+        self._code = code
         self._last = time.monotonic()
 
     def _stop(self, signum: int, frame: FrameType | None) -> None:
         now = time.monotonic()
         if now - self._last <= AGAIN_S:
             return
-        if self._settled is not None:
+        if self._code is not None:
             # All is done and cleaned up; something that Python waits for at its end hangs.
-            os._exit(self._settled)
+            os._exit(self._code)
         self._last = now
         self._signum = self._signum or signum
         self.exit_code = 128 + self._signum
         self._raise(signum, frame)
 
     def _raise(self, _: int, frame: FrameType | None) -> None:
-        if self._settled is not None:
+        if self._code is not None:
             return
         patient = time.monotonic() - self._last < AGAIN_S
         if not (patient and _may_hold_a_lock(frame) and _soon()):
@@ -203,12 +206,12 @@ def open_missing_streams() -> None:
 
 def fail(error: Exception, *, debug: bool) -> int:
     """Print one line about ``error`` and return the exit code that belongs to it."""
-    from hiros_cli.printable import error_line, lacks_memory
+    from hiros_cli.printable import error_line, lacks_memory, left_out
     from hiros_mcap.errors import HirosError
 
     if debug:
         _show_traceback(error)
-    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error))
+    bug = not (isinstance(error, HirosError | OSError) or lacks_memory(error) or left_out(error))
     print(error_line(error, bug=bug), file=sys.stderr)
     return BUG if bug else BAD_INPUT
 

@@ -11,8 +11,6 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 
-NOTICE = "hiros: compiling kernels for this machine, once (about a minute with two cores)"
-
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
 _SPACE = 32 << 20  # bytes; all kernels take half of that
 _KERNELS = "hiros_mcap.kernels."
@@ -48,7 +46,7 @@ def prepare(*, quiet: bool, everything: bool = False) -> None:
     missing = {name: text for name, text in kernels.sources().items() if name not in done}
     if missing if everything else not done:
         if not quiet:
-            print(NOTICE, file=sys.stderr, flush=True)
+            print(f"hiros: {kernels.NOTICE}", file=sys.stderr, flush=True)
         if everything:
             _compile([(group,) for group in independent(missing)])
 

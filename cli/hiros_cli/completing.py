@@ -70,11 +70,9 @@ def presets(incomplete: str) -> list[str]:
 
 def parameters(incomplete: str) -> list[str]:
     """Names for --set, each with its equals sign."""
-    from hiros_mcap.config import Config
-    from hiros_mcap.params import Params
+    from hiros_mcap.config import Config, settable
 
-    sections = [(name, params) for name, params in Config() if isinstance(params, Params)]
-    names = [f"{name}.{field}=" for name, params in sections for field in type(params).model_fields]
+    names = [f"{name}.{param}=" for name, params in Config() for param in settable(params)]
     return _starting(incomplete, names)
 
 

@@ -42,7 +42,12 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "info": ("hiros info lab.mcap", "hiros info recordings/"),
     "recover": ("hiros recover lab.mcap -o readable.mcap",),
+    "demo": ("hiros demo", "hiros process demo.mcap", "hiros view demo.hiros.mcap"),
     "simulate": ("hiros simulate lab.mcap --people 2 --action cross --seconds 10",),
+    "plan": (
+        "hiros plan --room 6x5 --cameras 4 --people 2 -o cameras.toml --picture floor.png",
+        "hiros plan --room 6x5 --cameras cameras.toml",
+    ),
     "config": ("hiros config --system lee > lee.toml",),
     "people": ("hiros calibrate people lab.mcap -o cameras.toml",),
     "ball": ("hiros calibrate ball lab.mcap -o cameras.toml",),

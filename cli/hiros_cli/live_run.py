@@ -6,6 +6,7 @@ import contextlib
 import signal
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from hiros_mcap.io.container.live_input import LiveInput
     from hiros_mcap.io.live_log import LiveLog
     from hiros_mcap.running.process_options import ProcessOptions, Watcher
+    from hiros_mcap.running.progress_bar import Bar
     from hiros_mcap.summary import Summary
 
 STREAM = "-"
@@ -79,6 +81,7 @@ def run_live(
 ) -> Summary:
     """Process until the input ends; see :func:`hiros_mcap.running.process_live.process_live`."""
     from hiros_mcap.running.process_live import process_live
+    from hiros_mcap.running.progress_bar import bar
 
     def started(log: LiveLog) -> None:
         cameras = ", ".join(sorted(n for c in log.cameras for n in c.sources.values()))
@@ -86,7 +89,7 @@ def run_live(
 
     if not quiet:
         print(f"hiros: listening to {_name(source)}", file=sys.stderr, flush=True)
-    with _input(source, options) as stream:
+    with _input(source, options) as stream, bar("live", quiet=quiet) as shown:
         return process_live(
             stream,
             sys.__stdout__.fileno() if sys.__stdout__ and wanted == STREAM else Path(wanted),
@@ -94,7 +97,19 @@ def run_live(
             options=options,
             watcher=watcher,
             started=None if quiet else started,
+            progress=_Clock(shown),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """Shows how much of a log has come that has no end yet."""
+
+    shown: Bar
+
+    def update(self, done: int, total: int) -> None:
+        """Show the time since the first message."""
+        self.shown.label(f"live, {done * 1e-9:.0f} s of log")
 
 
 @contextlib.contextmanager

@@ -89,14 +89,14 @@ def run(job: Job, many: ManyLogs) -> int:
     if many.folder.endswith((".mcap", ".json", ".csv")) and not Path(many.folder).is_dir():
         raise ConfigError(f"{many.folder}: with many logs, -o names a folder, not a file")
     logs = find_logs(many.named, many.folder)
-    found: dict[str, LogRecord] = {}
+    by_log: dict[str, LogRecord] = {}
     with _follower(len(logs), quiet=many.quiet) as follower:
         runner = _runner(many, logs)
         folder = Folder(many.folder, many.force)
         for record, is_new in run_logs(job, logs, folder, runner):
-            found[record.log] = record
+            by_log[record.log] = record
             follower.finished(record, is_new=is_new)
-    records = [found[log] for log in logs]
+    records = [by_log[log] for log in logs]
     _report(job, records, many)
     if many.csv is not None:
         from hiros_mcap.many.totals import as_csv
@@ -219,11 +219,12 @@ def _report(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
 
 
 def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
-    from hiros_cli.run_report import console, say, table
+    from rich.text import Text
+
+    from hiros_cli.run_report import page, table
     from hiros_mcap.many.totals import column_totals, columns_of, verdicts
     from hiros_mcap.summary import quantity
 
-    out = console()
     columns = [name for name in columns_of(records) if name in shown_columns(job.command)]
     good = ("done", "equal")
     named = zip(_without_common([r.log for r in records]), records, strict=True)
@@ -239,21 +240,23 @@ def _show(job: Job, records: Sequence[LogRecord], many: ManyLogs) -> None:
         rows.append(("sum", "", *map(_cell, added)))
     rows.append(("mean", "", *map(_cell, means)))
     titles = (f">{name.replace('_', ' ')}" for name in columns)
-    out.print(table("Log", "Verdict", *titles, rows=rows))
     counts = ", ".join(f"{n} {verdict}" for verdict, n in verdicts(records).items())
-    say(out, f"{quantity(len(records), 'log')}: {counts}", "bold", "\n")
+    lines: list[str | Text] = [Text(f"{quantity(len(records), 'log')}: {counts}", style="bold")]
     if shown < len(records):
-        say(out, "the table has those that are not simply done; --csv and --json have all")
+        lines.append("the table has those that are not simply done; --csv and --json have all")
     if many.folder:
-        say(out, f"manifest: {many.folder.rstrip('/')}/hiros-{job.command}.json")
+        lines.append(f"manifest: {many.folder.rstrip('/')}/hiros-{job.command}.json")
+    page((), table("Log", "Verdict", *titles, rows=rows), lines)
 
 
 def shown_columns(command: str) -> tuple[str, ...]:
     """Return the columns for a terminal of 80 characters; CSV and JSON have all."""
+    from hiros_mcap.evaluate.measures import BRIEF
+
     return {
         "process": ("people", "log_s", "skipped", "times_real_time"),
-        "eval": ("people", "mpjpe", "jitter", "limb_cv", "id_switches", "idf1", "left_out_camera"),
-        "check": ("differences", "mpjpe", "jitter", "id_switches"),
+        "eval": ("people", *BRIEF, "left_out_camera"),
+        "check": ("differences", *BRIEF),
         "info": ("kind", "seconds", "megabytes", "cameras", "people"),
         "export": ("people", "files"),
     }[command]

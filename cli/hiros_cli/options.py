@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,123 +16,136 @@ from hiros_mcap.errors import ConfigError
 PARAMETERS, INPUT, OUTPUT = "Parameters", "Input", "Output"
 """Groups of options in a command's help."""
 
+
+def option(metavar: str, text: str, *names: str, panel: str | None = None, **more: Any) -> Any:
+    """Return an option that takes a value, for a command's signature; see ``typer.Option``."""
+    return typer.Option(*names, metavar=metavar, help=text, rich_help_panel=panel, **more)
+
+
+def flag(name: str, text: str, *names: str, panel: str | None = None) -> Any:
+    """Return an option without a value."""
+    return typer.Option(name, *names, help=text, rich_help_panel=panel)
+
+
 LOSSES = 3
 """Exit code: a damaged log was recovered, and something is lost."""
 
 Cameras = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="GLOB",
-        help="Cameras to read; may be repeated. Default: all.",
+    option(
+        "GLOB",
+        "Cameras to read; may be repeated. Default: all.",
         autocompletion=topics,
-        rich_help_panel=INPUT,
+        panel=INPUT,
     ),
 ]
 Extrinsics = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Camera poses that replace the log's transforms.",
-        rich_help_panel=INPUT,
-    ),
+    option("FILE", "Camera poses that replace the log's transforms.", panel=INPUT),
 ]
 Html = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE", help="Also write an HTML page with plots.", rich_help_panel=OUTPUT
-    ),
+    option("FILE", "Also write an HTML page with plots.", panel=OUTPUT),
 ]
 Preset = Annotated[
     str,
-    typer.Option(
-        metavar="NAME",
-        help="Start from a preset of hiros: default, realtime, paper or upstream.",
+    option(
+        "NAME",
+        "Start from a preset of hiros: default, realtime, paper or upstream.",
         autocompletion=presets,
-        rich_help_panel=PARAMETERS,
+        panel=PARAMETERS,
     ),
 ]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option(
+    option(
+        "FILE",
+        "TOML file with parameters, as `hiros config` prints. Default: hiros.toml in the "
+        "folder of the log, if there is one.",
         "--config",
-        metavar="FILE",
-        help="TOML file with parameters, as `hiros config` prints.",
-        rich_help_panel=PARAMETERS,
+        panel=PARAMETERS,
     ),
 ]
 SystemName = Annotated[
     str | None,
-    typer.Option(
-        "--system",
-        metavar="NAME",
-        help="System to run; `hiros systems` lists them. Default: fuse, on live input "
+    option(
+        "NAME",
+        "System to run; `hiros systems` lists them. Default: fuse, on live input "
         "fuse-realtime; with a preset hiros, on live input hiros-realtime.",
+        "--system",
         autocompletion=systems,
-        rich_help_panel=PARAMETERS,
+        panel=PARAMETERS,
     ),
 ]
 Assignments = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        "STAGE.PARAM=VALUE",
+        "Change one parameter; may be repeated.",
         "--set",
-        metavar="STAGE.PARAM=VALUE",
-        help="Change one parameter; may be repeated.",
         autocompletion=parameters,
-        rich_help_panel=PARAMETERS,
+        panel=PARAMETERS,
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead.", rich_help_panel=OUTPUT)]
+Json = Annotated[bool, flag("--json", "Print JSON instead.", panel=OUTPUT)]
 Quiet = Annotated[
     bool,
-    typer.Option("--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=OUTPUT),
+    flag("--quiet", "Print only warnings and errors.", "-q", panel=OUTPUT),
 ]
 QuietResult = Annotated[
     bool,
-    typer.Option(
+    flag(
         "--quiet",
+        "Print only warnings and errors; use the exit code and the files.",
         "-q",
-        help="Print only warnings and errors; use the exit code and the files.",
-        rich_help_panel=OUTPUT,
+        panel=OUTPUT,
     ),
 ]
 Force = Annotated[
     bool,
-    typer.Option(
-        "--force",
-        "-f",
-        help="Also overwrite files that hiros did not write.",
-        rich_help_panel=OUTPUT,
-    ),
+    flag("--force", "Also overwrite files that hiros did not write.", "-f", panel=OUTPUT),
 ]
 
 MANY = "Many logs"
 Jobs = Annotated[
     int | None,
-    typer.Option(
+    option(
+        "NUMBER",
+        "Logs at once; 0 = one per core. With it, one log is treated as many are.",
         min=0,
-        metavar="NUMBER",
-        help="Logs at once; 0 = one per core. With it, one log is treated as many are.",
         show_default="0",
-        rich_help_panel=MANY,
+        panel=MANY,
     ),
 ]
 Cluster = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
-        rich_help_panel=MANY,
+    option(
+        "ADDRESS",
+        "Run on a Dask cluster: its address, a scheduler file (.json), or local to start one.",
+        panel=MANY,
     ),
 ]
 Table = Annotated[
     Path | None,
-    typer.Option(
-        "--csv",
-        metavar="FILE",
-        help="Also write the table of all logs as CSV.",
-        rich_help_panel=MANY,
-    ),
+    option("FILE", "Also write the table of all logs as CSV.", "--csv", panel=MANY),
 ]
+
+
+def config_file(given: Path | None, logs: Sequence[str]) -> Path | None:
+    """Return the file with the parameters: the one that is named, or hiros.toml beside the logs.
+
+    Raises ConfigError if that of some logs is not that of others.
+    """
+    if given is not None:
+        return given
+    from hiros_mcap.config import SETTINGS, settings_beside
+
+    files = {settings_beside(log) for log in logs}
+    if len(files) > 1:
+        raise ConfigError(
+            f"not all logs have the same {SETTINGS} beside them; name one by --config"
+        )
+    return files.pop()
 
 
 def chosen_system(system: str | None, preset: str, *, live: bool = False) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,8 @@ from hiros_cli.printable import warning_line
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outputs import Kind
 from hiros_mcap.outputs import check_outputs as check
+
+_log = logging.getLogger(__name__)
 
 
 def check_outputs(
@@ -25,9 +28,14 @@ def check_outputs(
     check(outputs, inputs, force=force, remedy="--force")
 
 
-def warn(text: str) -> None:
-    """Print ``hiros: warning: ...`` on stderr, where no pipe and no --quiet hides it."""
+def warn(text: str, *, logged: bool = False) -> None:
+    """Print ``hiros: warning: ...`` on stderr, where no pipe and no --quiet hides it.
+
+    It is logged as well, unless the library has ``logged`` it.
+    """
     print(warning_line(text), file=sys.stderr, flush=True)
+    if not logged:
+        _log.warning("%s", text)
 
 
 SCHEMA_VERSIONS: Mapping[str, int] = {
@@ -44,6 +52,7 @@ SCHEMA_VERSIONS: Mapping[str, int] = {
     "export": 1,
     "logs": 1,
     "calibrate.board": 1,
+    "plan": 1,
 }
 """What ``--json`` prints -> version of its fields, docs/json.md. A new field does not change the
 version; a field that goes, or means something else, does."""

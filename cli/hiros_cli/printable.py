@@ -10,6 +10,7 @@ import unicodedata
 
 LIMIT = 200
 LINE_LIMIT = 1000
+_LEFT_OUT = {"rerun": "rerun-sdk", "bokeh": "bokeh", "matplotlib": "matplotlib"}
 _NO_MEMORY = ("can't start new thread", "failed to map segment", "cannot allocate memory")
 
 # Cc: C0 and C1 controls. Cf: bidirectional and other invisible formatting. Zl, Zp: line and
@@ -57,6 +58,12 @@ def lacks_memory(error: BaseException | None) -> bool:
     return False
 
 
+def left_out(error: BaseException) -> str:
+    """Return the package that an installation of requirements-small.txt lacks; "" if none."""
+    missing = str(error.name) if isinstance(error, ModuleNotFoundError) else ""
+    return _LEFT_OUT.get(missing.partition(".")[0], "")
+
+
 def warning_line(text: str) -> str:
     """One line that says what a user must know of a result, ``hiros: warning: ...``."""
     return f"hiros: warning: {printable(text, LINE_LIMIT)}"
@@ -65,6 +72,8 @@ def warning_line(text: str) -> str:
 def _reason(error: BaseException) -> str:
     from hiros_mcap.errors import LogError
 
+    if package := left_out(error):
+        return f"needs the package {package}, which this installation lacks: pip install {package}"
     if lacks_memory(error):
         reason = printable(error) if isinstance(error, MemoryError) else ""
         return f"not enough memory: {reason}" if reason else "not enough memory"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
@@ -31,15 +32,20 @@ _SPACE = 2
 
 def console() -> Console:
     """Return a console on stdout: as wide as the terminal, wide enough for every row in a pipe."""
-    return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    plain = bool(os.environ.get("NO_COLOR"))  # neither colours nor bold type
+    return Console(width=width, highlight=False, color_system=None if plain else "auto")
 
 
 def page(
     headline: str | Sequence[str],
-    *parts: Table | Sequence[str] | tuple[str, Content] | None,
+    *parts: Table | Sequence[str | Text] | tuple[str, Content] | None,
     notes: Iterable[str] = (),
 ) -> None:
-    """Print a report: tables, lines and tables with a title, an empty line before each; notes."""
+    """Print a report: tables, lines and tables with a title, an empty line before each; notes.
+
+    It is the printer of all commands. Strings may hold anything from outside, a Text may not.
+    """
     out = console()
     for line in [headline] if isinstance(headline, str) and headline else headline:
         say(out, line, "bold")
@@ -52,20 +58,17 @@ def page(
             if isinstance(part, Table):
                 out.print(part)
                 continue
-            for line in part:
-                say(out, line)
-    for text in notes:
-        note(out, text)
+            for text in part:
+                say(out, text)
+    for each in notes:
+        say(out, f"note: {each}", "yellow")
 
 
-def say(out: Console, text: object, style: str = "", before: str = "") -> None:
+def say(out: Console, text: str | Text, style: str = "", before: str = "") -> None:
     """Print a line that may hold anything from outside, behind ``before``."""
-    out.print(Text(before + printable(text, LINE_LIMIT), style=style), soft_wrap=True)
-
-
-def note(out: Console, text: str) -> None:
-    """Print a note."""
-    say(out, text, "yellow", "note: ")
+    if not isinstance(text, Text):
+        text = Text(before + printable(text, LINE_LIMIT), style=style)
+    out.print(text, soft_wrap=True)
 
 
 def show_table(out: Console, title: str, content: Content) -> None:
@@ -132,7 +135,8 @@ def _headline(summary: Summary) -> tuple[str, str]:
     speed = number(summary.times_real_time, 1)
     system = f" with {summary.system}" if summary.system else ""
     times = f"{number(summary.log_s, 1)} s of log in {number(summary.wall_s, 2)} s"
-    return f"{summary.source}{target}", f"{times}{system}: {speed} times real time"
+    settings = f"; parameters of {summary.settings}" if summary.settings else ""
+    return f"{summary.source}{target}", f"{times}{system}: {speed} times real time{settings}"
 
 
 def _cameras(cameras: Sequence[CameraSummary]) -> Table:

@@ -410,6 +410,19 @@ class _Camera(BaseModel):
     residual_mm: float | None = None
 
 
+class RoomTable(BaseModel):
+    """The table ``[room]`` of a file with poses, as ``hiros plan`` writes it."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    area: tuple[float, float, float, float]
+    """Least x and y, greatest x and y, m."""
+    fov: tuple[float, float]
+    """Field of view of each camera, across and upright, degrees."""
+    range: tuple[float, float]
+    """Nearest and farthest depth that a camera sees, m."""
+
+
 class _Extrinsics(BaseModel):
     """An extrinsics file."""
 
@@ -417,6 +430,7 @@ class _Extrinsics(BaseModel):
 
     camera: Annotated[list[_Camera], Field(min_length=1)]
     clock: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    room: RoomTable | None = None
 
 
 def read_extrinsics(path: str | Path) -> TransformTree:
@@ -455,6 +469,11 @@ def read_clocks(path: str | Path) -> dict[str, float]:
     ``hiros calibrate people`` writes it. Raises ConfigError as :func:`read_extrinsics` does.
     """
     return _extrinsics(Path(path)).clock
+
+
+def read_room(path: str | Path) -> RoomTable | None:
+    """Read the table ``[room]`` of a file with poses; raises as :func:`read_extrinsics` does."""
+    return _extrinsics(Path(path)).room
 
 
 class CameraEntry(NamedTuple):
@@ -549,15 +568,16 @@ class Mover:
 
     def move_block(self, block: Block) -> Block:
         """Return a block in the fixed frame, itself if it already is."""
-        moving = [i for i, name in enumerate(block.frame_ids) if name != self._fixed]
-        if not moving:
+        is_moving = np.array([name != self._fixed for name in block.names])[block.frame_ids]
+        if not is_moving.any():
             return block
         people = block.people.copy()
-        for i in moving:
+        for i in np.flatnonzero(is_moving).tolist():
             stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
-            pose = self._pose(block.frame_ids[i], stamp, log_time)
+            pose = self._pose(block.names[block.frame_ids[i]], stamp, log_time)
             move(pose, 0, people.at(slice(*block.rows[i].tolist())))
-        return replace(block, people=people, frame_ids=[self._fixed] * len(block))
+        names, fixed = (*block.names, self._fixed), np.full(len(block), len(block.names))
+        return replace(block, people=people, names=names, frame_ids=fixed)
 
     def _pose(self, name: str, stamp: int, log_time: int) -> PoseArrays:
         pose = self._tree.lookup(name, self._fixed, stamp, log_time)

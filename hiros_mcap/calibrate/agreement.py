@@ -110,11 +110,11 @@ def compare_bodies(residuals: RigResiduals, points: Points, mirror: Ints) -> Bod
         wander[c] = np.median(np.linalg.norm(_middles(apart, people), axis=1))
         speeds = residuals.velocities[c, kept]
         inside[c, kept] = speeds - _middles(speeds, people)[people]
-        pair = [one - _middles(one, people)[people] for one in (own, other)]
+        inner, outer = (one - _middles(one, people)[people] for one in (own, other))
         # Robust weights would favour the pose that they are from.
         plain = points.weights[:, kept]
         plain = np.minimum(plain[c], plain.sum(axis=0) - plain[c])
-        postures[c] = _correlation(*pair, plain[:, None], points.joints[kept])
+        postures[c] = _correlation(inner, outer, plain[:, None], points.joints[kept])
         cells = people * len(mirror) + points.joints[kept], points.seconds[kept]
         mirrors[c] = _mirror_margin(own, other, plain, cells, mirror)
     limbs = common_motion(residuals._replace(velocities=inside))

@@ -63,4 +63,4 @@ def _halves(refined: Refinement, mirror: Ints) -> Floats:
             for one, other in zip(first, second, strict=True)
         ]
     )
-    return np.degrees(angles[int(angles.sum(axis=1).argmin())])
+    return np.asarray(np.degrees(angles[int(angles.sum(axis=1).argmin())]))

@@ -111,17 +111,16 @@ class Survey:
         parts: dict[str, list[Seen]] = {}
         blocks = self.log.read(fixed=self.fixed, spans=spans, step=SPACING_NS, times=times)
         for _, block in blocks:
-            sources = np.array(block.sources)
             inside = np.zeros(len(block), np.bool_)
             for begin, end in spans:
                 inside |= (begin <= block.log_times) & (block.log_times <= end)
-            for name in dict.fromkeys(block.sources):
-                own = np.flatnonzero(inside & (sources == name))
+            for code in dict.fromkeys(block.sources.tolist()):
+                own, name = np.flatnonzero(inside & (block.sources == code)), block.names[code]
                 rows = rows_of(block, own)
                 some = Seen(
                     block.stamps[own],
                     block.log_times[own],
-                    np.diff(block.rows[own], axis=1)[:, 0],
+                    block.sizes[own],
                     block.people.markers[rows, :, POSITION].astype(np.float32),
                     block.people.marker_confidences[rows].astype(np.float32),
                 )
@@ -168,7 +167,7 @@ def stretches(start: int, end: int, seconds: float, n: int) -> list[tuple[int, i
 
 
 _MOVES = "its pose changes during the log, and only cameras at rest can be compared"
-_SHARED = "its detections are in a frame that is not its own"
+SHARED_FRAME = "its detections are in a frame that is not its own"
 
 
 class FixedCamera(NamedTuple):
@@ -190,7 +189,7 @@ def camera_faults(log: Log) -> dict[str, str]:
         frames = camera.frames
         shared = len(frames) != 1 or len(camera.sources) != 1 or owners[frames[0]] > 1
         if shared or moves(log, frames[0]):
-            faults |= dict.fromkeys(camera.sources.values(), _SHARED if shared else _MOVES)
+            faults |= dict.fromkeys(camera.sources.values(), SHARED_FRAME if shared else _MOVES)
     return faults
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -69,33 +69,25 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a system made of a log."""
+    """What a system made of a log; with a truth, its scores, without one :data:`measures.SELF`."""
 
     log: str
     name: str
     cameras: tuple[str, ...]
     """That it was given."""
     milliseconds: float
-    """CPU time of the stages per input message, without compiling or loading the kernels."""
+    """Without compiling or loading the kernels."""
     scores: Scores | None = None
-    """Against the truth; None without one."""
     distance: ErrorStats | None = None
-    """Without a truth: distance of a camera left out from the result of the others, mm, on the
-    joints and detections that all compared systems have. Neither the error nor a bound on it."""
+    """Neither the error nor a bound on it."""
     disagreement: float = float("nan")
-    """Its median, mm."""
     spread: float = float("nan")
-    """Its mean, without the constant displacement of each joint of a person, mm."""
     misses: int = 0
-    """Without a truth: detections at which this system has nobody, but another one has."""
     detections: int = 0
-    """Without a truth: detections at which some system has somebody."""
     difference: MeanDifference | None = None
     """From the first system; None for the first itself."""
     coverage: float = float("nan")
-    """Without a truth: share of the left-out cameras' skeletons that the others confirm."""
     ids: int = 0
-    """Number of different ids in the result."""
     limb_variation: float = float("nan")
     jitter: float = float("nan")
     people: float = float("nan")
@@ -173,17 +165,12 @@ def _on_the_same(done: Sequence[tuple[Outcome, list[Distances]]]) -> list[Outcom
         raise ConfigError(f"{done[0][0].log}: {error}") from None
     first, outcomes = done[0][0].name, []
     for (outcome, _), scores in zip(done, same.values(), strict=True):
-        difference = scores.difference and replace(scores.difference, against=first)
+        values = {f.name: getattr(scores, f.name) for f in fields(scores)}
+        if outcome.scores is not None:
+            values = {"difference": scores.difference}
+        outcome = replace(outcome, **values)
+        difference = outcome.difference and replace(outcome.difference, against=first)
         outcomes.append(replace(outcome, difference=difference))
-        if outcome.scores is None:
-            outcomes[-1] = replace(
-                outcomes[-1],
-                distance=scores.distance,
-                disagreement=scores.median,
-                spread=scores.spread,
-                misses=scores.misses,
-                detections=scores.detections,
-            )
     return outcomes
 
 

@@ -34,14 +34,14 @@ class EllipsoidCoverage:
 
 
 def coverage_of(
-    matches: Matches, told: Deviations, model: SkeletonModel
+    matches: Matches, given: Deviations, model: SkeletonModel
 ) -> EllipsoidCoverage | None:
     """Compare errors with stated deviations; None if no joint has both."""
     scaled = []
     rows = zip(matches.stamps, matches.ids, matches.poses, matches.true_poses, strict=True)
     for stamp, person, pose, true in rows:
-        own = told.get((stamp, person), {})
-        deviations = np.array([own.get(marker, np.nan) for marker in model.marker_ids])
+        stated = given.get((stamp, person), {})
+        deviations = np.array([stated.get(marker, np.nan) for marker in model.marker_ids])
         scaled.append(((pose - true) ** 2).sum(axis=1) / deviations**2)
     squares = np.concatenate([*scaled, np.zeros(0)])
     squares = squares[np.isfinite(squares)]

@@ -24,7 +24,7 @@ from hiros_mcap.evaluate.side_scores import SideScores, side_scores
 from hiros_mcap.evaluate.statistics import ErrorStats, mean_of, nan_mean
 from hiros_mcap.evaluate.truth import Truth
 from hiros_mcap.io.log import Source
-from hiros_mcap.running.process_options import ProcessOptions
+from hiros_mcap.running.process_options import ProcessOptions, Progress, Silent
 from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import Flags, Floats, Frame, SkeletonModel, Stamps, nearest_stamps
 
@@ -34,25 +34,19 @@ SIMULTANEOUS_NS = 50_000_000
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A camera against what all others make of the scene."""
+    """A camera against what all others make of the scene; see :data:`measures.LEFT_OUT`, in mm."""
 
     topic: str
     detections: int
-    """Skeletons that the camera reports while the others see somebody."""
     unmatched: int
-    """Those that match nobody."""
     mirrored: int
-    """Those that fit better with left and right swapped. They count as they are: what is struck
-    out where it contradicts a result would flatter the result that is wrong."""
+    """They count as they are: what is struck out where it contradicts a result would flatter the
+    result that is wrong."""
     distance: ErrorStats
-    """From the same joint in the result of the others."""
     median: float
-    """Of these distances, mm."""
     spread: float
-    """Mean distance, mm, without what is constant: the median displacement of each joint of a
-    person. Detectors differ by centimetres all the time; systems differ in the rest."""
+    """Detectors differ by centimetres all the time; systems differ in the rest."""
     offset: float
-    """Norm of the mean displacement over all joints, mm: mostly the error of the extrinsics."""
     parts: Mapping[str, ErrorStats]
     joints: Mapping[str, ErrorStats]
 
@@ -91,8 +85,11 @@ def leave_one_out(
     *,
     config: Config | None = None,
     options: ProcessOptions | None = None,
+    progress: Progress | None = None,
 ) -> SelfScores:
     """Score a recording against itself: run it once with all cameras, once without each.
+
+    ``progress`` is told the runs.
 
     Raises
     ------
@@ -104,7 +101,7 @@ def leave_one_out(
     options = options or ProcessOptions()
     config = config or load_config(system=options.system)
     recording = Recording.read(source, config, options)
-    return leave_each_out(recording, config, options)[0]
+    return leave_each_out(recording, config, options, progress=progress)[0]
 
 
 def leave_each_out(
@@ -112,6 +109,7 @@ def leave_each_out(
     config: Config,
     options: ProcessOptions,
     everybody: Sequence[Frame] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[SelfScores, list[Distances]]:
     """Return the scores of :func:`leave_one_out`, and each camera's distances one by one.
 
@@ -126,15 +124,17 @@ def leave_each_out(
         path = recording.prepared.log.path
         raise ConfigError(f"{path}: leaving one camera out needs at least two cameras")
     model = recording.model
+    progress = progress or Silent()
     if everybody is None:
         everybody = _fused(recording, config, options, frames_of)
     cameras, distances = [], []
-    for topic, frames in frames_of.items():
+    for k, (topic, frames) in enumerate(frames_of.items(), start=1):
+        progress.update(k, len(frames_of) + 1)
         others = _fused(recording, config, options, frames_of.keys() - {topic})
-        found = _residuals(frames, others, model)
-        varying = _varying(found.displacement, found.people)
-        cameras.append(_left_out(topic, found, varying, model))
-        distances.append(_distances(frames, found, varying))
+        residuals_of_camera = _residuals(frames, others, model)
+        varying = _varying(residuals_of_camera.displacement, residuals_of_camera.people)
+        cameras.append(_left_out(topic, residuals_of_camera, varying, model))
+        distances.append(_distances(frames, residuals_of_camera, varying))
     residuals = {topic: _residuals(frames, everybody, model) for topic, frames in frames_of.items()}
     scores = SelfScores(
         consistency=consistency(everybody, model),
@@ -157,32 +157,34 @@ def _fused(
     return list(recording.run(config, options, sources).values())[-1]
 
 
-def _left_out(topic: str, found: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:
-    distances = 1000 * np.linalg.norm(found.displacement, axis=-1)
-    known = distances[~np.isnan(distances)]
-    means = [mean_of(found.displacement[..., axis]) for axis in range(3)]
+def _left_out(topic: str, residuals: _Residuals, varying: Floats, model: SkeletonModel) -> LeftOut:
+    distances = 1000 * np.linalg.norm(residuals.displacement, axis=-1)
+    present = distances[~np.isnan(distances)]
+    means = [mean_of(residuals.displacement[..., axis]) for axis in range(3)]
     return LeftOut(
         topic=topic,
-        detections=len(found.stamps) + found.unmatched,
-        unmatched=found.unmatched,
-        mirrored=int(found.mirrored.sum()),
+        detections=len(residuals.stamps) + residuals.unmatched,
+        unmatched=residuals.unmatched,
+        mirrored=int(residuals.mirrored.sum()),
         distance=ErrorStats.of(distances),
-        median=float(np.median(known)) if known.size else np.nan,
+        median=float(np.median(present)) if present.size else np.nan,
         spread=1000 * mean_of(np.linalg.norm(varying, axis=-1)),
         offset=1000 * float(np.linalg.norm(means)),
-        parts={part: ErrorStats.of(distances[:, own]) for part, own in parts_of(model).items()},
+        parts={
+            part: ErrorStats.of(distances[:, columns]) for part, columns in parts_of(model).items()
+        },
         joints=ErrorStats.by_name(model.marker_names, distances),
     )
 
 
-def _distances(frames: Sequence[Frame], found: _Residuals, varying: Floats) -> Distances:
+def _distances(frames: Sequence[Frame], residuals: _Residuals, varying: Floats) -> Distances:
     """Distances at all detections of a camera, matched or not."""
     counts = [len(frame.ids) for frame in frames]
     stamps = np.repeat(np.array([frame.stamp for frame in frames], np.int64), counts)
-    joints = np.full((len(stamps), found.displacement.shape[1]), np.nan, np.float32)
+    joints = np.full((len(stamps), residuals.displacement.shape[1]), np.nan, np.float32)
     rest = joints.copy()
-    joints[found.detections] = 1000 * np.linalg.norm(found.displacement, axis=-1)
-    rest[found.detections] = 1000 * np.linalg.norm(varying, axis=-1)
+    joints[residuals.detections] = 1000 * np.linalg.norm(residuals.displacement, axis=-1)
+    rest[residuals.detections] = 1000 * np.linalg.norm(varying, axis=-1)
     return Distances(stamps, joints, rest)
 
 
@@ -190,9 +192,9 @@ def _varying(displacement: Floats, people: Stamps) -> Floats:
     """(R, M, 3) Displacements without the median of each joint of each person, m."""
     varying = displacement.copy()
     for person in np.unique(people):
-        own = people == person
-        for m in np.flatnonzero(~np.isnan(displacement[own, :, 0]).all(axis=0)):
-            varying[own, m] -= np.nanmedian(displacement[own, m], axis=0)
+        rows = people == person
+        for m in np.flatnonzero(~np.isnan(displacement[rows, :, 0]).all(axis=0)):
+            varying[rows, m] -= np.nanmedian(displacement[rows, m], axis=0)
     return varying
 
 
@@ -241,6 +243,6 @@ def _disagreement(a: _Residuals, b: _Residuals) -> float:
         close = np.abs(b.stamps[nearest] - a.stamps[mine]) <= SIMULTANEOUS_NS
         difference = a.displacement[mine[close]] - b.displacement[nearest[close]]
         distances.append(np.linalg.norm(difference, axis=-1).ravel())
-    known = np.concatenate(distances)
-    known = known[~np.isnan(known)]
-    return 1000 * float(np.median(known)) if known.size else np.nan
+    joined = np.concatenate(distances)
+    joined = joined[~np.isnan(joined)]
+    return 1000 * float(np.median(joined)) if joined.size else np.nan

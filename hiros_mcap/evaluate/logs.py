@@ -43,18 +43,21 @@ class PersonSpan:
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """What a channel says about itself, without any truth."""
+    """What a channel says about itself, without any truth; see :data:`measures.CONSISTENCY`."""
 
     frames: int
     people: tuple[PersonSpan, ...]
     limb_variation: float
-    """Mean over people and links of the coefficient of variation of the length."""
     limbs: Mapping[str, float]
     """The same by link."""
     jitter: float
-    """Mean norm of the second difference of joint positions between frames, mm."""
     jitters: Mapping[str, float] = field(default_factory=dict)
     """The same by joint."""
+
+    @property
+    def n_people(self) -> int:
+        """Number of ids."""
+        return len(self.people)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,10 +224,11 @@ def _read(source: Source, globs: Sequence[str]) -> dict[str, Channel]:
     """Read some channels in one pass."""
     with open_log(source, topics=globs, output_prefix="/none") as log:
         frames: dict[str, list[Frame]] = {camera.channel.topic: [] for camera in log.cameras}
-        for topics, block in log.read(fixed=False):
+        read = log.read(fixed=False)
+        for topics, block in read:
             for topic, frame in zip(topics, block.frames(), strict=True):
                 frames[topic].append(frame)
-        skipped = {topic: dict(log.accounts[topic].skipped) for topic in frames}
+        skipped = {topic: dict(read.accounts[topic].skipped) for topic in frames}
         return {
             topic: Channel(log.path, some, log.model, skipped[topic])
             for topic, some in frames.items()

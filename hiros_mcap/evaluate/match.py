@@ -87,10 +87,10 @@ def match(frames: Iterable[Frame], truth: Truth, max_distance: float = MATCH_DIS
 
 def _miss_everybody(stamp: int, truth: Truth, result: Matches) -> None:
     """Count an instant without a frame."""
-    known = ~np.isnan(truth.at(stamp)[0][..., 0])
-    present = np.nonzero(known.any(axis=-1))[0]
+    visible = ~np.isnan(truth.at(stamp)[0][..., 0])
+    present = np.nonzero(visible.any(axis=-1))[0]
     result.silent += bool(len(present))
-    result.missed += list(known[present])
+    result.missed += list(visible[present])
     nobody = np.zeros((len(present), 0))
     result.similarities.append(FrameSimilarity(tuple(present.tolist()), (), nobody))
 
@@ -101,8 +101,8 @@ def _match_frame(
     rows = np.nonzero(frame.ids != UNTRACKED)[0]
     ids: list[int] = frame.ids[rows].tolist()
     positions, orientations = truth.at(frame.stamp)
-    known = ~np.isnan(positions[..., 0])
-    present = np.nonzero(known.any(axis=-1))[0]
+    visible = ~np.isnan(positions[..., 0])
+    present = np.nonzero(visible.any(axis=-1))[0]
     distance = skeleton_distances(positions[present], frame.positions[rows])
     for row, ident in zip(rows, ids, strict=True):
         track = result.tracks.setdefault(ident, Track())
@@ -121,7 +121,7 @@ def _match_frame(
         result.true_poses.append(positions[person])
         result.orientations.append(frame.orientations[row].copy())
         result.true_orientations.append(orientations[person])
-    result.missed += list(known[np.delete(present, [true_row for true_row, _ in pairs])])
+    result.missed += list(visible[np.delete(present, [true_row for true_row, _ in pairs])])
     result.false += len(rows) - len(pairs)
     result.frames += 1
     result.nearest = min(result.nearest, float(distance.min(initial=math.inf)))
@@ -136,11 +136,11 @@ def explain_no_match(matches: Matches, truth: Truth) -> str:
     """Return the distance of result and truth in words if nobody was matched, else ""."""
     if matches.people or not math.isfinite(matches.nearest):
         return ""
-    found = np.stack([pose for track in matches.tracks.values() for pose in track.poses])
+    poses = np.stack([pose for track in matches.tracks.values() for pose in track.poses])
     return (
         f"no skeleton comes nearer than {matches.nearest:.1f} m to a true person. Is the truth in "
         "metres, in the log's fixed frame, with the right --up and --shift? Typical coordinates: "
-        f"truth {_median_text(truth.positions)}, result {_median_text(found)}"
+        f"truth {_median_text(truth.positions)}, result {_median_text(poses)}"
     )
 
 

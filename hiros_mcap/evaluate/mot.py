@@ -62,10 +62,10 @@ def _clear(frames: Sequence[FrameSimilarity]) -> tuple[float, float, int]:
     """MOTA, MOTP and switches; pairs of the previous frame are kept while they are possible."""
     previous: dict[int, int] = {}
     last: dict[int, int] = {}
-    true = found = matched = switches = 0
+    true = reported = matched = switches = 0
     similarity = 0.0
     for now in frames:
-        true, found = true + len(now.true_ids), found + len(now.ids)
+        true, reported = true + len(now.true_ids), reported + len(now.ids)
         if not now.true_ids or not now.ids:
             continue
         held = np.array([[previous.get(t) == i for i in now.ids] for t in now.true_ids])
@@ -80,7 +80,7 @@ def _clear(frames: Sequence[FrameSimilarity]) -> tuple[float, float, int]:
         matched += len(pairs)
     if not true:
         return np.nan, np.nan, switches
-    wrong = (true - matched) + (found - matched) + switches
+    wrong = (true - matched) + (reported - matched) + switches
     return 1 - wrong / true, similarity / matched if matched else np.nan, switches
 
 
@@ -90,31 +90,31 @@ def _counts(
     """Slots of people and of ids, and how often each appears."""
     people = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.true_ids}))}
     names = {i: k for k, i in enumerate(sorted({i for now in frames for i in now.ids}))}
-    true, found = np.zeros(len(people)), np.zeros(len(names))
+    true, reported = np.zeros(len(people)), np.zeros(len(names))
     for now in frames:
         true[[people[i] for i in now.true_ids]] += 1
-        found[[names[i] for i in now.ids]] += 1
-    return people, names, true, found
+        reported[[names[i] for i in now.ids]] += 1
+    return people, names, true, reported
 
 
 def _idf1(frames: Sequence[FrameSimilarity]) -> float:
-    people, names, true, found = _counts(frames)
+    people, names, true, reported = _counts(frames)
     together = np.zeros((len(people), len(names)))
     for now in frames:
         for row, person in enumerate(now.true_ids):
             for column, name in enumerate(now.ids):
                 close = now.similarity[row, column] > _TINY
                 together[people[person], names[name]] += close
-    total = true.sum() + found.sum()
+    total = true.sum() + reported.sum()
     hits = sum(together[row, column] for row, column in _best_scores(together))
     return float(2 * hits / total) if total else np.nan
 
 
 def _hota(frames: Sequence[FrameSimilarity]) -> float:
-    people, names, true, found = _counts(frames)
-    if not true.sum() + found.sum():
+    people, names, true, reported = _counts(frames)
+    if not true.sum() + reported.sum():
         return np.nan
-    alignment = _alignment(frames, people, names, true, found)
+    alignment = _alignment(frames, people, names, true, reported)
     together = np.zeros((len(ALPHAS), len(people), len(names)))
     for now in frames:
         rows = [people[i] for i in now.true_ids]
@@ -122,8 +122,8 @@ def _hota(frames: Sequence[FrameSimilarity]) -> float:
         for r, c in _best_scores(alignment[np.ix_(rows, columns)] * now.similarity):
             together[:, rows[r], columns[c]] += now.similarity[r, c] >= ALPHAS - 1e-9
     matched = together.sum(axis=(1, 2))
-    detection = matched / (true.sum() + found.sum() - matched)
-    union = true[:, None] + found[None] - together
+    detection = matched / (true.sum() + reported.sum() - matched)
+    union = true[:, None] + reported[None] - together
     shared = (together * together / np.maximum(union, 1)).sum(axis=(1, 2))
     association = shared / np.maximum(matched, 1)
     return float(np.sqrt(detection * association).mean())
@@ -134,7 +134,7 @@ def _alignment(
     people: dict[int, int],
     names: dict[int, int],
     true: Floats,
-    found: Floats,
+    reported: Floats,
 ) -> Floats:
     """(people, names) How well an id follows a person over the whole log, 0..1."""
     shared = np.zeros((len(people), len(names)))
@@ -144,4 +144,4 @@ def _alignment(
         columns = [names[i] for i in now.ids]
         union = s.sum(axis=0, keepdims=True) + s.sum(axis=1, keepdims=True) - s
         shared[np.ix_(rows, columns)] += np.where(union > _TINY, s / np.maximum(union, _TINY), 0.0)
-    return shared / (true[:, None] + found[None] - shared)
+    return shared / (true[:, None] + reported[None] - shared)

@@ -40,15 +40,15 @@ def people_without_truth(
     if len(matches.people) < _FOUND * (len(matches.people) + len(matches.missed)):
         return ()
     matched = dict(zip(*np.unique(matches.ids, return_counts=True), strict=True))
-    found = []
+    others = []
     for ident, track in matches.tracks.items():
         n, seconds = len(track.stamps), (track.stamps[-1] - track.stamps[0]) / 1e9
         lasts = n >= _LEAST_SHARE * matches.frames and seconds >= _LEAST_SECONDS
         if lasts and matched.get(ident, 0) <= (1 - _UNMATCHED) * n and _walks(track):
             far = [d > max_distance for d in _distances(track, truth)]
             if np.mean(far) >= 0.5:
-                found.append(ident)
-    return tuple(sorted(found))
+                others.append(ident)
+    return tuple(sorted(others))
 
 
 def _walks(track: Track) -> bool:

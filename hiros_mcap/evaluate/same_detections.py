@@ -50,6 +50,13 @@ class MeanDifference:
         """Whether the interval does not hold 0."""
         return self.low > 0 or self.high < 0
 
+    @property
+    def line(self) -> str:
+        """Return it with the other system and the time in common."""
+        if self.seconds < 2:
+            return f"not compared with {self.against}: less than two seconds in common"
+        return f"against {self.against}, mm: {self} in {self.seconds} s"
+
     def __str__(self) -> str:
         ends = sorted((abs(self.low), abs(self.high)))
         if not self.is_sure:
@@ -63,8 +70,8 @@ class SameScores:
     """Of one system, on the detections where all systems have somebody."""
 
     distance: ErrorStats
-    median: float
-    """Of these distances, mm."""
+    disagreement: float
+    """Median of these distances, mm."""
     spread: float
     """Mean of the varying distances, mm."""
     misses: int
@@ -89,27 +96,27 @@ def on_same_detections(systems: Mapping[str, Sequence[Distances]]) -> dict[str, 
     ValueError
         The systems were given different detections.
     """
-    joints = {name: _stacked([d.joints for d in own]) for name, own in systems.items()}
-    varying = {name: _stacked([d.varying for d in own]) for name, own in systems.items()}
+    joints = {name: _stacked([d.joints for d in cameras]) for name, cameras in systems.items()}
+    varying = {name: _stacked([d.varying for d in cameras]) for name, cameras in systems.items()}
     if len({each.shape for each in joints.values()}) > 1:
         raise ValueError("the systems were given different detections")
     stamps = np.concatenate([d.stamps for d in next(iter(systems.values()))])
-    known = {name: ~np.isnan(each) for name, each in joints.items()}
-    there = {name: each.any(axis=1) for name, each in known.items()}
+    present = {name: ~np.isnan(each) for name, each in joints.items()}
+    there = {name: each.any(axis=1) for name, each in present.items()}
     anybody = np.any(list(there.values()), axis=0)
-    taking_part = [known[name] for name, own in there.items() if own.any()]
-    common: Flags = np.all(taking_part, axis=0) if taking_part else next(iter(known.values()))
+    taking_part = [present[name] for name, rows in there.items() if rows.any()]
+    common: Flags = np.all(taking_part, axis=0) if taking_part else next(iter(present.values()))
     first = next(iter(systems))
     scores = {}
-    for name, own in joints.items():
-        distances = own[common & known[name]].astype(np.float64)
+    for name, table in joints.items():
+        distances = table[common & present[name]].astype(np.float64)
         scores[name] = SameScores(
             distance=ErrorStats.of(distances),
-            median=float(np.median(distances)) if distances.size else np.nan,
-            spread=mean_of(varying[name][common & known[name]].astype(np.float64)),
+            disagreement=float(np.median(distances)) if distances.size else np.nan,
+            spread=mean_of(varying[name][common & present[name]].astype(np.float64)),
             misses=int((anybody & ~there[name]).sum()),
             detections=int(anybody.sum()),
-            difference=None if name == first else _difference(own, joints[first], stamps, first),
+            difference=None if name == first else _difference(table, joints[first], stamps, first),
         )
     return scores
 
@@ -119,10 +126,10 @@ def _stacked(parts: Sequence[npt.NDArray[np.float32]]) -> npt.NDArray[np.float32
 
 
 def _difference(
-    own: npt.NDArray[np.float32], other: npt.NDArray[np.float32], stamps: Stamps, name: str
+    mine: npt.NDArray[np.float32], other: npt.NDArray[np.float32], stamps: Stamps, name: str
 ) -> MeanDifference:
     """MeanDifference of two systems where both have a joint, with an interval over seconds."""
-    apart = own.astype(np.float64) - other
+    apart = mine.astype(np.float64) - other
     rows, columns = np.nonzero(~np.isnan(apart))
     blocks = np.unique((stamps[rows] - stamps.min(initial=0)) // _BLOCK_NS, return_inverse=True)[1]
     return MeanDifference(name, *block_interval(apart[rows, columns], blocks))

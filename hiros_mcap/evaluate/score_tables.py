@@ -4,82 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from hiros_mcap.evaluate.comparison import Outcome
 from hiros_mcap.evaluate.leave_one_out import LeftOut, SelfScores
-from hiros_mcap.evaluate.parts import PARTS
+from hiros_mcap.evaluate.logs import Consistency
+from hiros_mcap.evaluate.measures import (
+    CONSISTENCY,
+    ERRORS,
+    LEFT_OUT,
+    MOTION,
+    PEOPLE,
+    RANKED,
+    SELF,
+    Rows,
+    Table,
+    table_of,
+)
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.evaluate.side_scores import SideScores
 from hiros_mcap.evaluate.statistics import ErrorStats
 from hiros_mcap.summary import number
 
-Rows = list[tuple[str, ...]]
-Table = tuple[tuple[str, ...], Rows]
-"""Header and rows; the first column is text, the others are numbers."""
-
 TWO_CAMERAS = (
     "With two cameras, a camera left out is compared with the result of a single one: this tests "
     "smoothing, not fusion."
 )
+WITHOUT_TRUTH = " ".join(
+    (
+        "Not ranked, since there is no truth: the distance of a camera left out is neither the "
+        "error nor a bound on it. It adds the camera's noise and misses errors that all cameras "
+        "share.",
+        *(
+            f"{m.title}: {m.text}."
+            for m in SELF
+            if m.name in ("mean", "spread", "misses", "coverage")
+        ),
+    )
+)
 
 
-def error_table(scores: Mapping[str, Scores]) -> Table:
-    """Joint errors, mm, and PCK, a row per channel."""
-    parts = [p for p in PARTS if any(p in s.parts for s in scores.values())]
-    header = ("Channel", "Mean", "SD", "RMSE", "95 %", "99 %", *(p.capitalize() for p in parts))
-    rows = [
-        (
-            topic,
-            *_millimetres(s),
-            number(s.percentile_99, 1),
-            *(number(s.parts[part].mean, 1) for part in parts),
-            number(100 * s.pck_at(50), 1, " %"),
-            number(100 * s.pck_at(100), 1, " %"),
-            number(s.first_frames, 1),
-        )
-        for topic, s in scores.items()
-    ]
-    return (*header, "PCK 50", "PCK 100", "First 5"), rows
-
-
-def _millimetres(error: ErrorStats | Scores) -> tuple[str, str, str, str]:
-    numbers = (error.mean, error.deviation, error.rmse, error.percentile_95)
-    mean, deviation, rmse, percentile = (number(value, 1) for value in numbers)
-    return mean, deviation, rmse, percentile
-
-
-def motion_table(scores: Mapping[str, Scores]) -> Table:
-    """Angles, limbs, jitter and lag, a row per channel."""
-    header = ("Channel", "Bending, deg", "By links, deg", "Orientation, deg")
-    rows: Rows = [
-        (
-            topic,
-            pair(s.angle_rmse, s.angle_deviation),
-            pair(s.link_angle_rmse, s.link_angle_deviation),
-            number(s.orientation_error, 2),
-            number(s.limb_error, 1),
-            number(s.limb_variation, 4),
-            number(s.jitter, 1),
-            number(s.lag, 1),
-            number(s.mean_at_lag, 1),
-        )
-        for topic, s in scores.items()
-    ]
-    return (*header, "Limbs, mm", "Limb CV", "Jitter, mm", "Lag, ms", "Mean at lag"), rows
-
-
-def people_table(scores: Mapping[str, Scores]) -> Table:
-    """Who was missed, invented or renamed, a row per channel."""
-    header = ("Channel", "Frames", "Silent", "Missing", "False", "Switches")
-    rows = [
-        (
-            topic,
-            *map(str, (s.frames, s.silent, s.missing)),
-            "-" if s.false is None else str(s.false),
-            str(s.switches),
-            *(number(v, 3) for v in (s.tracking.mota, s.tracking.idf1, s.tracking.hota)),
-        )
-        for topic, s in scores.items()
-    ]
-    return (*header, "MOTA", "IDF1", "HOTA"), rows
+def truth_tables(scores: Mapping[str, Scores]) -> dict[str, Table]:
+    """Title -> table of the measures against a truth, a row per channel."""
+    return {
+        "Joint error, mm": table_of("Channel", scores.items(), ERRORS, "mm"),
+        "Motion": table_of("Channel", scores.items(), MOTION),
+        "People: sums over frames and silent instants": table_of("Channel", scores.items(), PEOPLE),
+    }
 
 
 BENDING = "Unsigned bending angles"
@@ -90,9 +61,9 @@ def angle_table(scores: Scores) -> Table:
     """Errors of the eight bending angles, degrees, by joint positions and by links."""
     header = ("Joint", "RMSE", "SD", "Bias", "By links: RMSE", "SD", "Bias", "Left out")
     rows = []
-    for name, own in scores.angles.items():
+    for name, error in scores.angles.items():
         link = scores.link_angles[name]
-        cells = (number(v, 2) for s in (own, link) for v in (s.rmse, s.deviation, s.bias))
+        cells = (number(v, 2) for s in (error, link) for v in (s.rmse, s.deviation, s.bias))
         rows.append((name, *cells, str(link.singular)))
     return header, rows
 
@@ -108,36 +79,18 @@ def signed_angle_table(scores: Scores) -> Table:
 
 def joint_table(joints: Mapping[str, ErrorStats]) -> Table:
     """Error of every joint, mm."""
-    rows: Rows = [(name, *_millimetres(joint)) for name, joint in joints.items()]
-    return ("Joint", "Mean", "SD", "RMSE", "95 %"), rows
+    return table_of("Joint", joints.items(), ERRORS[:4], "mm")
 
 
 def left_out_table(cameras: Sequence[LeftOut]) -> Table:
     """Distance of each camera left out from what the others give, mm."""
-    parts = [p for p in PARTS if any(p in c.parts for c in cameras)]
-    header = (
-        "Left out",
-        "Median",
-        "Mean",
-        "SD",
-        "RMSE",
-        "95 %",
-        "Spread",
-        *(p.capitalize() for p in parts),
-    )
-    rows = [
-        (
-            c.topic,
-            number(c.median, 1),
-            *_millimetres(c.distance),
-            number(c.spread, 1),
-            *(number(c.parts[part].mean, 1) for part in parts),
-            number(c.offset, 1),
-            *map(str, (c.detections, c.unmatched, c.mirrored)),
-        )
-        for c in cameras
-    ]
-    return (*header, "Offset", "Detections", "Of nobody", "Mirrored"), rows
+    return table_of("Left out", ((camera.topic, camera) for camera in cameras), LEFT_OUT, "mm")
+
+
+def lines_of(result: Consistency) -> list[str]:
+    """Return limb constancy and jitter of a result, a line each."""
+    measures = [m for m in CONSISTENCY if m.digits]
+    return [f"{m.title}: {m.cell(result)} {m.unit}".rstrip() for m in measures]
 
 
 def notes_without_truth(scores: SelfScores) -> list[str]:
@@ -163,6 +116,46 @@ def side_table(sides: SideScores) -> Table:
     return ("Sign", "Number", "Share"), rows
 
 
-def pair(rmse: float, deviation: float) -> str:
-    """Return RMSE (SD) as the papers print them."""
-    return f"{number(rmse, 2)} ({number(deviation, 2)})"
+def system_table(outcomes: Sequence[Outcome]) -> Table:
+    """Header and rows of one log.
+
+    With a truth, the system with the least error comes first. Without one, the systems stay in the
+    order in which they were named: no number tells which is best.
+    """
+    measures = RANKED if has_truth(outcomes) else SELF
+    return table_of("System", ((o.name, o) for o in best_first(outcomes)), measures, "mm")
+
+
+def has_truth(outcomes: Sequence[Outcome]) -> bool:
+    """Whether all outcomes were compared with a truth."""
+    return all(o.scores is not None for o in outcomes)
+
+
+def best_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Order outcomes by their error, or leave them in their order without a truth."""
+    if not has_truth(outcomes):
+        return list(outcomes)
+    return sorted(outcomes, key=lambda o: (np.isnan(o.error), o.error, o.name))
+
+
+def differences_of(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return a line per system of one log: whether it is nearer than the first one."""
+    return [f"{o.name}: {o.difference.line}" for o in outcomes if o.difference is not None]
+
+
+def notes_on(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return what a reader of tables without a truth has to know."""
+    if has_truth(outcomes):
+        return []
+    two = any(o.scores is None and len(o.cameras) == 2 for o in outcomes)
+    return [WITHOUT_TRUTH, *([TWO_CAMERAS] if two else [])]
+
+
+def camera_table(errors: Mapping[str, Mapping[int, tuple[float, float]]]) -> Table:
+    """Error (SD), mm, by number of cameras, mean over all subsets."""
+    sizes = sorted({size for row in errors.values() for size in row})
+    rows = [
+        (name, *(f"{row[n][0]:.1f} ({row[n][1]:.1f})" if n in row else "-" for n in sizes))
+        for name, row in errors.items()
+    ]
+    return ("System", *map(str, sizes)), rows

@@ -30,52 +30,35 @@ coincide, and here an error of 1 degree about y already changes z by 1 / cos 75 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Measures over all frames and people of one channel against the truth."""
+    """Numbers of one channel against the truth over all frames and people; NaN = unknown.
+
+    :data:`hiros_mcap.evaluate.measures.MEASURES` says what each is. Units are mm, degrees, ms.
+    """
 
     mean: float
-    """Mean joint error, mm."""
     deviation: float
-    """Standard deviation of the joint error, mm."""
     rmse: float
     percentile_95: float
-    """95 % of the joint errors are below, mm."""
     percentile_99: float
-    """99 % of them, mm: what happens in bad moments."""
     angle_rmse: float
-    """Root mean square error of the eight bending angles from marker positions, degrees, over all
-    joints (Hi-ROS eq. 20)."""
     angle_deviation: float
     """SD of the error of each of the eight, degrees, averaged: the error without the constant
     offset of each joint (Hi-ROS eq. 20 and section 4.1)."""
     link_angle_rmse: float
-    """The same eight by the links' orientations (Hi-ROS eq. 21)."""
     link_angle_deviation: float
     orientation_error: float
-    """Mean angle between a link's orientation and the true one (eq. 10), degrees."""
     limb_error: float
-    """Mean absolute difference of a link's length from the person's true one, mm."""
     limb_variation: float
-    """Mean over people and links of the coefficient of variation of the length."""
     jitter: float
-    """Mean norm of the second difference of joint positions between frames, mm."""
     lag: float
-    """By how many ms the result is late: the shift that fits the truth best."""
     mean_at_lag: float
-    """Mean joint error, mm, if all stamps are moved by the lag: where the cameras' clocks are
-    wrong, no stamp tells the time base that they have in common."""
     first_frames: float
-    """Mean joint error in the first five frames of an id, mm."""
     missing: int
-    """True people that no skeleton was matched to, summed over frames."""
     false: int | None
-    """Skeletons with an id that are of nobody, or of somebody twice, summed over frames; None if
-    the truth is partial."""
+    """None if the truth is partial."""
     switches: int
-    """How often a true person's nearest skeleton had another id than before."""
     frames: int
-    """Frames of the result that the truth covers."""
     silent: int
-    """Instants with people at which the result holds no frame; they are missing."""
     tracking: TrackingScores
     parts: Mapping[str, ErrorStats] = field(default_factory=dict)
     joints: Mapping[str, ErrorStats] = field(default_factory=dict)
@@ -86,6 +69,16 @@ class Scores:
     link_angles: Mapping[str, AngleStats] = field(default_factory=dict)
     signed_angles: Mapping[str, AngleStats] = field(default_factory=dict)
     """Of the signed joint angles of body.anatomy, those that the markers give."""
+
+    @property
+    def pck_50(self) -> float:
+        """Share of joints within 50 mm."""
+        return self.pck_at(50)
+
+    @property
+    def pck_100(self) -> float:
+        """Share of joints within 100 mm."""
+        return self.pck_at(100)
 
     def pck_at(self, threshold_mm: int, part: str = "all") -> float:
         """Share of joints within a threshold of :data:`PCK_MM`."""
@@ -158,7 +151,9 @@ def score_matches(matches: Matches, truth: Truth, model: SkeletonModel) -> Score
         frames=matches.frames,
         silent=matches.silent,
         tracking=tracking_scores(matches.similarities),
-        parts={part: ErrorStats.of(errors[:, own]) for part, own in parts_of(model).items()},
+        parts={
+            part: ErrorStats.of(errors[:, columns]) for part, columns in parts_of(model).items()
+        },
         joints=ErrorStats.by_name(model.marker_names, errors),
         pck=pck_curves(errors, model, _unplaced(matches, poses, true_poses)),
         angles=angles,
@@ -174,8 +169,8 @@ def _link_angle_stats(
 
     Only the truth decides, so that every result is scored at the same instants.
     """
-    found, true = link_angles(model, orientations), link_angles(model, true_orientations)
-    errors = np.degrees(wrapped(found[..., 0] - true[..., 0]))
+    angles, true = link_angles(model, orientations), link_angles(model, true_orientations)
+    errors = np.degrees(wrapped(angles[..., 0] - true[..., 0]))
     singular = (np.abs(np.degrees(true[..., 1])) > SINGULAR_DEG) & ~np.isnan(errors)
     errors[singular] = np.nan
     left_out = singular.sum(axis=0).tolist()
@@ -189,8 +184,8 @@ def _signed_angle_stats(
 
     These are flexion and rotation of a limb that is held sideways (docs/angles.md).
     """
-    found, true = (anatomical_angles(model, p, unwrapped=False) for p in (poses, true_poses))
-    errors = np.degrees(wrapped(found - true))
+    angles, true = (anatomical_angles(model, p, unwrapped=False) for p in (poses, true_poses))
+    errors = np.degrees(wrapped(angles - true))
     left_out = np.zeros(len(ANGLE_NAMES), int)
     for joint in (f"{side} {limb}" for side in SIDES for limb in ("hip", "shoulder")):
         abduction = np.degrees(true[:, ANGLE_NAMES.index(f"{joint} abduction")])
@@ -200,14 +195,14 @@ def _signed_angle_stats(
             left_out[k] = singular.sum()
     columns = zip(ANGLE_NAMES, errors.T, left_out.tolist(), strict=True)
     stats = {name: AngleStats.of(column, n) for name, column, n in columns}
-    return {name: own for name, own in stats.items() if own.count or own.singular}
+    return {name: stat for name, stat in stats.items() if stat.count or stat.singular}
 
 
 def _pooled_rmse(angles: Mapping[str, AngleStats]) -> float:
     """Hi-ROS eq. 20, where N is the number of all angles."""
-    known = [a for a in angles.values() if a.count]
-    squares = sum(a.count * a.rmse**2 for a in known)
-    return float(np.sqrt(squares / sum(a.count for a in known))) if known else np.nan
+    counted = [a for a in angles.values() if a.count]
+    squares = sum(a.count * a.rmse**2 for a in counted)
+    return float(np.sqrt(squares / sum(a.count for a in counted))) if counted else np.nan
 
 
 def _mean_deviation(angles: Mapping[str, AngleStats]) -> float:
@@ -215,9 +210,9 @@ def _mean_deviation(angles: Mapping[str, AngleStats]) -> float:
 
     Without angles that are left out, it is the plain mean over the joints.
     """
-    known = [a for a in angles.values() if a.count]
-    total = sum(a.count * a.deviation for a in known)
-    return total / sum(a.count for a in known) if known else np.nan
+    counted = [a for a in angles.values() if a.count]
+    total = sum(a.count * a.deviation for a in counted)
+    return total / sum(a.count for a in counted) if counted else np.nan
 
 
 def _unplaced(matches: Matches, poses: Floats, true_poses: Floats) -> Floats:
@@ -240,13 +235,16 @@ def pck_curves(
     """
     groups = {"all": np.ones(model.n_markers, bool), **parts_of(model)}
     more = np.zeros(model.n_markers) if unplaced is None else unplaced
-    return {name: _pck(errors[:, own], float(more[own].sum())) for name, own in groups.items()}
+    return {
+        name: _pck(errors[:, columns], float(more[columns].sum()))
+        for name, columns in groups.items()
+    }
 
 
 def _pck(errors: Floats, unplaced: float) -> tuple[float, ...]:
-    known = errors[~np.isnan(errors)]
-    true = known.size + unplaced
-    return tuple(float((known <= t).sum() / true) if true else np.nan for t in PCK_MM)
+    present = errors[~np.isnan(errors)]
+    true = present.size + unplaced
+    return tuple(float((present <= t).sum() / true) if true else np.nan for t in PCK_MM)
 
 
 def _stack(rows: list[Floats], shape: tuple[int, int]) -> Floats:
@@ -271,8 +269,8 @@ def _limb_error(matches: Matches, truth: Truth, model: SkeletonModel) -> float:
     if not matches.poses:
         return np.nan
     lengths = lengths_of(truth.positions, model)
-    own = np.full(lengths.shape[1:], np.nan)
+    medians = np.full(lengths.shape[1:], np.nan)
     seen = ~np.isnan(lengths).all(axis=0)
-    own[seen] = np.nanmedian(lengths[:, seen], axis=0)
-    found = lengths_of(np.stack(matches.poses), model)
-    return mean_of(1000 * np.abs(found - own[matches.people]))
+    medians[seen] = np.nanmedian(lengths[:, seen], axis=0)
+    of_result = lengths_of(np.stack(matches.poses), model)
+    return mean_of(1000 * np.abs(of_result - medians[matches.people]))

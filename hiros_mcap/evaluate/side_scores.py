@@ -68,35 +68,38 @@ def facing_tracks(frames: Iterable[Frame], model: SkeletonModel) -> list[FacingT
     blocks = [Block.of(frame) for frame in frames]
     if not blocks:
         return []
-    block = join([(one, 0) for one in blocks])
+    block = join(blocks)
     stamps = np.repeat(block.stamps, np.diff(block.rows, axis=1)[:, 0])
-    looks = _looks(block.people, stamps, model)
-    across = looks.axes[:, :2]
-    facing = np.einsum("nk,nkc->nc", looks.facing, across)
-    cues = np.einsum("nqk,nkc->nqc", looks.cues.reshape(-1, len(CUES), 2), across)
+    bodies = _measured(block.people, stamps, model)
+    across = bodies.axes[:, :2]
+    facing = np.einsum("nk,nkc->nc", bodies.facing, across)
+    cues = np.einsum("nqk,nkc->nqc", bodies.cues.reshape(-1, len(CUES), 2), across)
     ids, velocity, rows = block.people.ids, np.full((len(stamps), 3), np.nan), []
     for person in np.unique(ids[ids != UNTRACKED]).tolist():
-        own = np.flatnonzero(ids == person)
-        own = own[np.argsort(stamps[own], kind="stable")]
-        own = own[np.diff(stamps[own], prepend=stamps[own[0]] - 1) > 0]
-        velocity[own] = _velocities(stamps[own], looks.centres[own])
-        rows.append(own)
-    walking = _walking(velocity, looks.axes)
-    return [FacingTrack(stamps[own], facing[own], walking[own], cues[own]) for own in rows]
+        places = np.flatnonzero(ids == person)
+        places = places[np.argsort(stamps[places], kind="stable")]
+        places = places[np.diff(stamps[places], prepend=stamps[places[0]] - 1) > 0]
+        velocity[places] = _velocities(stamps[places], bodies.centres[places])
+        rows.append(places)
+    walking = _walking(velocity, bodies.axes)
+    return [
+        FacingTrack(stamps[places], facing[places], walking[places], cues[places])
+        for places in rows
+    ]
 
 
-def _looks(people: People, stamps: Stamps, model: SkeletonModel) -> kernels.Looks:
+def _measured(people: People, stamps: Stamps, model: SkeletonModel) -> kernels.Looks:
     """Measure everybody in axes of his own."""
     symmetry, cues = symmetry_of(model), ForwardCues.of(model)
     markers = kernels.FacingMarkers(
         symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
     )
-    looks, bank = kernels.Looks.allocate(len(stamps)), Bank(kernels.FacingPast.empty())
-    looks.stamps[:] = stamps
-    looks.rows[:] = [bank.row(person, 0) for person in people.ids.tolist()]
+    bodies, bank = kernels.Looks.allocate(len(stamps)), Bank(kernels.FacingPast.empty())
+    bodies.stamps[:] = stamps
+    bodies.rows[:] = [bank.row(person, 0) for person in people.ids.tolist()]
     tables = kernels.FacingTables.make()
-    kernels.measure(people, np.arange(len(stamps)), markers, looks, bank.past, tables)
-    return looks
+    kernels.measure(people, np.arange(len(stamps)), markers, bodies, bank.past, tables)
+    return bodies
 
 
 def _walking(velocity: Floats, axes: Floats) -> Floats:
@@ -122,8 +125,8 @@ def side_scores(
         turns = (track.facing[1:] * track.facing[:-1]).sum(axis=1)
         steps = np.diff(track.stamps) < _GAP
         jumps += int((steps & (turns < np.cos(np.radians(100)))).sum())
-        known = ~np.isnan(track.facing[:, 0])
-        forwards = np.einsum("tkc,tc->tk", track.cues[known], track.facing[known])
+        faces = ~np.isnan(track.facing[:, 0])
+        forwards = np.einsum("tkc,tc->tk", track.cues[faces], track.facing[faces])
         shown += (np.abs(forwards) > _CLEAR).sum(axis=0)
         against += (forwards < -_CLEAR).sum(axis=0)
     shares = zip(CUES, against.tolist(), shown.tolist(), strict=True)

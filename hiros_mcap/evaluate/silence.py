@@ -40,12 +40,12 @@ def silent_instants(stamps: Stamps, truth: Truth) -> Stamps:
     # The span of the truth is closed: with a frame one step before and one after it, its first and
     # last instants are filled as those between two frames.
     ends = np.concatenate([[first - step], inside, [last + step]])
-    found = [
+    gaps = [
         np.arange(ends[k] + step, ends[k + 1] - step / 2, step)
         for k, length in enumerate(np.diff(ends))
         if length > (longest if 0 < k < len(ends) - 2 else max(longest, _ENDS_NS + step))
     ]
-    instants = np.concatenate([np.zeros(0), *found]).astype(np.int64).tolist()
+    instants = np.concatenate([np.zeros(0), *gaps]).astype(np.int64).tolist()
     return np.array([stamp for stamp in instants if truth.covers(stamp)], np.int64)
 
 

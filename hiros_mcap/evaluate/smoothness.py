@@ -81,8 +81,8 @@ def lag(matches: Matches, truth: Truth) -> float:
     def cost(shift: int) -> float:
         """Mean squared distance to the truth ``shift`` ms earlier, m2."""
         squares = (truth.positions_of(rows, stamps - shift * 1_000_000) - poses) ** 2
-        known = ~np.isnan(squares)
-        return float(squares[known].mean()) if known.any() else np.nan
+        present = ~np.isnan(squares)
+        return float(squares[present].mean()) if present.any() else np.nan
 
     coarse = list(range(-MOST_MS, MOST_MS + 1, _COARSE_MS))
     costs = np.array(list(map(cost, coarse)))

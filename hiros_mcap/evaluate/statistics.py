@@ -11,9 +11,9 @@ from hiros_mcap.skeletons import Floats
 
 def nan_mean(values: Floats, axis: int) -> Floats:
     """Mean along an axis without NaN; NaN where there is nothing else (and no warning)."""
-    known = ~np.isnan(values)
-    total = np.where(known, values, 0.0).sum(axis=axis)
-    return np.where(known.any(axis=axis), total / np.maximum(known.sum(axis=axis), 1), np.nan)
+    present = ~np.isnan(values)
+    total = np.where(present, values, 0.0).sum(axis=axis)
+    return np.where(present.any(axis=axis), total / np.maximum(present.sum(axis=axis), 1), np.nan)
 
 
 def mean_of(values: Floats) -> float:
@@ -35,24 +35,24 @@ class ErrorStats:
     @classmethod
     def of(cls, errors: Floats) -> ErrorStats:
         """Summarise errors in mm, whatever their shape."""
-        known = errors[~np.isnan(errors)]
-        if not known.size:
+        present = errors[~np.isnan(errors)]
+        if not present.size:
             return cls(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-        high, highest = np.percentile(known, [95, 99])
+        high, highest = np.percentile(present, [95, 99])
         return cls(
-            float(known.mean()),
-            float(known.std()),
-            float(np.sqrt((known * known).mean())),
+            float(present.mean()),
+            float(present.std()),
+            float(np.sqrt((present * present).mean())),
             float(high),
             float(highest),
-            known.size,
+            present.size,
         )
 
     @classmethod
     def by_name(cls, names: tuple[str, ...], errors: Floats) -> dict[str, ErrorStats]:
         """Summarise each column of errors (R, M), mm; columns without any are left out."""
         stats = {name: cls.of(errors[:, k]) for k, name in enumerate(names)}
-        return {name: own for name, own in stats.items() if own.count}
+        return {name: stat for name, stat in stats.items() if stat.count}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,5 +70,5 @@ class AngleStats:
     @classmethod
     def of(cls, errors: Floats, singular: int = 0) -> AngleStats:
         """Summarise errors in degrees."""
-        own = ErrorStats.of(errors)
-        return cls(own.rmse, own.deviation, own.mean, own.count, singular)
+        stats = ErrorStats.of(errors)
+        return cls(stats.rmse, stats.deviation, stats.mean, stats.count, singular)

@@ -164,12 +164,12 @@ def _name(name: str) -> tuple[str, str]:
 def shared_links(a: SkeletonModel, b: SkeletonModel, slots: dict[int, int]) -> dict[int, int]:
     """Slot in ``a`` -> slot in ``b`` of links that join the same markers."""
     ends = {pair: k for k, pair in enumerate(zip(b.link_parents, b.link_children, strict=True))}
-    found = {}
+    pairs = {}
     for k, (parent, child) in enumerate(zip(a.link_parents, a.link_children, strict=True)):
         other = ends.get((slots.get(parent, -2), slots.get(child, -2)))
         if other is not None:
-            found[k] = other
-    return found
+            pairs[k] = other
+    return pairs
 
 
 def _list(names: tuple[str, ...], most: int = 40) -> str:

@@ -8,28 +8,28 @@ fields. Chunks are compressed, so that it takes as much memory as the file.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hiros_schemas
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.channels import OTHER_FILES
 from hiros_mcap.io.container import (
     McapReader,
     McapWriter,
-    MemoryWriter,
+    MemorySink,
     RecoveringReader,
     Recovery,
 )
 from hiros_mcap.io.container.reader import MEMORY
 from hiros_mcap.io.container.recovery import Damage, joined
 from hiros_mcap.io.detectors.registry import detector_readers
-from hiros_mcap.io.detectors.ros_types import types_of
+from hiros_mcap.io.ros_types import ros2_types, types_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.typesys.store import Typestore
 
 _MAGIC = {b"#ROSBAG V2.0": "a ROS 1 bag", b"SQLite format 3": "a SQLite bag"}
 _FOLDER = "metadata.yaml"  # what makes a folder a rosbag2 recording
@@ -112,16 +112,10 @@ def _listed(metadata: Path) -> list[str] | None:
 class BagReader(McapReader):
     """Reads the skeletons and transforms of a bag, as an MCAP in memory.
 
-    Attributes
-    ----------
-    path : the bag.
-    left_out : type and number of messages of every topic that was not taken over.
-
-    Raises
-    ------
-    LogError
-        the bag is damaged or holds no skeletons.
+    Raises LogError if the bag is damaged or holds no skeletons.
     """
+
+    _checksums = False
 
     def __init__(self, path: Path, kind: str, *, memory: int = MEMORY) -> None:
         def convert(writer: McapWriter) -> None:
@@ -136,15 +130,16 @@ class BagReader(McapReader):
         """Let ``convert`` write an MCAP into memory and open it."""
         self.path = path
         self.left_out: dict[str, tuple[str, int]] = {}
-        with MemoryWriter(path) as writer:
+        sink = MemorySink(path)
+        with McapWriter(sink) as writer:
             convert(writer)
             writer.commit()
-            super().__init__(writer.file, memory=memory)
+        super().__init__(sink.file, memory=memory)
 
     @property
     def has_checksums(self) -> bool:
-        """False: bags have no checksums, and rosbags compares none of the parts of a split one."""
-        return False
+        """Whether checksums cover every message of every file; rosbags compares none."""
+        return self._checksums
 
     def _convert(self, bag: Any, writer: McapWriter) -> None:
         wanted = _wanted()
@@ -155,7 +150,8 @@ class BagReader(McapReader):
                 self.left_out[connection.topic] = (connection.msgtype, n + connection.msgcount)
         if not any(_shows_people(c.msgtype) for c in bag.connections):
             topics = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections}))
-            raise LogError(f"has no SkeletonGroup topic; it has {topics or 'none'}", path=self.path)
+            fault = f"has no SkeletonGroup topic; {OTHER_FILES}; it has {topics or 'none'}"
+            raise LogError(fault, path=self.path)
         texts = {connection.msgtype: connection.msgdef.data for connection in taken}
         store = bag.typestore if bag.is2 else types_of(texts)
         channels: dict[tuple[str, str], int] = {}
@@ -191,11 +187,10 @@ class SplitReader(BagReader):
         self, path: Path, parts: list[Path], *, recover: bool = False, memory: int = MEMORY
     ) -> None:
         self._checksums = True
-        self._recovery: Recovery | None = None
 
         def convert(writer: McapWriter) -> None:
             recovery = join(parts, writer, recover=recover, wanted=self._wanted)
-            self._recovery = recovery if recover else None
+            self.recovery = recovery if recover else None
 
         self._open_converted(path, convert, memory)
 
@@ -212,16 +207,6 @@ class SplitReader(BagReader):
                 n += self.left_out.get(channel.topic, ("", 0))[1]
                 self.left_out[channel.topic] = name, n
         return wanted
-
-    @property
-    def has_checksums(self) -> bool:
-        """Whether checksums cover every message of every part."""
-        return self._checksums
-
-    @property
-    def recovery(self) -> Recovery | None:
-        """What is lost, None unless damaged files are accepted."""
-        return self._recovery
 
 
 def join(
@@ -254,7 +239,7 @@ def join(
             writer.append(part, wanted(part) if wanted else part.channels)
             if wanted is None:
                 writer.append_extras(part)
-            if isinstance(part, RecoveringReader):
+            if part.recovery is not None:
                 found.append((name, part.recovery))
     if failed is not None and not any(recovery.recovered for _, recovery in found):
         raise failed
@@ -281,17 +266,6 @@ def open_bag(path: Path, kind: str) -> Iterator[Any]:
     except Exception as error:  # noqa: BLE001 - dozens of kinds, down to those of sqlite
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"is {kind} that cannot be read: {reason}", path=path) from None
-
-
-def ros2_types(texts: Mapping[str, str]) -> Typestore:
-    """Types of ``texts`` on top of ROS 2's standard ones, whose Header has no ``seq``."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in texts.items():
-        types = get_types_from_msg(text, name)
-        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
-    return store
 
 
 def _metadata(connection: Connection) -> dict[str, str]:

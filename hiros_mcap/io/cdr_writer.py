@@ -6,7 +6,6 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hiros_mcap.skeletons import Floats
 
@@ -58,11 +57,6 @@ class CdrWriter:
         if values.size:
             self._body += bytes(-len(self._body) % 8)
             self._body += np.ascontiguousarray(values, "<f8").tobytes()
-
-    def words(self, values: NDArray[np.uint32]) -> None:
-        """Write all numbers of an array of four bytes each, without a length."""
-        self._put("I", 4)
-        self._body += np.ascontiguousarray(values, "<u4").tobytes()
 
     def sequence(self, values: Floats) -> None:
         """Write a sequence of float64."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -11,6 +12,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.cdr_writer import CdrWriter
 from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.layout import Layout
 
 OUTPUT_PREFIX = "/hiros"
 OUTPUT_TOPICS = tuple(
@@ -25,6 +27,7 @@ REPORT_ATTACHMENT = "hiros/report.json"
 """The summary, without what differs from run to run."""
 PROVENANCE = "hiros.provenance"
 """Metadata of how a result came about."""
+OTHER_FILES = "`hiros import` reads files of other detectors; docs/detectors.md says how"
 TRUTH_PREFIX = "/truth"
 TF_TOPICS = ("/tf_static", "/tf")
 _LISTED = 20
@@ -69,6 +72,20 @@ class ChannelInfo:
         return self.schema in (name, hiros_schemas.short_name(name))
 
 
+@dataclass(frozen=True, slots=True)
+class CameraChannel:
+    """A skeleton channel that is read."""
+
+    channel: ChannelInfo
+    layout: Layout
+    sources: Mapping[str, str]
+    """The name that each of its cameras goes by; usually there is one camera."""
+    frames: tuple[str, ...]
+    """Coordinate frames of its detections."""
+    size: float = math.nan
+    """Size of the first people on it, m; NaN if nobody is."""
+
+
 def channels_of(reader: McapReader) -> tuple[ChannelInfo, ...]:
     """List the channels of a file in the order of their topics."""
     found = []
@@ -111,7 +128,7 @@ def select_skeletons(
     channels = tuple(channels)
     skeletons = [info for info in channels if info.has_type(hiros_schemas.SKELETON_GROUP)]
     if not skeletons:
-        raise LogError(f"has no SkeletonGroup channel; {_listing(channels)}")
+        raise LogError(f"has no SkeletonGroup channel; {OTHER_FILES}; {_listing(channels)}")
     others = [i for i in skeletons if not _is_below(i.topic, output_prefix.rstrip("/"))]
     if topics is None:
         chosen = [i for i in others if not _is_below(i.topic, TRUTH_PREFIX)]

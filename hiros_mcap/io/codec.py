@@ -299,7 +299,7 @@ class Decoder:
             np.concatenate([records.keys for records in batch.records]),
             channels.tolist(),
             reports[:, cdr.HEADER_STAMP].tolist(),
-            [self._parts(i, data[i], people, results, faults) for i in range(n)],
+            list(self._parts(data, people, results, faults)),
             _by_kind(results.cleaned),
             faults,
             batch.until,
@@ -379,31 +379,35 @@ class Decoder:
 
     def _parts(
         self,
-        i: int,
-        data: memoryview,
+        data: Sequence[memoryview],
         people: People,
         results: batch_kernels.Results,
         faults: dict[int, str],
-    ) -> list[MessagePart]:
-        """Return the parts of message ``i``, or note its fault and return none."""
-        report, code = results.reports[i].tolist(), int(results.codes[i])
-        if code != cdr.OK:
-            faults.setdefault(i, _fault(code, report, data))
-            return []
-        begin, end = results.first[i : i + 2].tolist()
-        spans = [report[cdr.FRAME : cdr.FRAME_END + 1], report[cdr.SOURCE : cdr.SOURCE_END + 1]]
-        if report[cdr.MIXED]:
-            spans[1:] = results.sources[begin:end].tolist()
-        try:
-            frame_id, *sources = [str(data[start:stop], "utf-8") for start, stop in spans]
-        except UnicodeDecodeError:
-            faults[i] = _NOT_TEXT
-            return []
-        fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
-        return [
-            MessagePart(source or frame_id, fixed or frame_id or source, first, last)
-            for source, first, last in _by_source(sources, people, begin, end)
-        ]
+    ) -> Iterator[list[MessagePart]]:
+        """Yield the parts of each message, or note its fault and yield none."""
+        columns = [cdr.FRAME, cdr.FRAME_END, cdr.SOURCE, cdr.SOURCE_END, cdr.MIXED]
+        reports, first = results.reports[:, columns].tolist(), results.first.tolist()
+        texts: dict[bytes, str] = {}
+        for i, code in enumerate(results.codes.tolist()):
+            if code != cdr.OK:
+                faults.setdefault(i, _fault(code, results.reports[i].tolist(), data[i]))
+                yield []
+                continue
+            (begin, end), (start, stop, *source, is_mixed) = first[i : i + 2], reports[i]
+            spans = [(start, stop), source]
+            if is_mixed:
+                spans[1:] = results.sources[begin:end].tolist()
+            try:
+                frame_id, *sources = [_text(bytes(data[i][a:b]), texts) for a, b in spans]
+            except UnicodeDecodeError:
+                faults[i] = _NOT_TEXT
+                yield []
+                continue
+            fixed = self._poses.fixed if results.pose_of[i] >= 0 else ""
+            yield [
+                MessagePart(name or frame_id, fixed or frame_id or name, *rows)
+                for name, *rows in _by_source(sources, people, begin, end)
+            ]
 
     def _sections(self, chunks: Sequence[Records], faults: dict[int, str]) -> Iterator[_Section]:
         """Yield the messages of each chunk in the published layout."""
@@ -447,6 +451,13 @@ def _source_times(section: _Section, reports: cdr.Table) -> cdr.Table:
     seconds = words[:, 0].astype(np.int32)  # it is signed
     times[known] = seconds.astype(np.int64) * cdr.NANO + words[:, 1]
     return times
+
+
+def _text(data: bytes, texts: dict[bytes, str]) -> str:
+    """Decode a name, once for all messages that have it; UnicodeDecodeError if it is no text."""
+    if data not in texts:
+        texts[data] = str(data, "utf-8")
+    return texts[data]
 
 
 def _by_source(
@@ -565,19 +576,14 @@ class Encoder:
 
 def _messages(block: Block, first: int) -> encode.Messages:
     """Return what the messages of a block from frame ``first`` on hold besides people."""
-    texts: dict[str, tuple[int, int]] = {}
-    joined = b""
-    places = []
-    for pair in zip(block.frame_ids[first:], block.sources[first:], strict=True):
-        for text in pair:
-            if text not in texts:
-                data = text.encode()
-                texts[text] = len(joined), len(joined) + len(data)
-                joined += data
-        places.append((*texts[pair[0]], *texts[pair[1]]))
+    texts = [name.encode() for name in block.names]
+    sizes = np.array([len(text) for text in texts], np.int64)
+    places = np.stack([np.cumsum(sizes) - sizes, np.cumsum(sizes)], axis=1)
+    spans = [places[block.frame_ids[first:]], places[block.sources[first:]]]
     return encode.Messages(
-        _as_array(joined), np.array(places, np.int64), block.stamps[first:], block.rows[first:]
-    )
+        _as_array(b"".join(texts)), np.concatenate(spans, axis=1), block.stamps[first:],
+        block.rows[first:],
+    )  # fmt: skip
 
 
 def _as_array(data: Bytes) -> npt.NDArray[np.uint8]:

@@ -80,7 +80,7 @@ class FoxgloveInput:
             from websockets.sync.client import connect
         except ImportError:
             raise LogError(
-                'needs the package websockets: pip install "hiros-mcap[websocket]"', path=self.name
+                "needs the package websockets: pip install websockets", path=self.name
             ) from None
         try:
             with connect(

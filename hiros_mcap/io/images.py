@@ -32,7 +32,7 @@ def require_opencv() -> None:
         import cv2  # noqa: F401
     except ImportError:
         raise ConfigError(
-            "images need OpenCV: install it by `pip install 'hiros-mcap[images]'`"
+            "images need OpenCV: install it by `pip install opencv-python-headless`"
         ) from None
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import hiros_schemas
 from hiros_mcap.errors import LogError, SchemaError
 from hiros_mcap.io.cdr_writer import CdrWriter
+from hiros_mcap.io.ros_types import decoder_of, exact_types
 
 Bytes = bytes | bytearray | memoryview
 
@@ -37,17 +38,6 @@ _WRITERS: dict[str, Callable[[CdrWriter, Any], None]] = {
     "float64": CdrWriter.float64,
     "string": CdrWriter.string,
 }
-# What the generic library raises on bytes that it cannot read.
-_UNREADABLE = (
-    struct.error,
-    ValueError,
-    IndexError,
-    AttributeError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    NotImplementedError,
-)
 
 
 class Layout:
@@ -58,7 +48,7 @@ class Layout:
     difference : the first field that is not as published; "" when there is none.
     """
 
-    def __init__(self, read: Callable[[bytes], Any] | None = None, difference: str = "") -> None:
+    def __init__(self, read: Callable[[Any], Any] | None = None, difference: str = "") -> None:
         self._read = read
         self.difference = difference
 
@@ -76,8 +66,8 @@ class Layout:
             raise LogError(f"message encapsulation 0x{kind} is not plain CDR", topic=topic)
         out = CdrWriter()
         try:
-            _write(out, _PUBLISHED, hiros_schemas.short_name(_NAME), self._read(bytes(data)))
-        except _UNREADABLE as error:
+            _write(out, _PUBLISHED, hiros_schemas.short_name(_NAME), self._read(data))
+        except (LogError, struct.error) as error:
             fault = f"message cannot be read with its own schema: {error}"
             raise LogError(fault, topic=topic) from error
         return out.finish()
@@ -106,7 +96,6 @@ def _layout(name: str, encoding: str, data: bytes) -> Layout:
     if not difference:
         return PUBLISHED
     _refuse_missing(found)
-    _refuse_endless(found)
     return Layout(_generic_reader(definitions), difference)
 
 
@@ -147,30 +136,10 @@ def _refuse_missing(found: list[tuple[str, str]]) -> None:
             raise hiros_schemas.DefinitionError(fault)
 
 
-def _refuse_endless(found: list[tuple[str, str]]) -> None:
-    """Refuse arrays of elements that take no bytes at the end of a message.
-
-    The generic library gives a byte array that is cut off by the end of the data without an
-    error, and so would build up to 2^32 elements made of nothing else from a few bytes.
-    """
-    solid: dict[str, bool] = {}
-    for path, kind in found:
-        for mark in re.finditer(r"\]\.", path):
-            rest = path[mark.end() :]
-            is_bytes = kind in ("uint8", "byte") and re.search(r"\[\d+\]$", rest)
-            element = path[: mark.end()]
-            solid[element] = solid.get(element, False) or "[]" in rest or not is_bytes
-    for element, has_size in solid.items():
-        if not has_size:
-            fault = f"schema has an array {element[:-1]} of nothing but bytes"
-            raise hiros_schemas.DefinitionError(fault)
-
-
-def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[bytes], Any]:
+def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[Any], Any]:
     """Make a decoder of the generic library for exactly the definitions that were checked."""
-    from mcap.records import Schema
-    from mcap_ros2.decoder import DecoderFactory
-
+    if definitions[_TIME] != _PUBLISHED[_TIME]:
+        raise hiros_schemas.DefinitionError(f"schema cannot be used: it has another {_TIME}")
     first = hiros_schemas.short_name(_NAME)
     names = [first, *(key for key in definitions if key != first)]
     blocks = [
@@ -178,16 +147,11 @@ def _generic_reader(definitions: hiros_schemas.Definitions) -> Callable[[bytes],
         + "".join(f"{field.type}{field.array} {field.name}\n" for field in definitions[key])
         for key in names
     ]
-    schema = Schema(
-        id=1, name=first, encoding="ros2msg", data=f"{'=' * 80}\n".join(blocks).encode()
-    )
+    text = f"{'=' * 80}\n".join(blocks).partition("\n")[2]
     try:
-        reader = DecoderFactory().decoder_for("cdr", schema)
-    except Exception as error:  # the library does not export what it raises
+        return decoder_of(exact_types({first: text}), first)
+    except LogError as error:
         raise hiros_schemas.DefinitionError(f"schema cannot be used: {error}") from error
-    if reader is None:
-        raise hiros_schemas.DefinitionError("the generic decoder does not take this schema")
-    return reader
 
 
 def _write(out: CdrWriter, definitions: hiros_schemas.Definitions, name: str, message: Any) -> None:

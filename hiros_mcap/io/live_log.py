@@ -12,17 +12,19 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import hiros_schemas
-from hiros_mcap.body.transforms import TransformTree, parse_tf, read_extrinsics
-from hiros_mcap.errors import LogError, SchemaError
+from hiros_mcap.body.transforms import parse_tf, read_extrinsics
+from hiros_mcap.errors import LogError, SchemaError, naming
 from hiros_mcap.io.channels import (
     OUTPUT_PREFIX,
     TF_TOPICS,
+    CameraChannel,
     ChannelInfo,
     channels_of,
     is_selected,
@@ -32,7 +34,8 @@ from hiros_mcap.io.container import Message
 from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_reader import LiveReader
 from hiros_mcap.io.detectors.conversion import is_of_other_detector, people_finder
-from hiros_mcap.io.log import CameraChannel, Log, look_into
+from hiros_mcap.io.log import look_into
+from hiros_mcap.io.opened_log import Log, Reading
 from hiros_mcap.summary import quantity
 
 LISTEN_S = 1.0
@@ -47,27 +50,18 @@ _PROBED = 100
 _ONLY_GROUPS = "live input reads SkeletonGroups only; record the log, then process the file"
 
 
-class LiveLog(Log):
-    """A log that is still being written; made by :func:`open_live`.
+class LiveReading(Reading):
+    """The one reading of a log that is still being written.
 
-    Cameras may join later. What they send counts from when their place is known.
+    Cameras may join. What they send counts from when their place is known: ``log`` is the log as it
+    is known so far.
     """
 
-    reader: LiveReader
-    is_live = True
+    log: LiveLog
 
-    def __init__(
-        self,
-        reader: LiveReader,
-        found: tuple[list[CameraChannel], Any, TransformTree],
-        *,
-        topics: Sequence[str] | None,
-        extrinsics: bool,
-        fixed_frame: str | None,
-    ) -> None:
-        super().__init__(reader, *found, fixed_frame)
-        self._topics = topics
-        self._reads_transforms = not extrinsics
+    def __init__(self, log: LiveLog, **how: Any) -> None:
+        log = replace(log, transforms=deepcopy(log.transforms))
+        super().__init__(log, **how)
         self._refused: dict[int, str] = {}
         """Channel -> why it is not read, "" for what holds no detections."""
         self._finders: dict[int, Callable[[Message], bool]] = {}
@@ -76,71 +70,57 @@ class LiveLog(Log):
         """Messages of other detectors that showed nobody, by channel."""
         self._waiting: Counter[str] = Counter()
         """Messages of cameras that could not be used yet, by topic."""
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """Log times, ns, of the first and the latest message of the cameras."""
-        return self.reader.span
+        self._look_for_other_detectors()
+        log.reader.listeners.append(self._hear)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What makes the result doubtful, with the remedy."""
-        found = list(super().warnings)
-        found += [
+        waiting = (
             f"{topic}: {quantity(n, 'message')} not used, since no transform joins their frame to "
-            f"{self.fixed_frame}; record /tf_static, or pass the camera poses with --extrinsics "
-            "FILE"
+            f"{self.log.fixed_frame}; record /tf_static, or pass the camera poses with "
+            "--extrinsics FILE"
             for topic, n in self._waiting.items()
-        ]
-        found += [fault for fault in self._refused.values() if fault]
-        if self.reader.source.fault:
-            found.append(self.reader.source.fault)
-        return tuple(found)
+        )
+        faults = (*self._refused.values(), self.log.reader.source.fault)
+        return (*super().warnings, *waiting, *filter(None, faults))
 
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Notes about the log."""
-        if not self.reader.forgotten:
-            return super().remarks
-        n = quantity(self.reader.forgotten, "message")
-        return (*super().remarks, f"{n} from before the first person neither read nor copied")
-
-    def hear(self, message: Message) -> None:
+    def _hear(self, message: Message) -> None:
         """Learn from a message before it is handed out: transforms, new cameras."""
         ident = message.channel_id
         if ident in self._inputs or ident in self._refused:
             return
-        topic = self.reader.channels[ident].topic
+        topic = self.log.reader.channels[ident].topic
         if topic in TF_TOPICS:
-            if self._reads_transforms:
-                for transform in parse_tf(message.data):
-                    static = topic == TF_TOPICS[0]
-                    self.transforms.add(transform, static=static, log_time=message.log_time)
+            for transform in () if self.log.has_extrinsics else parse_tf(message.data):
+                static = topic == TF_TOPICS[0]
+                self.log.transforms.add(transform, static=static, log_time=message.log_time)
             return
-        info = next(info for info in channels_of(self.reader) if info.id == ident)
-        if takes(info, self._topics):
+        info = next(info for info in channels_of(self.log.reader) if info.id == ident)
+        if takes(info, self.log.topics):
             self._join(info, message)
         elif self._may_be_missed(info):
             self._probe(info, message)
         else:
             self._refused[ident] = ""
 
-    def look_for_other_detectors(self) -> None:
+    def _look_for_other_detectors(self) -> None:
         """Look for people of other detectors in what was heard before the log was open."""
-        missed = {info.id: info for info in channels_of(self.reader) if self._may_be_missed(info)}
-        for message in self.reader.preface:
+        reader = self.log.reader
+        missed = {info.id: info for info in channels_of(reader) if self._may_be_missed(info)}
+        for message in reader.preface:
             if message.channel_id in missed and message.channel_id not in self._refused:
                 self._probe(missed[message.channel_id], message)
 
     def _may_be_missed(self, info: ChannelInfo) -> bool:
-        selected = is_selected(info.topic, self._topics, OUTPUT_PREFIX)
+        selected = is_selected(info.topic, self.log.topics, OUTPUT_PREFIX)
         return selected and is_of_other_detector(info)
 
     def _probe(self, info: ChannelInfo, message: Message) -> None:
         """Look for people of another detector, which are not read; markers may be anything."""
         try:
             if info.id not in self._finders:
-                self._finders[info.id] = people_finder(self.reader, info)
+                self._finders[info.id] = people_finder(self.log.reader, info)
         except LogError:
             self._refused[info.id] = ""
             return
@@ -152,9 +132,10 @@ class LiveLog(Log):
 
     def _join(self, info: ChannelInfo, message: Message) -> None:
         """Read a camera from its first message on that holds somebody in a known place."""
-        self.reader.preface = [message]
+        log = self.log
+        log.reader.preface = [message]
         try:
-            (camera,), model, _ = look_into(self.reader, self.transforms, [escape(info.topic)])
+            (camera,), model, _ = look_into(log.reader, log.transforms, [escape(info.topic)])
         except LogError as error:
             self._refused[info.id] = f"{info.topic}: not used: {error.fault}"
             return
@@ -162,18 +143,48 @@ class LiveLog(Log):
             return
         try:
             for frame in camera.frames:
-                self.transforms.lookup(frame, self.fixed_frame, 0)
+                log.transforms.lookup(frame, log.fixed_frame, 0)
         except LogError:
             self._waiting[info.topic] += 1
             return
         del self._waiting[info.topic]
-        taken = {name for other in self.cameras for name in other.sources.values()}
+        taken = {name for other in log.cameras for name in other.sources.values()}
         if taken & set(camera.sources.values()):
             names = {source: f"{info.topic}:{source}" for source in camera.sources}
             camera = replace(camera, sources=names)
-        self.cameras = (*self.cameras, camera)
-        self.channels = channels_of(self.reader)
-        self.use(camera)
+        self.log = log.joined_by(camera)
+        self._use(camera)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiveLog(Log):
+    """A log that is still being written, as known when it was opened by :func:`open_live`."""
+
+    reader: LiveReader
+    topics: Sequence[str] | None = None
+    """Globs of the channels that are wanted."""
+    has_extrinsics: bool = False
+    """Whether the poses are given, so that the input's transforms do not count."""
+
+    is_live = True
+    reading = LiveReading
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Log times, ns, of the first and the latest message of the cameras."""
+        return self.reader.span
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes about the log."""
+        if not self.reader.forgotten:
+            return super().remarks
+        n = quantity(self.reader.forgotten, "message")
+        return (*super().remarks, f"{n} from before the first person neither read nor copied")
+
+    def joined_by(self, camera: CameraChannel) -> Self:
+        """Return the log with one camera more; results stay in the frame in which they began."""
+        return self._but(keep=["fixed_frame"], cameras=(*self.cameras, camera))
 
 
 def takes(info: ChannelInfo, topics: Sequence[str] | None) -> bool:
@@ -211,27 +222,21 @@ def open_live(
 
     def attempt() -> LiveLog:
         found = look_into(reader, tree, topics)
-        return LiveLog(
-            reader, found, topics=topics, extrinsics=tree is not None, fixed_frame=fixed_frame
-        )
+        return LiveLog(reader, *found, fixed_frame, topics=topics, has_extrinsics=tree is not None)
 
     listener = _Listener(reader, attempt)
     reader.listen(listener.has_heard_enough, _MOST, TF_TOPICS)
     try:
-        log = listener.log or attempt()
-    except LogError as error:
+        with naming(reader.path):
+            return listener.log or attempt()
+    except LogError:
         channels = channels_of(reader)
         if channels and topics is None and not any(takes(info, None) for info in channels):
             seen = {i.schema for i in channels if is_selected(i.topic, None, OUTPUT_PREFIX)}
             held = ", ".join(sorted(seen)) or "results or truths"
             fault = f"has no SkeletonGroups of cameras, but {held}; {_ONLY_GROUPS}"
             raise LogError(fault, path=reader.path) from None
-        if error.path is not None:
-            raise
-        raise type(error)(error.fault, path=reader.path, topic=error.topic) from None
-    log.look_for_other_detectors()
-    reader.listeners.append(log.hear)
-    return log
+        raise
 
 
 class _Listener:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from hiros_mcap.frames import Block
 from hiros_mcap.io.cdr_writer import HEADER, TIME_SIZE, CdrWriter
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.container import McapReader
@@ -24,22 +25,24 @@ Deviations = Mapping[tuple[int, int], Mapping[int, float]]
 """(Stamp in ns, person) -> marker id -> standard deviation along each axis, m."""
 
 
-def uncertainty_message(frame: Frame, model: SkeletonModel) -> bytes:
-    """Return a SkeletonGroupUncertainty in CDR; of nobody if the frame has no uncertainty."""
-    known = frame.uncertainty
-    names = tuple(known.names) if known else ()
-    out = CdrWriter()
-    out.time(frame.stamp)
-    out.raw(_head(frame.frame_id, names, tuple(model.marker_ids)))
-    out.uint32(frame.n_people if known else 0)
+def uncertainty_messages(block: Block, model: SkeletonModel) -> Iterator[bytes]:
+    """Yield a SkeletonGroupUncertainty in CDR for each frame; of nobody without an uncertainty."""
+    known, n = block.uncertainty, model.n_markers
+    names = known.names if known else ()
+    people = np.full((len(block.people.ids), 3 + 2 * n), n, "<u4")  # id, n, deviations, n, cameras
+    people[:, 0] = block.people.ids.astype("<i4").view("<u4")
     if known:
-        n = known.deviations.shape[1]
-        people = np.full((frame.n_people, 3 + 2 * n), n, "<u4")  # id, n, deviations, n, cameras
-        people[:, 0] = frame.ids.astype("<i4").view("<u4")
         people[:, 2 : 2 + n] = known.deviations.astype("<f4").view("<u4")
         people[:, 3 + n :] = known.cameras & _CAMERAS
-        out.words(people)
-    return out.finish()
+    rows = block.rows.tolist() if known else [(0, 0)] * len(block)
+    frames = zip(block.stamps.tolist(), block.frame_ids.tolist(), rows, strict=True)
+    for stamp, frame_id, (begin, end) in frames:
+        out = CdrWriter()
+        out.time(stamp)
+        out.raw(_head(block.names[frame_id], names, model.marker_ids))
+        out.uint32(end - begin)
+        out.raw(people[begin:end].tobytes())
+        yield out.finish()
 
 
 @lru_cache(maxsize=8)

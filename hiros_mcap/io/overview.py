@@ -6,7 +6,7 @@ import math
 import os
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ import numpy as np
 import hiros_schemas
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.io.attachments import stored_parameters, stored_report, values_of
+from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.camera_clock import clocks_in_words, judge_clocks
 from hiros_mcap.io.channels import (
     EVENTS_ATTACHMENT,
@@ -29,7 +30,7 @@ from hiros_mcap.io.channels import (
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.container.chunks import Table
 from hiros_mcap.io.container.records import Bytes
-from hiros_mcap.io.log import Log, open_log, open_reader
+from hiros_mcap.io.log import Log, Reading, open_log, open_reader
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import plain
 
@@ -135,24 +136,24 @@ class Overview:
     has_checksums: bool
     """Whether a damaged message would be noticed."""
     channels: tuple[ChannelRow, ...]
-    cameras: tuple[CameraRow, ...]
-    markers: tuple[str, ...]
-    links: tuple[str, ...]
-    people: tuple[PersonRow, ...]
+    people: tuple[PersonRow, ...] = ()
     """Of the last stage's channel, or of the truth in a file with nothing else."""
-    run: RunRow | None
+    run: RunRow | None = None
     """How the results came about; None where there are none."""
-    fixed_frame: str
-    """Frame that results would be in, "" if there is none."""
-    fault: str
+    fault: str = ""
     """Why the log cannot be processed, "" if it can."""
-    warnings: tuple[str, ...]
+    fixed_frame: str = ""
+    """Frame that results would be in, "" if there is none."""
+    cameras: tuple[CameraRow, ...] = ()
+    markers: tuple[str, ...] = ()
+    links: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     """What would make results doubtful, with the remedy."""
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
     """Notes about the log."""
-    skipped: Mapping[str, Mapping[str, int]]
+    skipped: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Messages that give nothing, by topic and reason."""
-    clocks: tuple[str, ...]
+    clocks: tuple[str, ...] = ()
     """What the times of the messages say about the cameras' clocks."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -212,43 +213,17 @@ def look(
     except LogError as error:
         if topics is not None:
             raise
+        kind = kind_of(Path(path))
+        if kind and not parts_of(Path(path)):
+            return _of_bag(Path(path), kind, error.fault)
         with open_reader(path) as reader:
-            return _of_any(path, reader, error.fault)
+            return replace(_of_file(path, reader), fault=error.fault)
     with log:
-        return _of_recording(path, log)
+        return _with_cameras(_of_file(path, log.reader), log)
 
 
-def _of_recording(path: str | os.PathLike[str], log: Log) -> Overview:
-    """Report on a log whose skeletons can be read."""
-    fixed, fault = _fixed_frame(log)
-    counts = _counts(log)
-    start, end = log.span
-    kind = _kind(log.reader, log.channels)
-    return Overview(
-        path=str(path),
-        kind=kind,
-        seconds=(end - start) / 1e9,
-        megabytes=_size(Path(log.path)) / 1e6,
-        has_checksums=log.reader.has_checksums,
-        channels=_channel_rows(log.reader, _spans(log.reader)),
-        cameras=tuple(
-            count.row(name, _unresolved(log, count.frame, fixed)) for name, count in counts.items()
-        ),
-        markers=log.model.marker_names,
-        links=log.model.link_names,
-        people=_people(path, log.channels) if kind == "result" else (),
-        run=_run(log.reader) if kind == "result" else None,
-        fixed_frame=fixed,
-        fault=fault,
-        warnings=log.warnings if fixed else (),
-        remarks=log.remarks,
-        skipped={t: dict(account.skipped) for t, account in log.accounts.items()},
-        clocks=clocks_in_words(judge_clocks(log.times()), start),
-    )
-
-
-def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Overview:
-    """Report on a log without skeletons to process."""
+def _of_file(path: str | os.PathLike[str], reader: McapReader) -> Overview:
+    """Report on a file, whether its skeletons can be processed or not."""
     channels, spans = channels_of(reader), _spans(reader)
     kind = _kind(reader, channels)
     start = min((begin for begin, _ in spans.values()), default=0)
@@ -259,18 +234,56 @@ def _of_any(path: str | os.PathLike[str], reader: McapReader, fault: str) -> Ove
         seconds=(end - start) / 1e9,
         megabytes=_size(Path(reader.path)) / 1e6,
         has_checksums=reader.has_checksums,
-        channels=_channel_rows(reader, spans),
-        cameras=(),
-        markers=(),
-        links=(),
-        people=() if kind == "other" else _people(path, channels),
+        channels=_channel_rows(channels, spans),
+        people=_people(reader, channels) if kind in ("result", "golden", "truth") else (),
         run=_run(reader) if kind in ("result", "golden") else None,
-        fixed_frame="",
+    )
+
+
+def _with_cameras(overview: Overview, log: Log) -> Overview:
+    """Add what is known of the cameras of a log whose skeletons can be read."""
+    fixed, fault = _fixed_frame(log)
+    reading = log.read(fixed=False)
+    counts = _counts(reading)
+    start, end = log.span
+    return replace(
+        overview,
+        seconds=(end - start) / 1e9,
         fault=fault,
-        warnings=(),
-        remarks=(),
-        skipped={},
-        clocks=(),
+        fixed_frame=fixed,
+        cameras=tuple(
+            count.row(name, _unresolved(log, count.frame, fixed)) for name, count in counts.items()
+        ),
+        markers=log.model.marker_names,
+        links=log.model.link_names,
+        warnings=log.warnings if fixed else (),
+        remarks=log.remarks,
+        skipped={t: dict(account.skipped) for t, account in reading.accounts.items()},
+        clocks=clocks_in_words(judge_clocks(log.times()), start),
+    )
+
+
+def _of_bag(path: Path, kind: str, fault: str) -> Overview:
+    """Report on a bag without skeletons to process; raises LogError if it cannot be read."""
+    stamps: dict[tuple[str, str], list[int]] = {}
+    with open_bag(path, kind) as bag:
+        for connection in bag.connections:
+            stamps.setdefault((connection.topic, connection.msgtype), [])
+        for connection, time, _ in bag.messages():
+            stamps[connection.topic, connection.msgtype].append(time)
+        encoding = "cdr" if bag.is2 else "ros1"
+    times = [time for own in stamps.values() for time in own]
+    return Overview(
+        path=str(path),
+        kind="other",
+        seconds=(max(times) - min(times)) / 1e9 if times else 0.0,
+        megabytes=_size(path) / 1e6,
+        has_checksums=False,
+        channels=tuple(
+            _channel_row(name, encoding, len(own), (min(own), max(own)) if own else None)
+            for name, own in sorted(stamps.items())
+        ),
+        fault=fault,
     )
 
 
@@ -334,28 +347,33 @@ def _stamps(data: Bytes, rows: Table, at: int) -> list[int]:
 
 
 def _channel_rows(
-    reader: McapReader, spans: Mapping[int, tuple[int, int]]
+    channels: Iterable[ChannelInfo], spans: Mapping[int, tuple[int, int]]
 ) -> tuple[ChannelRow, ...]:
-    rows = []
-    for info in channels_of(reader):
-        begin, end = spans.get(info.id, (0, 0))
-        seconds = (end - begin) / 1e9 if info.id in spans else math.nan
-        rate = (info.count - 1) / seconds if info.count > 1 and seconds > 0 else math.nan
-        rows.append(ChannelRow(info.topic, info.schema, info.encoding, info.count, rate, seconds))
-    return tuple(rows)
+    return tuple(
+        _channel_row((i.topic, i.schema), i.encoding, i.count, spans.get(i.id)) for i in channels
+    )
+
+
+def _channel_row(
+    name: tuple[str, str], encoding: str, count: int, span: tuple[int, int] | None
+) -> ChannelRow:
+    """Return the row of a channel by its topic and type, and its first and last time, ns."""
+    seconds = (span[1] - span[0]) / 1e9 if span else math.nan
+    rate = (count - 1) / seconds if count > 1 and seconds > 0 else math.nan
+    return ChannelRow(*name, encoding, count, rate, seconds)
 
 
 # Results and truths
 
 
-def _people(path: str | os.PathLike[str], channels: Iterable[ChannelInfo]) -> tuple[PersonRow, ...]:
+def _people(reader: McapReader, channels: Iterable[ChannelInfo]) -> tuple[PersonRow, ...]:
     """People of the last stage, else of the truths."""
     topics = [i.topic for i in channels if i.count and i.has_type(hiros_schemas.SKELETON_GROUP)]
     last = [topic for topic in OUTPUT_TOPICS if topic in topics][-1:]
     rows = []
     for topic in last or [topic for topic in topics if topic.startswith(f"{TRUTH_PREFIX}/")]:
         stamps: dict[int, list[int]] = {}
-        with open_log(path, topics=[topic], output_prefix="/none") as log:
+        with open_log(reader, topics=[topic], output_prefix="/none") as log:
             for frame in log.frames():
                 for _, person in frame.tracked():
                     stamps.setdefault(person, []).append(frame.stamp)
@@ -394,7 +412,7 @@ def _stored_warnings(reader: McapReader) -> tuple[str, ...]:
 
 def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[ParameterRow, ...]]:
     """Find the preset that is nearest to the parameters of a run, and what differs from it."""
-    from hiros_mcap.config import load_config, presets_of, to_toml
+    from hiros_mcap.config import load_config, presets_of, to_toml, without_constants
     from hiros_mcap.systems import SYSTEMS, sections_of
 
     if not values or system not in SYSTEMS:
@@ -405,7 +423,7 @@ def _changed(values: Mapping[str, str], system: str) -> tuple[str, tuple[Paramet
         usual = values_of(to_toml(config, sections_of(system)), "")
         found[preset] = tuple(
             ParameterRow(name, value, usual.get(name, ""))
-            for name, value in values.items()
+            for name, value in without_constants(values).items()
             if value != usual.get(name, "")
         )
     nearest = min(found, key=lambda preset: len(found[preset]))
@@ -431,13 +449,13 @@ def _unresolved(log: Log, frame: str, fixed: str) -> str:
     return "" if fixed or not frame else "no fixed frame"
 
 
-def _counts(log: Log) -> dict[str, _CameraCounts]:
-    topics = {name: camera for camera in log.cameras for name in camera.sources.values()}
+def _counts(reading: Reading) -> dict[str, _CameraCounts]:
+    topics = {name: camera for camera in reading.log.cameras for name in camera.sources.values()}
     counts = {
         name: _CameraCounts(camera.channel.topic, next(iter(camera.frames), ""))
         for name, camera in topics.items()
     }
-    for frame in log.frames():
+    for frame in reading.frames():
         count = counts.setdefault(frame.source, _CameraCounts("", frame.frame_id))
         count.stamps.append(frame.stamp)
         count.people.append(frame.n_people)

@@ -6,11 +6,13 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io import remote
 from hiros_mcap.outputs import HEAD, Kind, check_outputs, may_replace, remove_abandoned, write_text
+
+_READ_ONLY = frozenset({"http", "https"})  # protocols
 
 
 def place_of(folder: str) -> Place:
@@ -103,19 +105,34 @@ class RemotePlace(Place):
         return self._address
 
     def create(self) -> None:
-        """Make the folder where the store has folders."""
-        remote.sizes_in(self._address)
-        remote.make_folder(self._address)
+        """Make the folder where the store has folders; the bucket must be there."""
+        self.sizes()
+        if not remote.has_whole_files(self._address):
+            with remote.reached(self._address) as (system, path):
+                system.makedirs(path, exist_ok=True)
 
     def sizes(self) -> Mapping[str, int]:
         """Return the size of each file by name, bytes."""
-        return remote.sizes_in(self._address)
+        if remote.protocol_of(self._address) in _READ_ONLY:
+            raise LogError("can only be read; choose another output", path=self._address)
+        with remote.reached(self._address) as (system, path):
+            if not system.exists(path):
+                # A store has no folders, but its bucket must be there.
+                bucket = path.split("/")[0] if remote.has_whole_files(self._address) else "/"
+                system.ls(bucket)
+                return {}
+            rows = remote.files_in(system, path)
+            return {PurePosixPath(row["name"]).name: row["size"] for row in rows}
 
     def read_text(self, name: str) -> str | None:
         """Return the content of a file, None if there is none."""
         if name not in self.sizes():
             return None
-        return remote.read(f"{self._address}/{name}").decode(errors="replace")
+        return self._read(name).decode(errors="replace")
+
+    def _read(self, name: str, end: int | None = None) -> bytes:
+        with remote.reached(f"{self._address}/{name}") as (system, path):
+            return bytes(system.cat_file(path, start=None if end is None else 0, end=end))
 
     def write_text(self, name: str, text: str) -> None:
         """Write a file, whole or not at all."""
@@ -131,7 +148,7 @@ class RemotePlace(Place):
                 raise LogError("is an input; choose another output", path=address)
             if force or not present.get(name):
                 continue
-            if not may_replace(remote.read(address, HEAD), kind):
+            if not may_replace(self._read(name, HEAD), kind):
                 fault = "exists and was not written by hiros; --force overwrites it"
                 raise LogError(fault, path=address)
 

@@ -22,7 +22,6 @@ _BLOCK = 8 << 20  # bytes
 _RESERVE = 256 << 20  # bytes of the disk that a copy leaves free
 _WHOLE = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "memory"})
 """Protocols of stores where a file appears only when all of it has arrived."""
-_READ_ONLY = frozenset({"http", "https"})
 
 
 def is_remote(text: str) -> bool:
@@ -35,11 +34,33 @@ def protocol_of(address: str) -> str:
     return address.partition("://")[0].lower()
 
 
+def has_whole_files(address: str) -> bool:
+    """Whether a store has no folders, and a file appears in it when all of it has arrived."""
+    return protocol_of(address) in _WHOLE
+
+
+_LIBRARIES = {
+    "s3": ("s3fs",),
+    "gs": ("gcsfs",),
+    "http": ("aiohttp",),
+    "https": ("aiohttp",),
+    "sftp": ("paramiko",),
+}
+"""What fsspec needs for a protocol."""
+
+
 @contextmanager
-def in_words(address: str) -> Iterator[None]:
-    """Turn whatever a store has to say against an address into one LogError with a remedy."""
+def reached(address: str) -> Iterator[tuple[Any, str]]:
+    """Yield the file system of an address, and the path in it.
+
+    Whatever the store has to say against it becomes one LogError with a remedy.
+    """
     try:
-        yield
+        import fsspec
+
+        system, path = fsspec.core.url_to_fs(address)
+        system.invalidate_cache()
+        yield system, path
     except LogError:
         raise
     except Exception as error:
@@ -51,7 +72,8 @@ def _fault(address: str, error: Exception) -> str:
     reason = " ".join(str(error).split()).rstrip(".") or kind
     status = getattr(error, "status", None) or getattr(error, "code", None)
     if isinstance(error, ImportError):
-        return f'{protocol}:// needs further libraries: pip install "hiros-mcap[remote]" ({reason})'
+        libraries = " ".join(("fsspec", *_LIBRARIES.get(protocol, ())))
+        return f"{protocol}:// needs further libraries: pip install {libraries} ({reason})"
     if isinstance(error, ValueError) and "rotocol" in reason:
         return f"nobody knows the protocol {protocol}://; there are s3, gs, https, sftp and others"
     if isinstance(error, FileNotFoundError) or status == 404:
@@ -68,15 +90,6 @@ def _fault(address: str, error: Exception) -> str:
     )
 
 
-def _opened(address: str) -> tuple[Any, str]:
-    """Return the file system of an address, and the path in it."""
-    import fsspec
-
-    system, path = fsspec.core.url_to_fs(address)
-    system.invalidate_cache()
-    return system, path
-
-
 def find(address: str) -> list[str]:
     """Return the addresses of all files that a glob or a folder (it ends in a slash) has.
 
@@ -84,8 +97,7 @@ def find(address: str) -> list[str]:
     """
     if not (address.endswith("/") or glob.has_magic(address)):
         return [address]
-    with in_words(address):
-        system, path = _opened(address)
+    with reached(address) as (system, path):
         before = address.rstrip("/").removesuffix(path.rstrip("/"))
         if glob.has_magic(address):
             return sorted(before + name for name in system.glob(path))
@@ -98,10 +110,9 @@ def look(address: str) -> tuple[int, str]:
 
     Raises LogError.
     """
-    with in_words(address):
-        system, path = _opened(address)
+    with reached(address) as (system, path):
         info = system.info(path)
-        rows = [info] if info["type"] == "file" else _files(system, path)
+        rows = [info] if info["type"] == "file" else files_in(system, path)
         marks = [str(_changed(row)) for row in rows]
         return sum(row["size"] or 0 for row in rows), max(marks, default="")
 
@@ -111,7 +122,8 @@ def _changed(info: Mapping[str, Any]) -> object:
     return next((info[name] for name in names if info.get(name)), "")
 
 
-def _files(system: Any, folder: str) -> list[dict[str, Any]]:
+def files_in(system: Any, folder: str) -> list[dict[str, Any]]:
+    """Return what a file system tells of the files of a folder."""
     rows = system.ls(folder, detail=True)
     return [row for row in rows if row["type"] == "file" and row["name"].rstrip("/") != folder]
 
@@ -127,11 +139,10 @@ def local_copy(log: str) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="hiros-") as temporary:
         target = Path(temporary) / PurePosixPath(log.rstrip("/")).name
-        with in_words(log):
-            system, path = _opened(log)
+        with reached(log) as (system, path):
             if system.isdir(path):
                 target.mkdir()
-                for row in _files(system, path):
+                for row in files_in(system, path):
                     _fetch(system, row["name"], target / PurePosixPath(row["name"]).name, log)
             else:
                 _fetch(system, path, target, log)
@@ -170,9 +181,8 @@ def send(file: Path, address: str) -> None:
 
     Raises LogError.
     """
-    with in_words(address):
-        system, path = _opened(address)
-        if protocol_of(address) in _WHOLE:
+    with reached(address) as (system, path):
+        if has_whole_files(address):
             system.put_file(str(file), path)
             return
         folder, _, name = path.rpartition("/")
@@ -184,36 +194,3 @@ def send(file: Path, address: str) -> None:
             if system.exists(temporary):
                 system.rm_file(temporary)
             raise
-
-
-def sizes_in(folder: str) -> dict[str, int]:
-    """Return the size of each file of a folder, by name; empty if there is no such folder yet.
-
-    Raises LogError, also if the bucket does not exist.
-    """
-    if protocol_of(folder) in _READ_ONLY:
-        raise LogError("can only be read; choose another output", path=folder)
-    with in_words(folder):
-        system, path = _opened(folder)
-        if not system.exists(path):
-            # A store has no folders, but its bucket must be there.
-            system.ls(path.split("/")[0] if protocol_of(folder) in _WHOLE else "/")
-            return {}
-        return {PurePosixPath(row["name"]).name: row["size"] for row in _files(system, path)}
-
-
-def read(address: str, n: int | None = None) -> bytes:
-    """Return the first ``n`` bytes of a small file, or all; raises LogError."""
-    with in_words(address):
-        system, path = _opened(address)
-        data: bytes = system.cat_file(path, start=None if n is None else 0, end=n)
-        return data
-
-
-def make_folder(folder: str) -> None:
-    """Create a folder where the store has folders; raises LogError."""
-    if protocol_of(folder) in _WHOLE:
-        return
-    with in_words(folder):
-        system, path = _opened(folder)
-        system.makedirs(path, exist_ok=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 GAP_S = 0.25
 """Pauses longer than this stay pauses when a motion is resampled."""
+_MOST = 1_000_000
+"""Instants, nine hours at 30 Hz. A wrong stamp would make more of a short log than memory holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,15 +74,10 @@ class Motion:
     def between(self, start: float, end: float) -> Motion:
         """Return the instants from ``start`` to ``end``, s from the log's first skeleton."""
         inside = (self.times >= start) & (self.times <= end)
-        turns, sd = self.orientations, self.deviations
-        return replace(
-            self,
-            times=self.times[inside],
-            positions=self.positions[inside],
-            confidences=self.confidences[inside],
-            orientations=None if turns is None else turns[inside],
-            deviations=None if sd is None else sd[inside],
-        )
+        names = ("times", "positions", "confidences", "orientations", "deviations")
+        arrays = ((name, getattr(self, name)) for name in names)
+        part: dict[str, Any] = {name: a[inside] for name, a in arrays if a is not None}
+        return replace(self, **part)
 
     def at(self, times: Floats) -> Motion:
         """Interpolate by cubic splines to ``times``, s; NaN in pauses longer than GAP_S."""
@@ -179,8 +176,8 @@ class Result:
     ) -> Result:
         """Return a part: one person, some seconds, or instants at a fixed rate, Hz.
 
-        Raises ConfigError if there is no such person, nobody in these seconds, or the rate is not
-        positive.
+        Raises ConfigError if there is no such person, nobody in these seconds, the rate is not
+        positive, or the instants have none.
         """
         if person is not None and person not in self.motions:
             raise ConfigError(f"no person {person} (there are: {_listed(self.people)})")
@@ -192,8 +189,23 @@ class Result:
         if rate is not None:
             if not 0 < rate <= 1000:
                 raise ConfigError(f"a rate of {rate:g} Hz is not above 0 and at most 1000")
-            cut = {p: m.at(grid(m.times, rate)) for p, m in cut.items()}
+            cut = {p: m.at(self._grid(m.times, rate)) for p, m in cut.items()}
         return replace(self, motions=cut)
+
+    def _grid(self, times: Floats, rate: float) -> Floats:
+        """Return times at a fixed rate; raises ConfigError if the instants have none."""
+        if (np.diff(times) <= 0).any():
+            raise ConfigError(
+                f"{self.path}: {self.channel} shows a person twice at one time, as several cameras "
+                "do, so it has no rate; choose another --channel"
+            )
+        n = (times[-1] - times[0]) * rate
+        if n > max(_MOST, 100 * len(times)):
+            raise ConfigError(
+                f"{self.path}: {len(times)} instants in {times[-1] - times[0]:.3g} s would be "
+                f"{n:.3g} at {rate:g} Hz; choose a part with --start and --end"
+            )
+        return grid(times, rate)
 
     def joints(self) -> pd.DataFrame:
         """Marker positions, m: a row per person and time (s), columns (marker, x y z)."""
@@ -284,14 +296,12 @@ def open_result(path: str | os.PathLike[str], channel: str = "") -> Result:
         topics = [info.topic for info in channels_of(reader)]
         if chosen not in topics:
             raise ConfigError(f"{path}: no channel {chosen!r} (there are: {_listed(topics)})")
-        start = span_of(reader)[0]
-        events = stored_events(reader)
-    with open_log(path, topics=[escape(chosen)], output_prefix="/none") as log:
-        frames = list(log.frames())
-        model = log.model
+        start, events = span_of(reader)[0], stored_events(reader)
+        with open_log(reader, topics=[escape(chosen)], output_prefix="/none") as log:
+            frames, model = list(log.frames()), log.model
+        known = read_uncertainty(reader) if chosen == UNCERTAIN_TOPIC else {}
     if own.detections == 0 and frames:
         start = frames[0].stamp  # results are logged later than the data that they belong to
-    known = read_uncertainty(path) if chosen == UNCERTAIN_TOPIC else {}
     rows: dict[int, list[_Instant]] = {}
     for frame in frames:
         for k, person in frame.tracked():
@@ -385,6 +395,7 @@ def _deviations(model: SkeletonModel, known: Mapping[int, float]) -> Floats:
 
 
 def _motion(person: int, rows: Sequence[_Instant], start: int, model: SkeletonModel) -> Motion:
+    rows = sorted(rows, key=lambda row: row.stamp)
     columns = (np.stack(column) for column in zip(*rows, strict=True))
     stamps, positions, confidences, turns, deviations = columns
     seconds: Floats = (stamps.astype(np.int64) - start) / 1e9

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import hiros_schemas
-from hiros_mcap.errors import LogError
-from hiros_mcap.io.bags import kind_of, open_bag, parts_of, ros2_types
+from hiros_mcap.errors import naming
+from hiros_mcap.io.bags import kind_of, open_bag, parts_of
 from hiros_mcap.io.container import McapReader
+from hiros_mcap.io.ros_types import decoder_of, ros2_types
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
@@ -55,11 +56,8 @@ class RosMessages:
 
         Raises LogError for damaged bytes.
         """
-        try:
-            return self._store.deserialize_cdr(message.data, message.type)
-        except Exception as error:  # noqa: BLE001 - damaged bytes raise anything
-            fault = f"a message cannot be decoded: {type(error).__name__}"
-            raise LogError(fault, topic=message.topic) from None
+        with naming(None, message.topic):
+            return decoder_of(self._store, message.type)(message.data)
 
     def read(self, topics: Collection[str]) -> Iterator[RosMessage]:
         """Yield the messages of some topics in the order of their log times."""

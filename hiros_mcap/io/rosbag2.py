@@ -14,9 +14,9 @@ from typing import Any
 
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.bags import ros2_types
 from hiros_mcap.io.channels import LATCHED_QOS, TF_TOPICS, ChannelInfo, channels_of
 from hiros_mcap.io.container import McapReader, McapWriter
+from hiros_mcap.io.ros_types import ros2_types
 from hiros_mcap.outputs import BAG_MARK, bag_files, target_kind, write_text
 
 _VERSION = 8
@@ -150,14 +150,12 @@ def _topic(reader: McapReader, info: ChannelInfo) -> dict[str, Any]:
 
 def _type_hash(reader: McapReader, info: ChannelInfo, kind: str) -> str:
     """Return the RIHS01 hash of a channel's definition, "" if it cannot be understood."""
-    from rosbags.typesys import TypesysError
-
     schema = reader.schema(reader.channels[info.id])
     if schema is None or schema.encoding != "ros2msg":
         return ""
     try:
         return str(ros2_types({kind: schema.data.decode()}).hash_rihs01(kind))
-    except (TypesysError, KeyError, UnicodeDecodeError):
+    except (LogError, KeyError, UnicodeDecodeError):
         return ""
 
 

@@ -13,6 +13,7 @@ running the old code.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import sys
@@ -20,6 +21,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+
+NOTICE = "compiling kernels for this machine, once (about a minute with two cores)"
 
 # A kernel that states its signature; one without is compiled into its callers.
 _SIGNED = re.compile(r"^@kernel\((?!\s*\w+=)", re.MULTILINE)
@@ -70,6 +73,15 @@ def folder_of(module: str) -> Path:
 def compiled() -> set[str]:
     """Modules of which a former run on this machine has compiled kernels."""
     return {module for module in sources() if folder_of(module).is_dir()}
+
+
+@cache
+def announce() -> None:
+    """Log, once in a process, that a minute will go by, if the kernels are to be compiled."""
+    from hiros_mcap.kernels import shipped
+
+    if not shipped.usable() and not compiled():
+        logging.getLogger(__name__).warning(NOTICE)
 
 
 def load(modules: Sequence[str]) -> None:

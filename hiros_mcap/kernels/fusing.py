@@ -248,7 +248,7 @@ def _start(z: Floats, offset_variance: float, mean: Floats, covariance: Floats) 
         covariance[k, k] = offset_variance
 
 
-@kernel
+@inlined
 def _predict(dt: float, q: float, offset_variance: float, time: float, work: FusionWork) -> None:
     """Carry the state on by ``dt``: F x, F P F' + Q."""
     x, p = work.mean, work.covariance
@@ -290,7 +290,7 @@ def _weight(scaled: float, freedom: float) -> float:
     return weight
 
 
-@kernel
+@inlined
 def _correct(steps: Steps, t: int, m: int, freedom: float, work: FusionWork) -> None:
     """Correct the state by a measurement."""
     x, p, h = work.mean, work.covariance, work.row
@@ -472,7 +472,7 @@ def _forward(
         _save(states, row, m, time, work)
 
 
-@kernel
+@inlined
 def _measured(steps: Steps, t: int, work: FusionWork) -> None:
     """Carry the adjoint back through a measurement.
 
@@ -504,7 +504,7 @@ def _measured(steps: Steps, t: int, work: FusionWork) -> None:
     square[k, k] += total
 
 
-@kernel
+@inlined
 def _unpredict(dt: float, time: float, work: FusionWork) -> None:
     """Carry the adjoint back over an interval: F' l, F' L F."""
     adjoint, square = work.mean, work.covariance

@@ -5,32 +5,36 @@ from __future__ import annotations
 from numba import types
 
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import I2, PEOPLE, kernel
+from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel
 from hiros_mcap.skeletons import Floats, People, Stamps
-
-BEGIN, END, TARGET = 0, 1, 2
 
 
 @kernel
-def _copy_rows(to: Floats, source: Floats, piece: Stamps) -> None:
+def _copy_rows(to: Floats, at: int, source: Floats, begin: int, end: int) -> None:
     """Copy some rows of the first axis."""
     size = source.size // max(1, len(source)) * source.itemsize
-    n = (piece[END] - piece[BEGIN]) * size
-    copy(to, piece[TARGET] * size, source, piece[BEGIN] * size, n)
+    copy(to, at * size, source, begin * size, (end - begin) * size)
 
 
-@kernel(types.void(I2, PEOPLE, PEOPLE))
-def gather(pieces: Stamps, people: People, target: People) -> None:
-    """Copy rows of people into ``target``.
+@kernel(types.void(I2, I1, PEOPLE, PEOPLE))
+def gather(rows: Stamps, targets: Stamps, people: People, target: People) -> None:
+    """Copy the people of frames into ``target``; neighbours are copied together.
 
-    ``pieces`` (K, 3): first row, the row after the last, and the row that the first one becomes.
+    ``rows`` (N, 2): first row of each frame, and the row after the last; ``targets`` (N,): the row
+    that the first one becomes.
     """
-    for k in range(len(pieces)):
-        _copy_rows(target.ids, people.ids, pieces[k])
-        _copy_rows(target.stamps, people.stamps, pieces[k])
-        _copy_rows(target.confidences, people.confidences, pieces[k])
-        _copy_rows(target.markers, people.markers, pieces[k])
-        _copy_rows(target.marker_confidences, people.marker_confidences, pieces[k])
-        _copy_rows(target.links, people.links, pieces[k])
-        _copy_rows(target.link_confidences, people.link_confidences, pieces[k])
-        _copy_rows(target.boxes, people.boxes, pieces[k])
+    first = 0
+    for k in range(len(rows)):
+        begin, end, at = rows[first, 0], rows[k, 1], targets[first]
+        is_last = k + 1 == len(rows)
+        if not is_last and rows[k + 1, 0] == end and targets[k + 1] == at + end - begin:
+            continue
+        first = k + 1
+        _copy_rows(target.ids, at, people.ids, begin, end)
+        _copy_rows(target.stamps, at, people.stamps, begin, end)
+        _copy_rows(target.confidences, at, people.confidences, begin, end)
+        _copy_rows(target.markers, at, people.markers, begin, end)
+        _copy_rows(target.marker_confidences, at, people.marker_confidences, begin, end)
+        _copy_rows(target.links, at, people.links, begin, end)
+        _copy_rows(target.link_confidences, at, people.link_confidences, begin, end)
+        _copy_rows(target.boxes, at, people.boxes, begin, end)

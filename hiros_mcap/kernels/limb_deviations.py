@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.averaging import blank_person
 from hiros_mcap.kernels.compile import (
+    B1,
     F1,
     F2,
     I1,
@@ -42,7 +42,7 @@ from hiros_mcap.kernels.compile import (
     named_tuple,
 )
 from hiros_mcap.kernels.distance import norm3, point_distance
-from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Ints, People, Stamps
 
 _PRIOR = 300.0  # views that the assumed deviation counts as much as: 5 s of two cameras
 _RELATIVE = 0.1  # assumed standard deviation of a length, as a share of it
@@ -128,13 +128,22 @@ class PlausibleWork(NamedTuple):
     """(P, 3) mean marker position, m."""
     limit: Floats
     """(1,) deviation that is still likely of an honest view."""
+    left_out: Flags
+    """(P,) whether a view is distorted."""
+
+    @classmethod
+    def of(cls, n_people: int, n_markers: int) -> PlausibleWork:
+        """Make room; nobody is left out yet."""
+        m, p = n_markers, n_people
+        some = np.empty(m), np.empty(m), np.empty((p, 3)), np.empty(1)
+        return cls(*some, np.zeros(p, np.bool_))
 
 
 _LINKS = named_tuple(LimbLinks, J2, I1)
 _PAST = named_tuple(LimbPast, F2, F2, F2, I1, I1, I2)
 _SETTINGS = named_tuple(PlausibleSettings, *[types.float64] * 3)
 _MESSAGES = named_tuple(ComparedMessages, I1, I1, I2, I1)
-_WORK = named_tuple(PlausibleWork, F1, F1, F2, F1)
+_WORK = named_tuple(PlausibleWork, F1, F1, F2, F1, B1)
 
 
 @inlined
@@ -276,11 +285,11 @@ def find_implausible(
     messages: ComparedMessages, people: People, places: Floats, links: LimbLinks, past: LimbPast,
     settings: PlausibleSettings, counts: Stamps, work: PlausibleWork,
 ) -> None:  # fmt: skip
-    """Blank distorted views, and lower the confidences of contradictory markers.
+    """Find distorted views, and lower the confidences of contradictory markers.
 
     Parameters
     ----------
-    people : markers, links and their confidences are written.
+    people : confidences of markers are written. work : tells which views are to be left out.
     places : (C, 3) positions of the cameras, m; NaN = unknown.
     past : brought to the last message.
     counts : (2, C) views left out and markers trusted less, by camera; added to.
@@ -304,7 +313,7 @@ def find_implausible(
             limit = work.limit[0] + _PER_METRE * beside
             is_distorted = beside < _BESIDE and deviation > limit
             if _is_left_out(stamp, row, camera, is_distorted, past, settings):
-                blank_person(people, p)
+                work.left_out[p] = True
                 counts[OUT, camera] += 1
             else:
                 counts[MARKERS, camera] += _lower(people, p, deviation, settings, work)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, J2, PEOPLE, kernel
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, J2, PEOPLE, inlined, kernel
 from hiros_mcap.kernels.filtering import PAST, STEPS, FilterPast, FilterSteps, step_of
 from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 
@@ -20,7 +20,7 @@ SWEEPS, TOLERANCE = 30, 2e-3
 """Limit of the sweeps of :func:`project`, and the relative accuracy at which they end."""
 
 
-@kernel
+@inlined
 def _distance(markers: Floats, a: int, b: int) -> float:
     """Distance between two markers, m; NaN where one is absent or there is no such marker."""
     if a < 0 or b < 0:

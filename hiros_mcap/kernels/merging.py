@@ -300,7 +300,7 @@ def _bridge(
 # Votes: on the way a person faces, on the position of a marker, on the orientation of a link.
 
 
-@kernel
+@inlined
 def _dot(a: Floats, i: int, b: Floats, j: int) -> float:
     """Scalar product of rows of two arrays."""
     dot: float = a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
@@ -309,7 +309,7 @@ def _dot(a: Floats, i: int, b: Floats, j: int) -> float:
     return dot
 
 
-@kernel
+@inlined
 def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
     """Distance of two rows: positions, m, or ``orientations``, rad; NaN = unknown."""
     if orientations:

@@ -63,7 +63,7 @@ def _client(address: str, n: int) -> Iterator[Any]:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise ConfigError(
-            f'--cluster needs further libraries: pip install "hiros-mcap[cluster]" ({error})'
+            f'--cluster needs further libraries: pip install "dask[distributed]" ({error})'
         ) from None
     # The libraries report what the caller gets as an answer or an exception, too.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)

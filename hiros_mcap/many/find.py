@@ -51,15 +51,15 @@ def find_logs(named: Sequence[str], leave_out: str = "") -> list[str]:
     OSError
         A file does not exist.
     """
-    found: dict[str, None] = {}
+    distinct: dict[str, None] = {}
     for text in named:
         logs = list(_remote(text) if remote.is_remote(text) else _local(text, leave_out))
         if not logs:
             raise ConfigError(f"{text}: there is no log (.mcap, .bag, .db3 or ROS 2 bag folder)")
         if remote.is_remote(leave_out):
             logs = [one for one in logs if not one.startswith(leave_out.rstrip("/") + "/")]
-        found.update(dict.fromkeys(logs))
-    return list(found)
+        distinct.update(dict.fromkeys(logs))
+    return list(distinct)
 
 
 def _local(text: str, leave_out: str) -> Iterator[str]:
@@ -98,8 +98,8 @@ def _below(folder: Path, leave_out: Path | None) -> Iterator[str]:
 
 def _is_single(folder: Path) -> bool:
     """Whether there is one MCAP file in a folder, and no other log in it or below."""
-    found = [Path(log) for log in islice(_below(folder, None), 2)]
-    return len(found) == 1 and found[0].parent == folder and found[0].suffix == ".mcap"
+    first = [Path(log) for log in islice(_below(folder, None), 2)]
+    return len(first) == 1 and first[0].parent == folder and first[0].suffix == ".mcap"
 
 
 def _is_log(path: Path) -> bool:
@@ -109,12 +109,12 @@ def _is_log(path: Path) -> bool:
 
 def _remote(text: str) -> Iterator[str]:
     """Yield the addresses of the logs among the files of a folder or a glob."""
-    found = remote.find(text)
-    if found == [text]:
+    addresses = remote.find(text)
+    if addresses == [text]:
         yield text
         return
     folders: dict[str, list[str]] = {}
-    for address in found:
+    for address in addresses:
         folder, _, name = address.rpartition("/")
         folders.setdefault(folder, []).append(name)
     for folder, names in folders.items():
@@ -153,15 +153,15 @@ def base_name(log: str) -> str:
     return _RESULT.sub("", PurePosixPath(log.rstrip("/")).name)
 
 
-def distinct_names(logs: Iterable[str], known: Mapping[str, str]) -> dict[str, str]:
+def distinct_names(logs: Iterable[str], names_given: Mapping[str, str]) -> dict[str, str]:
     """Return a name for each log, without suffix, by which files of all of them differ.
 
     It is the log's own name. Where several have the same, the names of their folders come before
     it, as many as it takes: ``monday_lab``. A log that has a name in ``known`` keeps it.
     """
-    names = {log: known[log] for log in logs if log in known}
-    waiting = [log for log in logs if log not in known]
-    taken = {name.casefold() for name in known.values()}
+    names = {log: names_given[log] for log in logs if log in names_given}
+    waiting = [log for log in logs if log not in names_given]
+    taken = {name.casefold() for name in names_given.values()}
     for depth in range(1, 1 + max((log.count("/") for log in waiting), default=0) + 1):
         tails = {log: _tail(log, depth) for log in waiting}
         counts = Counter(tail.casefold() for tail in tails.values())

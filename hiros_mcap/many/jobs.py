@@ -18,6 +18,7 @@ from hiros_mcap.defaults import DEFAULT_SYSTEM, LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.evaluate.leave_one_out import leave_one_out
 from hiros_mcap.evaluate.logs import covered_by, evaluate_channels, find_truth, start_of
+from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
 from hiros_mcap.evaluate.remarks import warnings_of
 from hiros_mcap.evaluate.scored import check_scorable, results_of, settings_of
 from hiros_mcap.io.container import McapReader
@@ -29,7 +30,6 @@ from hiros_mcap.io.result import is_result, is_truth, open_result
 from hiros_mcap.many.find import base_name
 from hiros_mcap.many.manifest import Verdict
 from hiros_mcap.outputs import Kind
-from hiros_mcap.regression.metrics import METRICS
 from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.regression.suite import GOLDEN_SUFFIXES, Golden, check_output
 from hiros_mcap.regression.tolerances import Tolerances
@@ -134,12 +134,12 @@ class EvalJob:
 
     command: ClassVar[str] = "eval"
     kind: ClassVar[Kind] = "log"
-    counted: ClassVar[frozenset[str]] = frozenset({"people", "missing", "false", "id_switches"})
+    counted: ClassVar[frozenset[str]] = frozenset(m.name for m in MEASURES.values() if not m.digits)
     suffix: ClassVar[str] = ""
 
     def sides(self, name: str) -> tuple[Path, ...]:
         """Return the file with the truth."""
-        return () if (found := self._truth_file(name)) is None else (found,)
+        return () if (file := self._truth_file(name)) is None else (file,)
 
     def _truth_file(self, name: str) -> Path | None:
         if self.truth is None or (self.truth.startswith("/") and not Path(self.truth).is_dir()):
@@ -160,21 +160,16 @@ class EvalJob:
         truth, others = covered_by(channels, truth, self.covers, self.match_distance)
         results = evaluate_channels(channels, truth, self.match_distance)
         scores = list(results.values())[-1].scores
-        values = {name: m.of(scores) for name, m in METRICS.items() if m.of is not None}
+        values = {name: m.compared(scores) for name, m in MEASURES.items()}
         warnings = warnings_of(truth, results, others, asked=self.covers != "auto")
-        return Finding({"people": len(truth.people), **values}, warnings=tuple(warnings))
+        return Finding({**values, "people": len(truth.people)}, warnings=tuple(warnings))
 
     def _by_itself(self, log: McapReader) -> Finding:
         config, options = settings_of(log, self.config, self.system, asked=self.asked)
         scores = leave_one_out(log, config=config, options=options)
         medians = [camera.median for camera in scores.cameras]
-        values = {
-            "people": len(scores.consistency.people),
-            "limb_cv": scores.consistency.limb_variation,
-            "jitter": scores.consistency.jitter,
-            "left_out_camera": float(np.median(medians)),
-        }
-        return Finding(values)
+        values = {m.name: m.compared(scores.consistency) for m in CONSISTENCY}
+        return Finding({**values, "left_out_camera": float(np.median(medians))})
 
 
 @dataclass(frozen=True, slots=True)

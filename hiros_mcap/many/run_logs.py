@@ -147,9 +147,9 @@ def identity_of(log: str) -> Identity:
         path.stat()
         raise LogError("is a device or a pipe, not a file of a log", path=path)
     files = path.rglob("*") if path.is_dir() else [path]
-    found = [file.stat() for file in files if not file.is_dir()]
-    newest = max((one.st_mtime_ns for one in found), default=0)
-    return Identity(sum(one.st_size for one in found), str(newest))
+    stats = [file.stat() for file in files if not file.is_dir()]
+    newest = max((one.st_mtime_ns for one in stats), default=0)
+    return Identity(sum(one.st_size for one in stats), str(newest))
 
 
 def _is_same(planned: LogRecord, former: LogRecord) -> bool:
@@ -212,30 +212,30 @@ def _run(job: Job, record: LogRecord, place: Place | None) -> LogRecord:
             if place is not None and writes:
                 target = output.enter_context(place.writing()) / (record.name + job.suffix)
             try:
-                found = job.run(log, target)
+                finding = job.run(log, target)
             except HirosError as error:
                 raise HirosError(str(error).replace(str(log), record.log)) from error
-            files = {file.name: file.stat().st_size for file in found.files}
-        sha256 = found.sha256
+            files = {file.name: file.stat().st_size for file in finding.files}
+        sha256 = finding.sha256
         if place is not None and not sha256:
             with digest_of(log) as digest:
                 sha256 = digest.result()
         return replace(
             record,
-            verdict=_verdict(found),
-            error=found.error,
-            warnings=tuple(text.replace(str(log), record.log) for text in found.warnings),
-            losses=found.losses,
-            values=dict(found.values),
+            verdict=_verdict(finding),
+            error=finding.error,
+            warnings=tuple(text.replace(str(log), record.log) for text in finding.warnings),
+            losses=finding.losses,
+            values=dict(finding.values),
             files=files,
             input=replace(identity, sha256=sha256),
         )
 
 
-def _verdict(found: Finding) -> Any:
-    if found.verdict == "done" and found.losses:
+def _verdict(finding: Finding) -> Any:
+    if finding.verdict == "done" and finding.losses:
         return "recovered"
-    return "doubtful" if found.verdict == "done" and found.warnings else found.verdict
+    return "doubtful" if finding.verdict == "done" and finding.warnings else finding.verdict
 
 
 def _in_one_line(error: Exception, log: str) -> str:

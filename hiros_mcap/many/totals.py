@@ -46,8 +46,8 @@ def column_totals(records: Sequence[LogRecord], job: Job) -> dict[str, ColumnTot
     """Return the totals of every column of numbers."""
     totals = {}
     for name in columns_of(records):
-        found = [record.values.get(name) for record in records]
-        numbers = [float(x) for x in found if isinstance(x, int | float) and math.isfinite(x)]
+        values = [record.values.get(name) for record in records]
+        numbers = [float(x) for x in values if isinstance(x, int | float) and math.isfinite(x)]
         if numbers:
             added = math.fsum(numbers) if name in job.counted else None
             middle = fmean(numbers), median(numbers)

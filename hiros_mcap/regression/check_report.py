@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
+from hiros_mcap.evaluate.measures import BRIEF, MEASURES
 from hiros_mcap.outputs import JUNIT_MARK, MARKDOWN_MARK
-from hiros_mcap.regression.metrics import shown
 from hiros_mcap.regression.suite import CaseResult
 from hiros_mcap.summary import plain
 
-_SHOWN = ("mpjpe", "id_switches", "limb_cv", "jitter")
 _MARKS = {"equal": "✅ equal", "different": "❌ different", "error": "⚠️ error"}
 
 
@@ -61,10 +60,12 @@ def junit(results: Sequence[CaseResult], name: str) -> str:
         )
         if result.status != "equal":
             kind = "error" if result.status == "error" else "failure"
-            found = lines(result)
-            fault = ElementTree.SubElement(case, kind, message=_xml_text(found[0]))
-            fault.text = _xml_text("\n".join(found))
-        metrics = [f"{k} = {shown(k, v)}" for k, v in result.metrics.items()]
+            faults = lines(result)
+            fault = ElementTree.SubElement(case, kind, message=_xml_text(faults[0]))
+            fault.text = _xml_text("\n".join(faults))
+        metrics = [
+            f"{name} = {MEASURES[name].shown(value)}" for name, value in result.metrics.items()
+        ]
         ElementTree.SubElement(case, "system-out").text = "\n".join([*metrics, *result.notes])
     root = ElementTree.Element("testsuites")
     root.append(suite)
@@ -81,17 +82,17 @@ def _xml_text(text: str) -> str:
 def markdown(results: Sequence[CaseResult], name: str) -> str:
     """Summary for a pull request: a table of the logs, and one of what was and is for each."""
     # A metric that no log has would be an empty column.
-    known = [m for m in _SHOWN if any(m in r.metrics for r in results)]
+    measures = [m for m in BRIEF if any(m in r.metrics for r in results)]
     rows = [
         (
             r.name,
             _MARKS[r.status],
-            *(shown(m, r.metrics[m]) if m in r.metrics else "-" for m in known),
+            *(MEASURES[m].shown(r.metrics[m]) if m in r.metrics else "-" for m in measures),
         )
         for r in results
     ]
     text = [f"{MARKDOWN_MARK}{_cell(name)}: {totals(results)}", ""]
-    text += _table(("log", "result", *known), rows)
+    text += _table(("log", "result", *measures), rows)
     for r in results:
         text += _details(r)
     return "\n".join(text) + "\n"

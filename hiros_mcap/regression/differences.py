@@ -21,8 +21,8 @@ from hiros_mcap.regression.quantities import (
     Pair,
     QuantityComparison,
     most,
-    spread,
     union,
+    widened,
     worst,
 )
 from hiros_mcap.regression.tolerances import Tolerances, beside
@@ -95,23 +95,23 @@ class ChannelComparison:
 
     def differences(self, tolerances: Tolerances) -> list[Difference]:
         """Return what differs by more than is tolerated; empty if nothing does."""
-        found = []
+        lines = []
         if self.missing_frames + self.extra_frames > tolerances.frames * self.frames:
             now = self.frames - self.missing_frames + self.extra_frames
             detail = f"{self.missing_frames} missing, {self.extra_frames} extra"
-            found.append(self._frames("frames", str(self.frames), str(now), detail))
-        found += [
+            lines.append(self._frames("frames", str(self.frames), str(now), detail))
+        lines += [
             self._frames("coordinate frame", was, now, f"in {n} frames")
             for (was, now), n in self.frame_ids.items()
         ]
         wrong = sum((self.missing + self.extra).values()) + sum(self.renamed.values())
         if wrong > tolerances.people * self.skeletons:
-            found += self._people()
+            lines += self._people()
         for compared in self.quantities.values():
-            found += self._absent(compared)
-            if compared.largest > compared.quantity.tolerated(tolerances):
-                found.append(self._off(compared))
-        return found
+            lines += self._absent(compared)
+            if compared.largest > tolerances.of(compared.quantity):
+                lines.append(self._off(compared))
+        return lines
 
     def _frames(self, what: str, was: str, now: str, detail: str = "") -> Difference:
         return Difference(self.topic, what, was, now, detail)
@@ -163,9 +163,9 @@ class Comparison:
 
     def differences(self, tolerances: Tolerances) -> dict[str, list[Difference]]:
         """Channel (or "calibration") -> what differs; empty if nothing does."""
-        found = {c.topic: lines for c in self.channels if (lines := c.differences(tolerances))}
+        by_channel = {c.topic: lines for c in self.channels if (lines := c.differences(tolerances))}
         for topic in self.missing_channels:
-            found[topic] = [Difference(topic, "channel", "there", "missing")]
+            by_channel[topic] = [Difference(topic, "channel", "there", "missing")]
         wrong = {
             key: (was, now)
             for key, (was, now) in self.lengths.items()
@@ -175,14 +175,14 @@ class Comparison:
             (person, link), (was, now) = max(
                 wrong.items(), key=lambda item: np.nan_to_num(abs(np.diff(item[1])[0]), nan=np.inf)
             )
-            found["calibration"] = [
+            by_channel["calibration"] = [
                 Difference(
                     *("calibration", f"length of {link} of person {person}"),
                     *(_metres(was), _metres(now)),
                     f"{len(wrong)} limbs differ; this is the worst",
                 )
             ]
-        return found
+        return by_channel
 
 
 def compare_logs(
@@ -240,8 +240,8 @@ def _compare_channel(
             fault = f"cannot be compared with {golden}: the skeletons share no marker"
             raise ConfigError(f"{output}: {topic}: {fault}")
         both = union(golden_model, model)
-        new = [spread(frame, model, both) for frame in new]
-        old, golden_model = [spread(frame, golden_model, both) for frame in old], both
+        new = [widened(frame, model, both) for frame in new]
+        old, golden_model = [widened(frame, golden_model, both) for frame in old], both
     return compare_frames(new, old, golden_model, tolerances, topic)
 
 
@@ -255,7 +255,7 @@ def compare_frames(
     """Compare frames of one channel; people are matched by where they are, not by their ids."""
     tolerances = tolerances or Tolerances()
     result = ChannelComparison(topic, frames=len(golden))
-    pairs = _pair_frames(new, golden, round(tolerances.times * 1e9))
+    pairs = _pair_frames(new, golden, round(tolerances.limit("times") * 1e9))
     common = [(new[n], golden[g]) for n, g in pairs if n is not None and g is not None]
     result.ids = _match_people(common)
     start = golden[0].stamp if golden else new[0].stamp if new else 0
@@ -385,16 +385,17 @@ class _DifferenceCollector:
             self.result.quantities[quantity.name] = compared
             for k in range(0, len(self._pairs), _BATCH):
                 pairs = self._pairs[k : k + _BATCH]
-                found = compared.add(pairs, self.model, self.tolerances, self.start)
-                if found is not None:
-                    pair, what = found
+                tolerance = self.tolerances.of(quantity)
+                first = compared.add(pairs, self.model, tolerance, self.start)
+                if first is not None:
+                    pair, what = first
                     self.diverge(pair.index, pair.was.stamp, what)
 
 
 def limbs_of(path: str | os.PathLike[str]) -> LimbTable:
     """Limb lengths that a log carries as an attachment; empty if it has none."""
     with open_reader(path) as reader:
-        text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode()
+        text = (reader.attachment(LIMBS_ATTACHMENT) or b"").decode(errors="replace")
         return LimbTable.from_toml(text, str(path)) if text else LimbTable()
 
 

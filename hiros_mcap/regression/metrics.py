@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate import Scores, Truth
+from hiros_mcap.evaluate import Truth
 from hiros_mcap.evaluate.logs import consistency, evaluate_log, find_truth, read_channel
+from hiros_mcap.evaluate.measures import CONSISTENCY, MEASURES
 from hiros_mcap.outputs import write_text
 from hiros_mcap.outside import parse, read_text
 from hiros_mcap.regression.differences import Difference
@@ -21,43 +22,6 @@ from hiros_mcap.regression.provenance import Provenance
 
 VERSION = 1
 
-
-@dataclass(frozen=True, slots=True)
-class Metric:
-    """A number that a golden file or a threshold may name."""
-
-    unit: str
-    better: int
-    """-1 if less is better, 1 if more is, 0 if it must be equal."""
-    floor: float
-    """Changes up to this never count; 0 for counts, which may not get worse at all."""
-    of: Callable[[Scores], float] | None = None
-    """How to read it from scores against a truth; None = it needs no truth."""
-
-
-METRICS: Mapping[str, Metric] = {
-    "people": Metric("", 0, 0),
-    "frames": Metric("", 0, 0),
-    "limb_cv": Metric("", -1, 1e-3),
-    "jitter": Metric("mm", -1, 0.1),
-    "mpjpe": Metric("mm", -1, 0.1, lambda s: s.mean),
-    "mpjpe_sd": Metric("mm", -1, 0.1, lambda s: s.deviation),
-    "mpjpe_95": Metric("mm", -1, 0.2, lambda s: s.percentile_95),
-    "pck_50": Metric("%", 1, 0.1, lambda s: 100 * s.pck_at(50)),
-    "pck_100": Metric("%", 1, 0.1, lambda s: 100 * s.pck_at(100)),
-    "angle_rmse": Metric("deg", -1, 0.05, lambda s: s.angle_rmse),
-    "link_angle_rmse": Metric("deg", -1, 0.05, lambda s: s.link_angle_rmse),
-    "orientation_error": Metric("deg", -1, 0.05, lambda s: s.orientation_error),
-    "limb_error": Metric("mm", -1, 0.1, lambda s: s.limb_error),
-    "lag": Metric("ms", -1, 1.0, lambda s: abs(s.lag)),
-    "missing": Metric("", -1, 0, lambda s: s.missing),
-    "false": Metric("", -1, 0, lambda s: math.nan if s.false is None else s.false),
-    "id_switches": Metric("", -1, 0, lambda s: s.switches),
-    "mota": Metric("", 1, 1e-3, lambda s: s.tracking.mota),
-    "idf1": Metric("", 1, 1e-3, lambda s: s.tracking.idf1),
-    "hota": Metric("", 1, 1e-3, lambda s: s.tracking.hota),
-}
-"""docs/evaluating.md says what they are; ``hiros eval`` has them in its tables."""
 
 _FORM = re.compile(r"\s*(\w+)\s*(<=|>=|==|=|!=|<|>)\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
 _COMPARE: dict[str, Callable[[float, float], bool]] = {
@@ -91,10 +55,10 @@ class Threshold:
         if form is None:
             raise ConfigError(f"threshold {text!r} is not of the form 'mpjpe <= 25 mm'")
         name, sign, number, unit = form.groups()
-        if name not in METRICS:
-            raise ConfigError(f"no metric {name!r} (there are: {', '.join(METRICS)})")
-        if unit and unit != METRICS[name].unit:
-            raise ConfigError(f"threshold {text!r}: {name} is in {METRICS[name].unit or 'no unit'}")
+        if name not in MEASURES:
+            raise ConfigError(f"no metric {name!r} (there are: {', '.join(MEASURES)})")
+        if unit and unit != (its := MEASURES[name].unit):
+            raise ConfigError(f"threshold {text!r}: {name} is in {its or 'no unit'}")
         try:
             return cls(" ".join(text.split()), name, sign, float(number))
         except ValueError:
@@ -103,20 +67,14 @@ class Threshold:
     def difference(self, values: Mapping[str, float]) -> Difference | None:
         """Return what is required and what is instead; None if the requirement is met."""
         value = values.get(self.metric, math.nan)
-        required = f"required {self.sign} {shown(self.metric, self.value)}"
+        required = f"required {self.sign} {MEASURES[self.metric].shown(self.value)}"
         if math.isnan(value):
             now = "not known (no truth, or nothing to measure)"
         elif _COMPARE[self.sign](value, self.value):
             return None
         else:
-            now = shown(self.metric, value)
+            now = MEASURES[self.metric].shown(value)
         return Difference("metrics", self.metric, required, now)
-
-
-def shown(name: str, value: float) -> str:
-    """Return a metric's value with its unit."""
-    unit = METRICS[name].unit
-    return f"{value:.4g}{' ' if unit else ''}{unit}"
 
 
 def metrics_of(
@@ -130,17 +88,12 @@ def metrics_of(
     truth : None = the log's own /truth channel, if it has one.
     """
     frames, model, _ = read_channel(path, topic)
-    own = consistency(frames, model)
-    values: dict[str, float] = {
-        "people": len(own.people),
-        "frames": own.frames,
-        "limb_cv": own.limb_variation,
-        "jitter": own.jitter,
-    }
+    of_result = consistency(frames, model)
+    values = {m.name: m.compared(of_result) for m in CONSISTENCY}
     truth = find_truth(path) if truth is None else truth
     if truth is not None:
         scores = evaluate_log(path, truth, [topic])[topic].scores
-        values.update({name: m.of(scores) for name, m in METRICS.items() if m.of is not None})
+        values = {name: m.compared(scores) for name, m in MEASURES.items()} | values
     return {name: value for name, value in values.items() if not math.isnan(value)}
 
 
@@ -153,15 +106,17 @@ def worse(
     """
     losses, gains = [], []
     for name, was in golden.items():
-        now, metric = new.get(name, math.nan), METRICS[name]
+        now, measure = new.get(name, math.nan), MEASURES[name]
+        before = measure.shown(was)
         if math.isnan(now):
-            losses.append(Difference("metrics", name, shown(name, was), "not known any more"))
+            losses.append(Difference("metrics", name, before, "not known any more"))
             continue
-        slack = max(share * abs(was), metric.floor) if metric.floor else 0.0
-        change = Difference("metrics", name, shown(name, was), shown(name, now))
-        if (metric.better == 0 and now != was) or metric.better * (was - now) > slack:
+        slack = max(share * abs(was), measure.floor) if measure.floor else 0.0
+        change = Difference("metrics", name, before, measure.shown(now))
+        loss = now - was if measure.better != "more" else was - now
+        if loss > slack or (measure.better == "same" and loss):
             losses.append(change)
-        elif metric.better * (now - was) > slack:
+        elif -loss > slack:
             gains.append(change)
     return losses, gains
 
@@ -198,8 +153,8 @@ def load_metrics(path: Path) -> GoldenMetrics:
     if not isinstance(values, dict) or data.get("hiros_golden_metrics") != VERSION:
         raise ConfigError(f"{path}: is not a file of golden metrics, version {VERSION}")
     for name, value in values.items():
-        if name not in METRICS:
-            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(METRICS)})")
+        if name not in MEASURES:
+            raise ConfigError(f"{path}: no metric {name!r} (there are: {', '.join(MEASURES)})")
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise ConfigError(f"{path}: {name} is not a number")
     numbers = {name: float(value) for name, value in values.items()}

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hiros_mcap.config import without_constants
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.attachments import stored_parameters
 from hiros_mcap.io.channels import PROVENANCE
@@ -74,8 +75,9 @@ def changes(now: Provenance, was: Provenance) -> list[Difference]:
         return []
     if not now:
         return [Difference("run", "version and configuration", "known", _NONE)]
-    keys = dict.fromkeys([*was.parameters, *now.parameters])
-    rows = [("configuration", k, was.parameters.get(k), now.parameters.get(k)) for k in keys]
+    former = without_constants(was.parameters)
+    keys = dict.fromkeys([*former, *now.parameters])
+    rows = [("configuration", k, former.get(k), now.parameters.get(k)) for k in keys]
     rows += [("run", name, was.run.get(key), now.run.get(key)) for key, name in _RUN.items()]
     return [
         Difference(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from math import floor, log10
 
 import numpy as np
 
 from hiros_mcap.body.rotations import angle
-from hiros_mcap.regression.tolerances import Tolerances
 from hiros_mcap.skeletons import (
     ACCELERATION,
     ANGULAR_ACCELERATION,
@@ -39,25 +38,26 @@ class Quantity:
     """One kind of number of a skeleton."""
 
     name: str
-    read: Read
-    names: Names
-    distance: Distance
-    tolerance: str
-    """Field of :class:`Tolerances`."""
+    limit: str
+    """Name of its tolerance."""
+    tolerance: float
+    """Distances up to this do not count, unless a file says so. The defaults forgive another
+    machine, not another algorithm."""
     unit: str
+    """Of a distance and its tolerance."""
+    shown_unit: str
     """Of a distance as it is shown."""
-    scale: float = 1.0
-    """Unit of the tolerance -> unit of a distance as it is shown."""
-    values: str = ""
+    scale: float
+    """Unit -> unit of a distance as it is shown."""
+    values: str
     """Unit of the numbers themselves."""
-
-    def tolerated(self, tolerances: Tolerances) -> float:
-        """Return the largest distance that does not count."""
-        return float(getattr(tolerances, self.tolerance))
+    read: Read
+    distance: Distance
+    names: Names
 
     def shown(self, distance: float) -> str:
         """Return a distance as text."""
-        return f"{self.scale * distance:.4g} {self.unit}".rstrip()
+        return f"{self.scale * distance:.4g} {self.shown_unit}".rstrip()
 
     def value(self, numbers: Floats, decimals: int) -> str:
         """Return the numbers of one element as text."""
@@ -80,9 +80,9 @@ def _state_names(model: SkeletonModel) -> Sequence[str]:
 
 
 def _confidences(frame: Frame, row: int) -> Floats:
-    own = frame.confidences[row : row + 1]
+    skeleton = frame.confidences[row : row + 1]
     each = frame.marker_confidences[row], frame.link_confidences[row]
-    return np.concatenate([own, *each])[:, None]
+    return np.concatenate([skeleton, *each])[:, None]
 
 
 def _confidence_names(model: SkeletonModel) -> Sequence[str]:
@@ -95,8 +95,8 @@ def _box_size(frame: Frame, row: int) -> Floats:
 
 def _times(frame: Frame, row: int) -> Floats:
     """(2, 1) Source time and log time after the frame's stamp, ns."""
-    own = int(frame.stamps[row])
-    source = own - frame.stamp if own else np.nan
+    stamp = int(frame.stamps[row])
+    source = stamp - frame.stamp if stamp else np.nan
     return np.array([[source], [frame.log_time - frame.stamp]], np.float64)
 
 
@@ -116,27 +116,38 @@ def _seconds(was: Floats, now: Floats) -> Floats:
     return np.asarray(np.abs(now - was)[..., 0] / 1e9)
 
 
-def _kinematic(name: str, columns: slice, distance: Distance, units: tuple[str, str]) -> Quantity:
-    tolerance = name.replace(" ", "_")
-    return Quantity(
-        name, _states(columns), _state_names, distance, tolerance, units[0], values=units[1]
-    )
+def _kinematic(
+    limit: str, tolerance: float, units: tuple[str, str], columns: slice, distance: Distance
+) -> Quantity:
+    """Part of the KinematicState; units of a distance, and of the numbers."""
+    unit, values = units
+    name, read = limit.replace("_", " "), _states(columns)
+    return Quantity(name, limit, tolerance, unit, unit, 1.0, values, read, distance, _state_names)
 
 
+_POSITIONS = Quantity(
+    *("positions", "positions", 1e-6, "m", "mm", 1000.0, "m"),
+    *(_states(POSITION), _norm, _state_names),
+)
 QUANTITIES = (
-    Quantity(
-        *("positions", _states(POSITION), _state_names, _norm, "positions", "mm"), 1000.0, "m"
+    _POSITIONS,
+    # 1e-6 m at the end of a limb of 0.5 m.
+    _kinematic("orientations", 1e-4, ("deg", "(x y z w)"), ORIENTATION, _degrees),
+    _kinematic("velocities", 1e-4, ("m/s", "m/s"), VELOCITY, _norm),
+    _kinematic("angular_velocities", 1e-2, ("deg/s", "rad/s"), ANGULAR_VELOCITY, _degree_rates),
+    _kinematic("accelerations", 1e-2, ("m/s2", "m/s2"), ACCELERATION, _norm),
+    _kinematic(
+        *("angular_accelerations", 1.0, ("deg/s2", "rad/s2")),
+        *(ANGULAR_ACCELERATION, _degree_rates),
     ),
-    _kinematic("orientations", ORIENTATION, _degrees, ("deg", "(x y z w)")),
-    _kinematic("velocities", VELOCITY, _norm, ("m/s", "m/s")),
-    _kinematic("angular velocities", ANGULAR_VELOCITY, _degree_rates, ("deg/s", "rad/s")),
-    _kinematic("accelerations", ACCELERATION, _norm, ("m/s2", "m/s2")),
-    _kinematic("angular accelerations", ANGULAR_ACCELERATION, _degree_rates, ("deg/s2", "rad/s2")),
-    Quantity("confidences", _confidences, _confidence_names, _norm, "confidences", ""),
-    Quantity("box sizes", _box_size, lambda _: ("box",), _norm, "positions", "mm", 1000.0, "m"),
     Quantity(
-        *("times", _times, lambda _: ("source time", "log time"), _seconds, "times", "ms"),
-        *(1000.0, "ns after the frame's stamp"),
+        *("confidences", "confidences", 1e-6, "", "", 1.0, ""),
+        *(_confidences, _norm, _confidence_names),
+    ),
+    replace(_POSITIONS, name="box sizes", read=_box_size, names=lambda _: ("box",)),
+    Quantity(
+        *("times", "times", 1e-6, "s", "ms", 1000.0, "ns after the frame's stamp"),
+        *(_times, _seconds, lambda _: ("source time", "log time")),
     ),
 )
 """In the order in which reports name them."""
@@ -186,13 +197,13 @@ class QuantityComparison:
         return float(np.sqrt(self._squares / self._count)) if self._count else 0.0
 
     def add(
-        self, pairs: Sequence[Pair], model: SkeletonModel, tolerances: Tolerances, start: int
+        self, pairs: Sequence[Pair], model: SkeletonModel, tolerance: float, start: int
     ) -> tuple[Pair, str] | None:
         """Compare some skeletons; return the first that differs, and how."""
         names = self.quantity.names(model)
         was = np.stack([self.quantity.read(pair.was, pair.was_row) for pair in pairs])
         now = np.stack([self.quantity.read(pair.now, pair.now_row) for pair in pairs])
-        before, after = _known(was), _known(now)
+        before, after = _present(was), _present(now)
         self._count_absent(before, after, names)
         both = before & after
         # Rounding gives two equal orientations a distance above 0.
@@ -211,7 +222,7 @@ class QuantityComparison:
             self.place = f"{names[k]} of person {pairs[s].person} at {seconds:.3f} s"
         # What is absent or new has no distance, and tells more than one.
         distance[before != after] = np.inf
-        wrong = distance > self.quantity.tolerated(tolerances)
+        wrong = distance > tolerance
         if not wrong.any():
             return None
         s = int(wrong.any(axis=1).argmax())
@@ -232,7 +243,7 @@ class QuantityComparison:
         return f"{element} ({self.quantity.name})"
 
 
-def _known(numbers: Floats) -> Flags:
+def _present(numbers: Floats) -> Flags:
     return np.asarray(~np.isnan(numbers).any(axis=-1))
 
 
@@ -263,10 +274,10 @@ def union(old: SkeletonModel, new: SkeletonModel) -> SkeletonModel:
     return SkeletonModel.of(markers, [(name, -1, -1) for name in links])
 
 
-def spread(frame: Frame, own: SkeletonModel, model: SkeletonModel) -> Frame:
+def widened(frame: Frame, narrow: SkeletonModel, model: SkeletonModel) -> Frame:
     """Return a frame with the slots of another model that has at least its own names."""
-    markers = [model.marker_names.index(name) for name in own.marker_names]
-    links = [model.link_names.index(name) for name in own.link_names]
+    markers = [model.marker_names.index(name) for name in narrow.marker_names]
+    links = [model.link_names.index(name) for name in narrow.link_names]
     result = Frame.empty(frame.n_people, model)
     result.markers[:, markers] = frame.markers
     result.marker_confidences[:, markers] = frame.marker_confidences

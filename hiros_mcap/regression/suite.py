@@ -297,49 +297,49 @@ class Golden:
                 return replace(result, status="error", error=fault)
             self._replace(result.metrics, output, topic)
             return replace(result, notes=("accepted: a new golden file",))
-        found = self._compare(result.metrics, output)
-        changed = changes(Provenance.of_log(output), found.provenance)
+        outcome = self._compare(result.metrics, output)
+        changed = changes(Provenance.of_log(output), outcome.provenance)
         if bless:
-            new = [*found.differences, *found.gains]
-            if not (new or changed or not found.provenance):
+            new = [*outcome.differences, *outcome.gains]
+            if not (new or changed or not outcome.provenance):
                 return replace(result, notes=("unchanged; the golden file is kept",))
             self._replace(result.metrics, output, topic)
             accepted = [f"accepted: {change}" for change in (*changed, *new)]
             return replace(result, notes=tuple(accepted or ["accepted: how the result was made"]))
         return replace(
             result,
-            status="different" if found.differences else "equal",
-            differences=(*changed, *found.differences) if found.differences else (),
-            first=tuple(found.first),
-            notes=(*found.notes, *(f"better: {gain}" for gain in found.gains)),
+            status="different" if outcome.differences else "equal",
+            differences=(*changed, *outcome.differences) if outcome.differences else (),
+            first=tuple(outcome.first),
+            notes=(*outcome.notes, *(f"better: {gain}" for gain in outcome.gains)),
         )
 
-    def _compare(self, metrics: Mapping[str, float], output: Path) -> _Found:
+    def _compare(self, metrics: Mapping[str, float], output: Path) -> _AgainstGolden:
         tolerances = self.tolerances or beside(self.path)
         if self.path.suffix == ".json":
             golden = load_metrics(self.path)
             lost, gained = worse(metrics, golden.values, tolerances.metrics)
-            return _Found(golden.provenance, lost, gained)
+            return _AgainstGolden(golden.provenance, lost, gained)
         comparison = compare_logs(output, self.path, tolerances)
         by_channel = comparison.differences(tolerances)
-        found = _Found(
-            Provenance.of_log(self.path), [d for own in by_channel.values() for d in own]
+        outcome = _AgainstGolden(
+            Provenance.of_log(self.path), [d for lines in by_channel.values() for d in lines]
         )
         equal = [c.topic for c in comparison.channels if c.topic not in by_channel]
         if by_channel and equal:
             stage = next(iter(by_channel))
-            found.notes.append(f"first channel that differs: {stage}; equal: {', '.join(equal)}")
-        if by_channel and not found.provenance:
-            found.notes.append(
+            outcome.notes.append(f"first channel that differs: {stage}; equal: {', '.join(equal)}")
+        if by_channel and not outcome.provenance:
+            outcome.notes.append(
                 "the golden file does not say how it was made, since an older hiros wrote it; "
                 "--bless adds this"
             )
-        found.first += [
+        outcome.first += [
             (c.topic, c.first)
             for c in comparison.channels
             if c.topic in by_channel and c.first is not None
         ]
-        return found
+        return outcome
 
     def _replace(self, metrics: Mapping[str, float], output: Path, topic: str) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -351,7 +351,7 @@ class Golden:
 
 
 @dataclass(slots=True)
-class _Found:
+class _AgainstGolden:
     """An output against its golden file."""
 
     provenance: Provenance

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field, NonNegativeFloat, ValidationError
+from pydantic import ConfigDict, Field, NonNegativeFloat, ValidationError, model_validator
 
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import read_toml
 from hiros_mcap.params import Params, explain
+from hiros_mcap.regression.quantities import QUANTITIES, Quantity
 
 SUFFIX = ".tolerances.toml"
 
 
+LIMITS = {quantity.limit: quantity.tolerance for quantity in QUANTITIES}
+
+
 class Tolerances(Params):
-    """Differences that do not count. The defaults forgive another machine, not another algorithm.
+    """Differences that do not count: of :data:`QUANTITIES` by the names of their limits, and these.
 
     If a change is meant to alter the numbers, compare metrics instead: give the suite a golden file
     of metrics (``.json``) or thresholds.
     """
 
-    positions: NonNegativeFloat = Field(
-        1e-6, description="m, of every joint in every frame (rounding differs between machines)."
-    )
-    orientations: NonNegativeFloat = Field(
-        1e-4,
-        description="deg, of every link in every frame (1e-6 m at the end of a limb of 0.5 m).",
-    )
-    velocities: NonNegativeFloat = Field(1e-4, description="m/s, of every joint.")
-    angular_velocities: NonNegativeFloat = Field(1e-2, description="deg/s, of every link.")
-    accelerations: NonNegativeFloat = Field(1e-2, description="m/s2, of every joint.")
-    angular_accelerations: NonNegativeFloat = Field(1.0, description="deg/s2, of every link.")
-    confidences: NonNegativeFloat = Field(
-        1e-6, description="Of every skeleton, joint and link; 0 to 1."
-    )
-    times: NonNegativeFloat = Field(
-        1e-6, allow_inf_nan=False, description="s, of a frame, and of its source and log time."
-    )
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, NonNegativeFloat]
+
     lengths: NonNegativeFloat = Field(1e-6, description="m, of a calibrated limb.")
     frames: NonNegativeFloat = Field(0.0, le=1, description="Share of frames that may be missing.")
     people: NonNegativeFloat = Field(
@@ -46,6 +37,22 @@ class Tolerances(Params):
     metrics: NonNegativeFloat = Field(
         0.05, description="Share by which a metric may get worse; counts may not at all."
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in self.__pydantic_extra__.keys() - LIMITS:
+            raise ValueError(f"{name}: there is no such key")
+        if not math.isfinite(self.limit("times")):
+            raise ValueError("times: should be a finite number")
+        return self
+
+    def limit(self, name: str) -> float:
+        """Return a limit of :data:`LIMITS`."""
+        return self.__pydantic_extra__.get(name, LIMITS[name])
+
+    def of(self, quantity: Quantity) -> float:
+        """Return the largest distance that does not count."""
+        return self.limit(quantity.limit)
 
 
 def load_tolerances(path: Path) -> Tolerances:
@@ -62,7 +69,7 @@ def validated(table: dict[str, Any], origin: str) -> Tolerances:
         return Tolerances.model_validate(table)
     except ValidationError as error:
         where, message = explain(error)
-        raise ConfigError(f"{origin}: {'.'.join(where)}: {message}") from None
+        raise ConfigError(": ".join([origin, *filter(None, [".".join(where)]), message])) from None
 
 
 def beside(golden: Path) -> Tolerances:

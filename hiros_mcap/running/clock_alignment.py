@@ -35,7 +35,7 @@ from hiros_mcap.io.camera_clock import (
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_follower import ClockFollower
 from hiros_mcap.skeletons import Stamps
-from hiros_mcap.stages.time_order import late_in_order
+from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.summary import ClockFault, PoseSummary
 
 _WORTH_A_WARNING = 0.05  # s
@@ -72,7 +72,7 @@ class ClockAlignment:
             blocks = ClockFollower(self.given, self.faults, self.reorder).correct(blocks)
         if self.corrections:
             blocks = (_corrected(block, self.corrections) for block in blocks)
-        yield from late_in_order(blocks, self.wait) if self.wait else blocks
+        yield from in_time_order(blocks, self.wait, patient=True) if self.wait else blocks
 
     @property
     def lags(self) -> dict[str, float]:
@@ -93,12 +93,12 @@ class ClockAlignment:
         # Of a camera that was moved, the surer clock comes last.
         surest = {c.name: c for c in sorted(cameras, key=lambda c: -c.error_ms) if c.name in lags}
         measured = {name: c for name, c in surest.items() if not math.isnan(c.clock_ms)}
-        sure = {name: c.clock_ms for name, c in measured.items() if c.verdict in SURE}
-        middle = self._right_clock(sure, lags)
+        sure = {name: c for name, c in measured.items() if c.verdict in SURE}
+        right, error = self._right_clock(sure, lags)
         offsets = {}
         for name, camera in measured.items():
-            ahead = middle - camera.clock_ms
-            least = max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
+            ahead = right - camera.clock_ms
+            least = max(_LEAST_CLOCK_MS, _SURE_CLOCK * (camera.error_ms + error))
             if name in self.given or abs(ahead) <= least:
                 continue
             if name in sure:
@@ -113,14 +113,21 @@ class ClockAlignment:
                 self._note(name, ahead, seen.reason if seen and is_alone else STILL)
         self._add(offsets)
 
-    def _right_clock(self, clocks: Mapping[str, float], lags: Mapping[str, float]) -> float:
-        """Return what a clock that is right would have, ms."""
-        right = [ms for name, ms in clocks.items() if name in self.given]
-        if right:
-            return float(np.median(right))
-        if len(clocks) == 2:
-            return clocks[min(sorted(clocks), key=lambda name: abs(lags[name]))]
-        return float(np.median(list(clocks.values()))) if clocks else 0.0
+    def _right_clock(
+        self, sure: Mapping[str, PoseSummary], lags: Mapping[str, float]
+    ) -> tuple[float, float]:
+        """Return what a clock that is right would have, and its standard error, ms.
+
+        Clocks are measured about their common mean. The errors of two cameras are thus opposite:
+        their difference has the sum of both. The median of several has hardly any.
+        """
+        right = [camera for name, camera in sure.items() if name in self.given]
+        if not right and len(sure) == 2:
+            right = [sure[min(sorted(sure), key=lambda name: abs(lags[name]))]]
+        if len(right) == 1:
+            return right[0].clock_ms, right[0].error_ms
+        clocks = [camera.clock_ms for camera in right or sure.values()]
+        return (float(np.median(clocks)) if clocks else 0.0), 0.0
 
     def _note(self, camera: str, seconds: float, reason: str) -> None:
         """Note an offset that is not corrected."""
@@ -239,12 +246,11 @@ def _remedy(fault: ClockFault) -> str:
 
 def _corrected(block: Block, corrections: Mapping[str, ClockCorrection]) -> Block:
     """Return a block with right stamps, of frames and of people."""
-    concerned = corrections.keys() & set(block.sources)
-    if not concerned:
-        return block
-    sources = np.array(block.sources)
     stamps: Stamps = block.stamps.copy()
-    for name in concerned:
-        own = np.flatnonzero(sources == name)
+    for code in np.unique(block.sources).tolist():
+        name = block.names[code]
+        if name not in corrections:
+            continue
+        own = np.flatnonzero(block.sources == code)
         stamps[own] = corrections[name].apply(block.stamps[own], block.log_times[own])
     return block.restamped(stamps)

@@ -119,8 +119,8 @@ class ClockFollower:
         first = self._start(rest)
         for block in chain(first, rest):
             stamps = block.stamps.copy()
-            sizes = np.diff(block.rows, axis=1)[:, 0].tolist()
-            for i, (stamp, source, log_time, _) in enumerate(block.messages()):
+            sizes = block.sizes.tolist()
+            for i, (stamp, source, log_time) in enumerate(block.messages()):
                 stamps[i] = self._take(stamp, source, log_time, sizes[i])
             yield block.restamped(stamps)
 
@@ -131,7 +131,7 @@ class ClockFollower:
         until = 0
         for block in blocks:
             looked.append(block)
-            for stamp, source, log_time, _ in block.messages():
+            for stamp, source, log_time in block.messages():
                 until = until or log_time + _FIRST
                 if log_time <= until:
                     stamp += round(self._given.get(source, 0.0) * 1e9)

@@ -12,19 +12,21 @@ live input (:mod:`hiros_mcap.running.process_live`) differ in their output alone
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hiros_mcap.config import Config, load_config
+from hiros_mcap.config import Config, load_config, settings_beside
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.frames import Block
 from hiros_mcap.io.detectors.conversion import SkeletonChoice
-from hiros_mcap.io.log import DAMAGED, Log, Source, open_log
+from hiros_mcap.io.log import DAMAGED, Log, Reading, Source, open_log
 from hiros_mcap.io.rosbag2 import output_file, refuse_foreign_encodings
 from hiros_mcap.outputs import check_outputs, target_kind
 from hiros_mcap.running.observe import DETECTIONS, Observer
@@ -38,6 +40,7 @@ from hiros_mcap.systems import LETTERS, Run, chain_of
 
 __all__ = ["ProcessOptions", "Progress", "Silent", "Watcher", "open_input", "process"]
 
+_log = logging.getLogger(__name__)
 Sink = Callable[[str, Block], None]
 """Takes what went into the first stage, or came out of any, by channel."""
 Output = Callable[[Prepared, Run], AbstractContextManager[NoOutput | LogOutput]]
@@ -62,27 +65,37 @@ def process(
     source : MCAP log with SkeletonGroup channels and the cameras' transforms.
     target : output log; None runs without writing one. A folder, or a name that ends in "/", gets
         a ROS 2 bag.
-    config : parameters of the stages. options : what is read, run and written.
-    progress : follows how far the run is; True shows a bar. watcher : sees every frame on the way.
+    config : parameters of the stages; None takes them from a file hiros.toml in the log's folder,
+        if there is one.
+    options : what is read, run and written.
+    progress : follows how far the run is; True shows a bar on a terminal or in a notebook.
+    watcher : sees every frame on the way.
     force : replace files that hiros did not write.
     choices : fields of :class:`ProcessOptions`, in place of those of ``options``:
         ``process("lab.mcap", "clean.mcap", system="hiros", calibrate="off")``.
 
+    The logger ``hiros_mcap`` gets the warnings of the summary, the steps of the run (INFO), and
+    its notes and events (DEBUG).
+
     Raises
     ------
+    TypeError
+        ``choices`` names no field.
     LogError
         ``source`` is damaged, holds no skeletons or lacks a transform; ``target`` cannot be
         written, is ``source``, or exists and was not written by hiros.
     ConfigError
-        a parameter or a side file is wrong, or there is no such field.
+        a parameter or a side file is wrong.
     """
     options = _chosen(options or ProcessOptions(), choices)
-    config = config or load_config(system=options.system)
+    if config is None:
+        options = replace(options, settings=settings_beside(source))
+        config = load_config(options.settings, system=options.system)
     check_limbs(options)
     kind = "log" if target is None else target_kind(target)
     check_outputs(
         ((None if target is None else Path(target), kind), (options.limbs_out, "limb table")),
-        (source, options.extrinsics, options.limbs_in),
+        (source, options.settings, options.extrinsics, options.limbs_in),
         force=force,
     )
     watch = Stopwatch()
@@ -93,15 +106,33 @@ def process(
         prepared = prepare(log, config, options, watch)
         with _following(progress) as follower:
             report = run_log(prepared, partial(open_output, path), watcher, follower)
-        return report.summary(None if target is None else str(target))
+        return conclude(report, None if target is None else str(target))
+
+
+def conclude(report: Report, target: str | None) -> Summary:
+    """Return the summary of a run that has ended, and log what a user should know."""
+    summary = report.summary(target)
+    for texts, level in ((summary.warnings, logging.WARNING), (summary.notes, logging.DEBUG)):
+        for text in texts:
+            _log.log(level, "%s: %s", summary.source, text)
+    for event in sorted(report.run.events.log, key=lambda event: event.stamp):
+        seconds = (event.stamp - report.log.span[0]) * 1e-9
+        _log.debug("%s: %.3f s: %s", summary.source, seconds, event.text)
+    if target is not None:
+        _log.info("%s: wrote %s", summary.source, target)
+    return summary
 
 
 def _chosen(options: ProcessOptions, choices: Mapping[str, Any]) -> ProcessOptions:
-    """Replace fields; raises ConfigError for one that does not exist."""
+    """Replace fields; raises TypeError for one that does not exist."""
     known = [field.name for field in fields(ProcessOptions)]
     for name in choices:
         if name not in known:
-            raise ConfigError(f"process has no option {name!r} (there are: {', '.join(known)})")
+            near = get_close_matches(name, known, n=1)
+            guess = f"; did you mean {near[0]!r}?" if near else ""
+            raise TypeError(
+                f"process() has no argument {name!r}{guess} (of ProcessOptions: {', '.join(known)})"
+            )
     return replace(options, **choices)
 
 
@@ -111,7 +142,7 @@ def _following(progress: Progress | bool) -> Iterator[Progress | None]:
     if isinstance(progress, bool):
         from hiros_mcap.running.progress_bar import bar
 
-        with bar("process", quiet=not progress, always=True) as shown:
+        with bar("process", quiet=not progress, notebook=True) as shown:
             yield shown
     else:
         yield progress
@@ -146,17 +177,24 @@ def run_log(
 ) -> Report:
     """Run the stages over a log that is prepared, write what comes out, and report."""
     log, options, watch = prepared.log, prepared.options, prepared.watch
+    cameras = ", ".join(name for camera in log.cameras for name in camera.sources.values())
+    _log.info("%s: %s; fixed frame %s", log.path, cameras, log.fixed_frame)
+    for pose in prepared.poses.cameras:
+        _log.info("%s: pose of %s: %s", log.path, pose.name, pose.verdict)
     run, chain = set_up(prepared), chain_of(options.system, options.stages)
+    _log.info("%s: system %s: %s", log.path, options.system, ", ".join(chain))
     observer = Observer(chain)
-    report = Report(prepared, run, observer)
+    reading = log.read()
+    report = Report(prepared, run, observer, reading)
     with output(prepared, run) as out:
         sinks = [observer.see, *_shown_to(watcher, log, chain), out.write]
-        _consume(stream(prepared.detections(), run, chain, sinks, watch), log, progress or Silent())
+        detections = prepared.detections(reading)
+        _consume(stream(detections, run, chain, sinks, watch), log, progress or Silent())
         watch.charge("read", log.reader.cpu_s)
         prepared.clocks.tell(run.events)
         prepared.poses.tell(run.events)
         if options.strict:
-            _refuse_skipped(log, report.summary(None))
+            _refuse_skipped(reading, report.summary(None))
         with watch.timing("write"):
             out.commit(report.summary(None))
         watch.charge("write", out.cpu_s)
@@ -208,12 +246,11 @@ def _consume(blocks: Iterator[Block], log: Log, progress: Progress) -> None:
     progress.update(end - start, end - start)
 
 
-def _refuse_skipped(log: Log, summary: Summary) -> None:
+def _refuse_skipped(reading: Reading, summary: Summary) -> None:
     """Raise LogError if any message was skipped."""
     for camera in summary.cameras:
         for reason, n in camera.skipped.items():
-            error = log.accounts[camera.topic].first_error
+            error = reading.accounts[camera.topic].first_error
             detail = f" ({error})" if error and reason == DAMAGED else ""
-            raise LogError(
-                f"{n} messages skipped: {reason}{detail}", path=log.path, topic=camera.topic
-            )
+            fault = f"{n} messages skipped: {reason}{detail}"
+            raise LogError(fault, path=reading.log.path, topic=camera.topic)

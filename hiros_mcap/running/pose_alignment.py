@@ -18,7 +18,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
-from hiros_mcap.body.transforms import same_place
+from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.camera_graph import coarse_clocks
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
@@ -26,6 +26,7 @@ from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import (
     MOST_S,
+    SHARED_FRAME,
     FixedCamera,
     Survey,
     camera_faults,
@@ -82,6 +83,18 @@ class PoseAlignment:
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
+    better: tuple[Mapping[str, TimedPoses], str] | None = None
+    """Poses of frames that the run uses in place of the log's, and the frame that they are in."""
+
+    left_out: frozenset[str] = frozenset()
+    """Cameras whose poses nobody knows, so that the run does without them."""
+
+    def used_in(self, log: Log) -> Log:
+        """Return the log with the poses, and of the cameras, that the run uses."""
+        if self.left_out:
+            seeing = [c for c in log.cameras if not set(c.sources.values()) <= self.left_out]
+            log = log.only([camera.channel.topic for camera in seeing])
+        return log.with_poses(*self.better) if self.better else log
 
     @property
     def from_nothing(self) -> bool:
@@ -192,6 +205,8 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     log = survey.log
     faults = camera_faults(log)
     free = [camera.name for camera in fixed_cameras(log, faults) if camera.movable]
+    if not free and mode != "require" and {*faults.values()} == {SHARED_FRAME}:
+        return PoseAlignment()  # everybody is where they are in the room: no pose is used
     if len(free) == 1:
         faults |= {free[0]: _ALONE}
     cameras = sorted(
@@ -220,7 +235,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         _require(log, alignment)
     poses = _poses_used(posed)
     if poses:
-        log.use_poses(poses, log.fixed_frame)
+        alignment.better = poses, log.fixed_frame
         alignment.to_given = _to_given(posed)
     return alignment
 
@@ -237,9 +252,9 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
         parts = [0, *(move.part for move in posed.moves if move.camera == camera)]
         times = [(m.log_time - start) / 1e9 for m in posed.moves if m.camera == camera]
         for part, since, until in zip(parts, [math.nan, *times], [*times, math.nan], strict=True):
-            one = posed.found[names.index(camera) + part]
-            one = replace(one, since_s=since, until_s=until)
-            summaries.append(summary_of(one, used=_is_better(one)))
+            stay = posed.found[names.index(camera) + part]
+            stay = replace(stay, since_s=since, until_s=until)
+            summaries.append(summary_of(stay, used=_is_better(stay)))
     for k, one in enumerate(summaries):
         if one.verdict == "impossible" and one.name in faults:
             summaries[k] = replace(one, reason=faults[one.name])
@@ -373,10 +388,13 @@ def _from_nothing(
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
     if len(poses) < 2 or (left and (error is None or mode == "require")):
         raise LogError(_not_found(error, f"{found.reason}. {_DOUBTFUL}"), path=log.path)
-    log.only([c.channel.topic for c in log.cameras if not set(c.sources.values()) <= left])
-    log.use_poses(poses, found.fixed_frame)
-    cameras = [summary_of(one, used=one.name not in left) for one in found.cameras]
-    return PoseAlignment(cameras, found=found, moves=tuple(_moves_of(found)))
+    return PoseAlignment(
+        [summary_of(one, used=one.name not in left) for one in found.cameras],
+        found=found,
+        left_out=frozenset(left),
+        moves=tuple(_moves_of(found)),
+        better=(poses, found.fixed_frame),
+    )
 
 
 def _weak_poses(found: PeopleCalibration) -> Iterator[str]:

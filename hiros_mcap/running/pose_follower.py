@@ -26,7 +26,7 @@ from hiros_mcap.calibrate.survey import (
 )
 from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.frames import Block, join
-from hiros_mcap.io.log import Log
+from hiros_mcap.io.log import Reading
 from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.running.pose_alignment import PoseAlignment, summary_of
 
@@ -47,12 +47,12 @@ class PoseFollower:
 
     Parameters
     ----------
-    log : whose messages are corrected. alignment : what is found goes here.
+    reading : whose messages are corrected. alignment : what is found goes here.
     """
 
-    def __init__(self, log: Log, alignment: PoseAlignment) -> None:
-        self._log, self._alignment = log, alignment
-        self._mirror = symmetry_of(log.model).mirror
+    def __init__(self, reading: Reading, alignment: PoseAlignment) -> None:
+        self._reading, self._alignment = reading, alignment
+        self._mirror = symmetry_of(reading.log.model).mirror
         self._seen: dict[str, list[Sighting]] = {}
         """Whom each camera sees, where the log's poses put them."""
         self._latest: dict[str, int] = {}
@@ -76,9 +76,7 @@ class PoseFollower:
         """Learn from the messages of a block one by one, and correct them."""
         new = self._new_sightings(block)
         moves: dict[int, PoseArrays] = {}
-        for i, (source, log_time) in enumerate(
-            zip(block.sources, block.log_times.tolist(), strict=True)
-        ):
+        for i, (_, source, log_time) in enumerate(block.messages()):
             self._advance(log_time)
             if source in self._moves:
                 moves[i] = self._moves[source]
@@ -86,7 +84,7 @@ class PoseFollower:
                 self._seen.setdefault(source, []).append(new[i])
         if not moves:
             return block
-        block = join([part for *_, part in block.messages()])
+        block = join([block])
         for i, arrays in moves.items():
             move(arrays, 0, block.people.at(slice(*block.rows[i].tolist())))
         return block
@@ -95,7 +93,7 @@ class PoseFollower:
         """Return whom those frames of a block show that come long enough after their last ones."""
         self._start = self._start or int(block.log_times[0])
         chosen = []
-        for i, (stamp, source) in enumerate(zip(block.stamps.tolist(), block.sources, strict=True)):
+        for i, (stamp, source, _) in enumerate(block.messages()):
             if not 0 <= stamp - self._latest.get(source, 0) < SPACING_NS:
                 self._latest[source] = stamp
                 chosen.append(i)
@@ -118,11 +116,12 @@ class PoseFollower:
         self._seen = {
             name: [s for s in some if s.seconds > since] for name, some in self._seen.items()
         }
-        fixed = fixed_cameras(self._log, camera_faults(self._log))
+        log = self._reading.log
+        fixed = fixed_cameras(log, camera_faults(log))
         cameras = sorted(c for c in fixed if c.movable and c.name in self._seen)
         if len(cameras) < 2:
             return
-        anchors = [k for k, one in enumerate(cameras) if one.frame == self._log.fixed_frame]
+        anchors = [k for k, one in enumerate(cameras) if one.frame == log.fixed_frame]
         found = refine_poses(
             [seen_by(camera, self._seen[camera.name], self._mirror) for camera in cameras],
             [camera.pose for camera in cameras],

@@ -17,7 +17,7 @@ from hiros_mcap.config import ClockParams, Config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of
-from hiros_mcap.io.log import Log
+from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.pose_alignment import PoseAlignment, align_cameras
 from hiros_mcap.running.pose_follower import PoseFollower
@@ -42,14 +42,15 @@ class Prepared:
     poses: PoseAlignment
     watch: Stopwatch
 
-    def detections(self) -> Iterator[Block]:
+    def detections(self, reading: Reading | None = None) -> Iterator[Block]:
         """Read the log: detections at corrected times, in the fixed frame, where better poses are.
 
-        Raises LogError where the log is damaged.
+        ``reading`` is one of the log; None begins another. Raises LogError where it is damaged.
         """
-        blocks = self.clocks.correct(self.log.blocks())
+        reading = reading or self.log.read()
+        blocks = self.clocks.correct(reading.blocks())
         if _follows_poses(self.config, self.options):
-            blocks = PoseFollower(self.log, self.poses).correct(blocks)
+            blocks = PoseFollower(reading, self.poses).correct(blocks)
         return blocks
 
 
@@ -69,7 +70,7 @@ def prepare(log: Log, config: Config, options: ProcessOptions, watch: Stopwatch)
     mode, reorder = _calibration(log, config, options), _reorder_of(config, options.system)
     with watch.timing("calibrate"):
         clocks, poses = align_cameras(log, config, mode, reorder)
-    return Prepared(log, config, options, clocks, poses, watch)
+    return Prepared(poses.used_in(log), config, options, clocks, poses, watch)
 
 
 def preparation_key(config: Config, options: ProcessOptions) -> tuple[object, ...]:

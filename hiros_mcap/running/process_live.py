@@ -23,9 +23,9 @@ from hiros_mcap.io.container.live_input import LiveInput
 from hiros_mcap.io.container.live_writer import LiveWriter
 from hiros_mcap.io.live_log import LiveLog, open_live, takes
 from hiros_mcap.io.rosbag2 import needs_latching
-from hiros_mcap.running.pipeline import check_limbs, run_log
+from hiros_mcap.running.pipeline import check_limbs, conclude, run_log
 from hiros_mcap.running.preparation import Prepared, prepare
-from hiros_mcap.running.process_options import ProcessOptions, Watcher
+from hiros_mcap.running.process_options import ProcessOptions, Progress, Watcher
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.running.write import LogOutput, NoOutput, is_kept
 from hiros_mcap.summary import Summary
@@ -40,6 +40,7 @@ def process_live(
     options: ProcessOptions | None = None,
     watcher: Watcher | None = None,
     started: Callable[[LiveLog], None] | None = None,
+    progress: Progress | None = None,
 ) -> Summary:
     """Turn detections into clean skeletons as they come.
 
@@ -51,8 +52,8 @@ def process_live(
     ----------
     source : the input.
     target : descriptor of a pipe, or a file, which appears when the input ends; None for neither.
-    config, options, watcher : as of :func:`hiros_mcap.running.pipeline.process`; the default
-        system is ``fuse-realtime``. Clocks are judged as the messages come.
+    config, options, watcher, progress : as of :func:`hiros_mcap.running.pipeline.process`; the
+        default system is ``fuse-realtime``. Clocks are judged as the messages come.
     started : is called with the log when the first messages are read.
 
     Raises
@@ -67,7 +68,7 @@ def process_live(
     """
     options = options or ProcessOptions(system=LIVE_SYSTEM)
     try:
-        return _process(source, target, config, options, watcher, started)
+        return _process(source, target, config, options, watcher, started, progress)
     finally:
         source.close()
 
@@ -79,6 +80,7 @@ def _process(
     options: ProcessOptions,
     watcher: Watcher | None,
     started: Callable[[LiveLog], None] | None,
+    progress: Progress | None,
 ) -> Summary:
     config = _causal(config or load_config(system=options.system), options)
     check_limbs(options)
@@ -92,8 +94,8 @@ def _process(
     if started is not None:
         started(log)
     prepared = prepare(log, config, options, watch)
-    report = run_log(prepared, partial(_open_output, target, source, log), watcher)
-    return report.summary(str(target) if isinstance(target, Path) else None)
+    report = run_log(prepared, partial(_open_output, target, source, log), watcher, progress)
+    return conclude(report, str(target) if isinstance(target, Path) else None)
 
 
 def subscription(options: ProcessOptions) -> Callable[[str, str], bool]:

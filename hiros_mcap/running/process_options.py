@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 from hiros_mcap.defaults import DEFAULT_SYSTEM
+from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.skeletons import Frame
@@ -19,7 +20,11 @@ which the people do not confirm every camera's pose."""
 
 @dataclass(frozen=True, slots=True)
 class ProcessOptions:
-    """What is read, run and written, besides the parameters of the stages."""
+    """What is read, run and written, besides the parameters of the stages.
+
+    A file may be given as text, a single glob without its tuple. Raises ConfigError for a choice
+    that does not exist.
+    """
 
     system: str = DEFAULT_SYSTEM
     """A key of :data:`hiros_mcap.systems.SYSTEMS`."""
@@ -29,6 +34,8 @@ class ProcessOptions:
     """Globs of the detection channels; empty = every SkeletonGroup channel."""
     keep: tuple[str, ...] | None = None
     """Globs of the input channels to copy; None = those read, the transforms and a /truth."""
+    settings: Path | None = None
+    """File that the parameters come from, for the summary."""
     extrinsics: Path | None = None
     """File with the cameras' poses. It replaces the log's transforms."""
     limbs_in: Path | None = None
@@ -47,6 +54,21 @@ class ProcessOptions:
     """Also write the last stage as MarkerArray and JointState, and the events as Log."""
     compression: str = "zstd"
     """Of the output: zstd, lz4 or "" for none."""
+
+    def __post_init__(self) -> None:
+        for name in ("topics", "keep"):
+            if (globs := getattr(self, name)) is not None:
+                several = (globs,) if isinstance(globs, str) else tuple(globs)
+                object.__setattr__(self, name, several)
+        for name in ("settings", "extrinsics", "limbs_in", "limbs_out"):
+            if (path := getattr(self, name)) is not None:
+                object.__setattr__(self, name, Path(path))
+        for name, choices in _CHOICES.items():
+            if (value := getattr(self, name)) not in choices:
+                raise ConfigError(f"{name}: {value!r} is none of {', '.join(map(repr, choices))}")
+
+
+_CHOICES = {"calibrate": get_args(Calibration), "compression": ("zstd", "lz4", "")}
 
 
 class Progress(Protocol):

@@ -1,4 +1,4 @@
-"""A progress bar for people; nothing at all for a pipe."""
+"""How far something is, for people: a bar on a terminal or in a notebook, nothing for a pipe."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress, TaskID
 
-PERIOD_S = 0.1
+_NOTEBOOK_WIDTH = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,33 +28,63 @@ class Bar:
         if self.progress is not None and self.task is not None:
             self.progress.update(self.task, completed=done, total=total)
 
+    def label(self, text: str) -> None:
+        """Show a text in place of the label."""
+        if self.progress is not None and self.task is not None:
+            self.progress.update(self.task, description=text)
+
 
 @contextmanager
-def bar(label: str, *, quiet: bool, always: bool = False) -> Iterator[Bar]:
-    """Show a bar with the time that remains on stderr until the end.
+def bar(label: str, *, quiet: bool, notebook: bool = False) -> Iterator[Bar]:
+    """Show a bar with the time on stderr until the end.
 
-    In a pipe it shows nothing unless ``always``; a notebook is a pipe that can show it.
+    The time is what remains, or what has passed as long as nobody says how much there is to do.
+    Without a terminal there is no bar, but where ``notebook`` allows it in one.
     """
-    is_plain = not sys.stderr.isatty() or os.environ.get("TERM") == "dumb"
-    if quiet or (is_plain and not always):
+    shown_on = None if quiet else _console(notebook=notebook)
+    if shown_on is None:
         yield Bar()
         return
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         Progress,
+        Task,
         TaskProgressColumn,
         TextColumn,
+        TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    class Time(TimeRemainingColumn):
+        def render(self, task: Task) -> Text:
+            return super().render(task) if task.total else TimeElapsedColumn().render(task)
 
     with Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
+        Time(),
+        console=shown_on,
         transient=True,
-        refresh_per_second=1 / PERIOD_S,
+        refresh_per_second=10 if shown_on.color_system else 2,  # a notebook keeps every state
     ) as progress:
         yield Bar(progress, progress.add_task(label, total=None))
+
+
+def _console(*, notebook: bool) -> Console | None:
+    """Return where a bar can be seen, if anywhere."""
+    from rich.console import Console
+
+    if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+        return Console(stderr=True)
+    if notebook and "ipykernel" in sys.modules:
+        # Not rich's own way, which shows nothing unless ipywidgets are installed.
+        return Console(
+            stderr=True,
+            color_system=None,
+            force_jupyter=False,
+            force_terminal=True,
+            width=_NOTEBOOK_WIDTH,
+        )
+    return None

@@ -46,7 +46,7 @@ class Recording:
         """
         with open_input(source, config, options) as log:
             prepared = prepare(log, config, options, Stopwatch())
-            _ = log.span  # needs the file
+            _ = prepared.log.span  # needs the file
             return cls(prepared, tuple(prepared.detections()))
 
     @property
@@ -63,7 +63,7 @@ class Recording:
     @property
     def sources(self) -> frozenset[str]:
         """Cameras that sent anything."""
-        return frozenset(source for block in self.blocks for source in block.sources)
+        return frozenset(source for block in self.blocks for _, source, _ in block.messages())
 
     def frames(self) -> Iterator[Frame]:
         """Yield the detections."""
@@ -102,10 +102,12 @@ class Recording:
     def _blocks_of(self, sources: Collection[str] | None) -> Iterator[Block]:
         """Yield the detections of some cameras."""
         for block in self.blocks:
-            if sources is None or set(block.sources) <= set(sources):
+            if sources is None:
                 yield block
-            elif rows := [i for i, source in enumerate(block.sources) if source in sources]:
-                yield block.select(rows, block.log_times[rows].tolist())
+                continue
+            wanted = np.array([name in sources for name in block.names])[block.sources]
+            if wanted.any():
+                yield block.select(np.flatnonzero(wanted))
 
 
 def _as_written(block: Block, precision: Precision) -> Block:

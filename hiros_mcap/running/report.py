@@ -13,7 +13,7 @@ import numpy as np
 from hiros_mcap.calibrate.gauge import placement_error
 from hiros_mcap.events import TOO_LATE, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
-from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log
+from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
 from hiros_mcap.running.model_check import scatter_by_camera, scatter_notes, scatter_of
 from hiros_mcap.running.observe import Observer, Presence
@@ -57,11 +57,12 @@ class Report:
     prepared: Prepared
     run: Run
     observer: Observer
+    reading: Reading
 
     @property
     def log(self) -> Log:
-        """The log that is read."""
-        return self.prepared.log
+        """The log that is read, as far as it is known."""
+        return self.reading.log
 
     @property
     def clocks(self) -> ClockAlignment:
@@ -88,6 +89,7 @@ class Report:
             log_s=(end - start) * 1e-9,
             wall_s=time.perf_counter() - watch.started,
             system=self.run.system,
+            settings=str(self.prepared.options.settings or ""),
             cameras=cameras,
             poses=tuple(self.poses.cameras),
             placement=self._placement(),
@@ -111,7 +113,7 @@ class Report:
     def _camera(self, camera: CameraChannel) -> CameraSummary:
         """Return what became of a camera's messages."""
         counts, hertz = self.run.events.counts, self.observer.rates
-        account = self.log.accounts[camera.channel.topic]
+        account = self.reading.accounts[camera.channel.topic]
         sources = sorted(camera.sources.values())
         rates = [hertz[source].hertz for source in sources if source in hertz]
         # Cameras that share messages: the one that lost most, since each lost a part of them.
@@ -159,12 +161,17 @@ class Report:
             damaged = "is damaged" if self.log.recovery else "was damaged before it was recovered"
             yield f"the recording {damaged}; {self.log.losses}"
         stage = "track" if "track" in sections_of(self.run.system) else "associate"
+        few: list[str] = []
         for camera in cameras:
             # A repeat of old skeletons holds nothing that could be lost.
             lost = {reason: n for reason, n in camera.skipped.items() if reason != STALE}
             if sum(lost.values()) > _LARGEST_LOSS * camera.messages:
                 yield _loss(camera, lost, stage)
-        for account in self.log.accounts.values():
+                continue
+            few += [f"{camera.topic}: {n} {why}" for why, n in lost.items() if why != DAMAGED]
+        if few:
+            yield f"a few messages were not used: {'; '.join(few)}"
+        for account in self.reading.accounts.values():
             if account.first_error:
                 n = account.skipped[DAMAGED]
                 yield (
@@ -175,7 +182,7 @@ class Report:
         yield from clock_warnings(self.clocks.faults, self.log.span[0])
         yield from self.poses.warnings()
         yield from self._displaced()
-        yield from self.log.warnings
+        yield from self.reading.warnings
         if not self.observer.people:
             yield from self._nobody()
 
@@ -221,9 +228,10 @@ class Report:
     def _all_notes(self) -> Iterator[str]:
         """Yield what nobody asked for but should know."""
         yield from unmatched_globs(self.log, self.prepared.options)
+        yield from self.observer.pauses.notes(self.log.span[0])
         yield from self.poses.notes()
-        yield from self.log.remarks
-        for account in self.log.accounts.values():
+        yield from self.reading.remarks
+        for account in self.reading.accounts.values():
             yield from _input_notes(account)
         totals: Counter[str] = Counter()
         for (kind, _), n in self.run.events.counts.items():
@@ -256,6 +264,11 @@ def _loss(camera: CameraSummary, lost: Mapping[str, int], stage: str) -> str:
 def _input_notes(account: Account) -> Iterator[str]:
     """Yield what was odd in the messages of a topic."""
     topic = account.topic
+    if n := account.skipped.get(STALE):
+        yield (
+            f"{topic}: {quantity(n, 'message')} skipped as stale repeats: the detector sent what "
+            "it had sent before, with the old time"
+        )
     if account.stale:
         yield f"{topic}: {quantity(account.stale, 'repeated old skeleton')} ignored"
     for kind, n in sorted(account.cleaned.items()):

@@ -36,7 +36,7 @@ from hiros_mcap.io.container import ChunkCopier, McapWriter
 from hiros_mcap.io.container.recovery import RECOVERY_METADATA
 from hiros_mcap.io.digest import digest_of
 from hiros_mcap.io.log import Log
-from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_message
+from hiros_mcap.io.marker_uncertainty import UNCERTAINTY_TOPIC, uncertainty_messages
 from hiros_mcap.io.rosbag2 import copy_latched, needs_latching
 from hiros_mcap.running.observe import DETECTIONS
 from hiros_mcap.running.preparation import Prepared
@@ -170,8 +170,7 @@ class LogOutput:
         if not self._uncertainty:
             topic, kind = UNCERTAINTY_TOPIC, hiros_schemas.UNCERTAINTY
             self._uncertainty = add_ros_channel(self._writer, topic, kind)
-        for frame, time in zip(block.frames(), times, strict=True):
-            message = uncertainty_message(frame, self._model)
+        for message, time in zip(uncertainty_messages(block, self._model), times, strict=True):
             self._writer.write(self._uncertainty, time, message)
 
     def commit(self, summary: Summary) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,10 +26,14 @@ from hiros_mcap.simulate.motion import (
     Walker,
     standing,
 )
-from hiros_mcap.simulate.paths import TURN, Eight, Ellipse, Path, Spot
+from hiros_mcap.simulate.paths import TURN, Eight, Ellipse, Path, Rounds, Spot
+from hiros_mcap.simulate.settings import ROOM, WALL, Area
 from hiros_mcap.skeletons import Floats
 
 SPEED = {WALK: 1.2, JOG: 2.5, MARCH: 0.0, CRAWL: CRAWL_SPEED}  # m/s, mean along the path
+
+_SMALLEST = 0.3  # m; half of a way through a room, however small that is
+_USUAL_ROUND = 0.7  # size of a round, as far as time goes, to the largest one
 
 Layout = Callable[[int, float, np.random.Generator], Sequence[Path]]
 """Paths of n people who move at a mean speed, m/s, without running into each other."""
@@ -122,6 +127,18 @@ def eight(n: int, speed: float, rng: np.random.Generator) -> list[Path]:
     return [Eight(10.0 / speed, start + k / share, semi) for k in range(n)]
 
 
+def roam(n: int, speed: float, rng: np.random.Generator, area: Area = ROOM) -> Sequence[Path]:
+    """Everybody through the whole room on rounds that grow and shrink, away from the walls."""
+    x, y = (np.add(area[:2], area[2:]) / 2).tolist()
+    semi = np.maximum(np.subtract(area[2:], area[:2]) / 2 - WALL, _SMALLEST)
+    period = TURN * _USUAL_ROUND * float(np.hypot(*semi)) / np.sqrt(2) / speed
+    start = rng.random()
+    return [
+        Rounds(period, start + k / n, (semi[0], semi[1]), (x, y), rng.uniform(0, TURN))
+        for k in range(n)
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class Action:
     """Where people are, how they get about, what they do meanwhile."""
@@ -129,6 +146,10 @@ class Action:
     layout: Layout
     gait: Gait | None = None
     gesture: Gesture | None = None
+
+    def inside(self, area: Area) -> Action:
+        """Return the action in another room, if people roam in it: least x, y, greatest x, y."""
+        return replace(self, layout=partial(roam, area=area)) if self.layout is roam else self
 
     def perform(
         self,
@@ -186,6 +207,7 @@ ACTIONS: dict[str, Action] = {
     "cross": Action(crossing, WALK),
     "in_out": Action(in_and_out, WALK),
     "eight": Action(eight, WALK),
+    "roam": Action(roam, WALK),
     "lunge": Action(spots, gesture=gestures.lunge),
     "hands_up_down": Action(spots, gesture=gestures.hands_up_down),
     "walk_in_place": Action(spots, MARCH),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiros_mcap.body.rotations import Rigid, multiply
+from hiros_mcap.body.rotations import Rigid, multiply, to_matrix
 from hiros_mcap.simulate.randomness import stream
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.simulate.spatial import from_vector, quaternions
@@ -56,21 +56,31 @@ class SimulatedCamera:
 
 
 def build_cameras(params: SimulateParams) -> list[SimulatedCamera]:
-    """Build cameras on a circle, looking inwards; two stand at a right angle."""
+    """Build cameras at their poses, or on a circle, looking inwards; two at a right angle."""
+    if params.rig.poses:
+        poses = [Rigid(np.array(each[3:]), np.array(each[:3])) for each in params.rig.poses]
+        return [_camera(params, k, pose, to_matrix(pose.xyzw)) for k, pose in enumerate(poses)]
     turn = stream(params.seed, "rig").uniform(0, 2 * np.pi)
     step = 2 * np.pi / max(params.cameras, 4 if params.cameras == 2 else 1)
-    return [_camera(params, index, turn + index * step) for index in range(params.cameras)]
+    return [_on_circle(params, index, turn + index * step) for index in range(params.cameras)]
 
 
-def _camera(params: SimulateParams, index: int, bearing: float) -> SimulatedCamera:
+def _on_circle(params: SimulateParams, index: int, bearing: float) -> SimulatedCamera:
     rig = params.rig
     place = np.array([rig.radius * np.cos(bearing), rig.radius * np.sin(bearing), rig.height])
-    forward = np.array([0.0, 0.0, rig.aim_height]) - place
-    forward /= np.linalg.norm(forward)
+    matrix = aimed(np.array([0.0, 0.0, rig.aim_height]) - place)
+    return _camera(params, index, Rigid(quaternions(matrix), place), matrix)
+
+
+def aimed(forward: Floats) -> Floats:
+    """(3, 3) rotation from camera to world of a camera that looks along ``forward`` (3,), m."""
+    forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    matrix = np.column_stack([right, np.cross(forward, right), forward])
-    pose = Rigid(quaternions(matrix), place)
+    return np.column_stack([right, np.cross(forward, right), forward])
+
+
+def _camera(params: SimulateParams, index: int, pose: Rigid, matrix: Floats) -> SimulatedCamera:
     return SimulatedCamera(
         index, matrix, pose, _with_calibration_error(pose, params, index), _ticks(params, index)
     )

@@ -15,16 +15,17 @@ from hiros_mcap.body.rotations import conjugate, multiply, rotate
 from hiros_mcap.simulate.body_model import LINK_SEGMENTS, MARKERS, MODEL, SLOT, SYMMETRY, BodyModel
 from hiros_mcap.simulate.cameras import SimulatedCamera, seconds_since
 from hiros_mcap.simulate.motion import Person, standing
-from hiros_mcap.simulate.occlusion import Mask, look
+from hiros_mcap.simulate.occlusion import Mask, Sight, look
 from hiros_mcap.simulate.paths import Spot
 from hiros_mcap.simulate.performer import Performer
 from hiros_mcap.simulate.randomness import coloured, episodes, stream
-from hiros_mcap.simulate.settings import SimulateParams
+from hiros_mcap.simulate.settings import DetectorParams, SimulateParams
 from hiros_mcap.simulate.spatial import from_vector, quaternions
 from hiros_mcap.skeletons import Floats
 
 _SHARE_INSIDE = 0.5  # a body of which less than this is in the picture is not detected
-_REFERENCE_RANGE = 3.5  # m, where the errors have their nominal size
+REFERENCE_RANGE = 3.5
+"""m, where the errors have their nominal size."""
 _SPAWN_ROTATION = np.radians(25.0)  # SD per axis of the link orientations of a wrong first pose
 _FRONT_FLIP_SHARE = 0.2  # flips are this much rarer when the camera sees the face
 _HALF_ROTATION = np.array([0.0, 1.0, 0.0, 0.0])  # about a segment's own long axis
@@ -110,13 +111,19 @@ def _hide(detections: SimulatedDetections, params: SimulateParams) -> None:
     """Decide which bodies are detected and which of their joints are guessed."""
     detector, solid = params.detector, params.occlusion > 0
     sight = look(detections.positions, params.rig, solid=solid)
-    inside = sight.framed.mean(-1)
-    clear = (sight.framed & ~sight.covered).mean(-1)
-    detections.present &= (inside >= _SHARE_INSIDE) & (clear >= (1 - detector.hidden) * inside)
+    detections.present &= is_detected(sight, detector)
     if solid:
         detections.guessed[:] = sight.hidden | ~sight.framed
         detections.confidences[sight.hidden] = detector.confidence_guessed
         detections.confidences[~sight.framed] = detector.confidence_outside
+
+
+def is_detected(sight: Sight, detector: DetectorParams) -> Mask:
+    """(n, P) whether enough of a body is in the picture, and not behind others."""
+    inside = sight.framed.mean(-1)
+    clear = (sight.framed & ~sight.covered).mean(-1)
+    detected: Mask = (inside >= _SHARE_INSIDE) & (clear >= (1 - detector.hidden) * inside)
+    return detected
 
 
 def _flip(detections: SimulatedDetections, camera: SimulatedCamera, params: SimulateParams) -> None:
@@ -177,7 +184,7 @@ def _disturb(
     """Add noise and bias to everything, and more to what is guessed."""
     d = params.detector
     distance = np.linalg.norm(detections.positions[:, :, 0], axis=-1)[..., None, None]
-    growth = (distance / _REFERENCE_RANGE) ** d.range_growth
+    growth = (distance / REFERENCE_RANGE) ** d.range_growth
     wide = params.noise * (1 + (d.extremities - 1) * EXTREMITY[:, None])
     far = params.occlusion * (1 + (d.guess_extremities - 1) * EXTREMITY[:, None])
     joints = _Deviations(d.coloured * wide * growth, d.white * wide * growth, d.bias * wide,

@@ -111,6 +111,51 @@ class Eight:
         return unwrapped(tangent, near=np.full(u.shape, -np.pi / 2))
 
 
+_SMALL_ROUND = 0.3  # to the largest
+_ROUNDS = 1.62  # from one large round to the next; not whole, so that all of the room is walked
+
+
+@dataclass(frozen=True, slots=True)
+class Rounds:
+    """Round and round through a rectangle, on rounds that grow and shrink.
+
+    Rounds have rounded corners (superellipses of degree 4). Whoever shares their number per second
+    and starts at another ``phase`` stays in another direction of the centre. ``beat``, rad, is
+    where the size of the rounds starts.
+    """
+
+    period: float
+    phase: float
+    semi: tuple[float, float]
+    centre: tuple[float, float]
+    beat: float
+
+    def _polar(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """Angle, radius and its derivative by the angle, of the unit square."""
+        u = TURN * (t / self.period + self.phase)
+        c, s, beat = np.cos(u), np.sin(u), u / _ROUNDS + self.beat
+        least = _SMALL_ROUND**2
+        # The square of the size goes evenly, and so all of the floor is walked alike.
+        size = np.sqrt(least + (1 - least) * (1 + np.cos(beat)) / 2)
+        growth = -(1 - least) * np.sin(beat) / (4 * _ROUNDS * size)
+        corner = (c**4 + s**4) ** -0.25
+        bend = corner**5 * c * s * (c**2 - s**2)
+        return u, size * corner, growth * corner + size * bend
+
+    def position(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        u, radius, _ = self._polar(t)
+        x, y = self.semi[0] * radius * np.cos(u), self.semi[1] * radius * np.sin(u)
+        return np.stack([x + self.centre[0], y + self.centre[1]], axis=-1)
+
+    def heading(self, t: Floats) -> Floats:
+        """See :class:`Path`."""
+        u, radius, change = self._polar(t)
+        east = self.semi[0] * (change * np.cos(u) - radius * np.sin(u))
+        north = self.semi[1] * (change * np.sin(u) + radius * np.cos(u))
+        return unwrapped(np.arctan2(north, east), near=u + np.pi / 2)
+
+
 def unwrapped(angle: Floats, near: Floats) -> Floats:
     """``angle`` plus the whole turns that bring it within half a turn of ``near``."""
     turns: Floats = angle - TURN * np.round((angle - near) / TURN)

@@ -26,6 +26,12 @@ def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
 Range = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_ordered)]
 PositiveRange = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ordered)]
 Frames = Annotated[tuple[PositiveInt, PositiveInt], AfterValidator(_ordered)]
+CameraPose = tuple[float, float, float, float, float, float, float]
+Area = tuple[float, float, float, float]
+"""Least x and y, greatest x and y, m."""
+ROOM: Area = (-2.5, -2.0, 2.5, 2.0)
+WALL = 0.5
+"""m; nobody comes closer to a wall."""
 Angle = Annotated[float, Field(gt=0, lt=180)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Scale = Annotated[float, Field(ge=0, le=100)]
@@ -47,6 +53,7 @@ ActionName = Literal[
     "cross",
     "in_out",
     "eight",
+    "roam",
     "lunge",
     "hands_up_down",
     "walk_in_place",
@@ -67,6 +74,12 @@ MOST_BYTES = 16e9
 
 class RigParams(Params):
     """The cameras: where they stand, what they see, how their clocks run."""
+
+    poses: tuple[CameraPose, ...] = advanced(
+        (),
+        description="Pose of each camera in the world: x, y, z, m, and quaternion x y z w; "
+        "default: on a circle.",
+    )
 
     radius: PositiveFloat = advanced(3.6, description="Distance from the middle of the room, m.")
     height: PositiveFloat = advanced(2.0, description="Height of the cameras, m.")
@@ -191,6 +204,10 @@ class SimulateParams(Params):
         description="Direction that everybody on a spot faces, deg from x to y; default: at "
         "random.",
     )
+    area: Area = advanced(
+        ROOM,
+        description="Room in which people roam, m: least x and y, greatest x and y.",
+    )
     motion: tuple[str, ...] = Field(
         (),
         description="AMC or BVH files that people perform instead of the action, one each; more "
@@ -240,6 +257,8 @@ class SimulateParams(Params):
 
     @model_validator(mode="after")
     def _fits(self) -> SimulateParams:
+        if self.rig.poses and len(self.rig.poses) != self.cameras:
+            raise ValueError(f"there are {len(self.rig.poses)} poses of {self.cameras} cameras")
         if self.memory > MOST_BYTES:
             raise ValueError(
                 f"{self.seconds:g} s, {self.rig.rate:g} Hz, {self.cameras} cameras and "

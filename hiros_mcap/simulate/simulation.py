@@ -68,7 +68,7 @@ class Simulation:
         motion = stream(params.seed, "motion")
         if params.motion:
             return perform_files(params, bodies, motion)
-        return ACTIONS[params.action].perform(bodies, motion, params.facing)
+        return ACTIONS[params.action].inside(params.area).perform(bodies, motion, params.facing)
 
     @cached_property
     def cameras(self) -> list[SimulatedCamera]:

@@ -13,9 +13,10 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, frames_of
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.associate_params import AssociateParams
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.malaguti_params import AssociateParams
 
 
 def associate(
@@ -39,7 +40,7 @@ def associate(
 
     params = params or AssociateParams()
     associator = _Associator(params, Events() if events is None else events)
-    for frame in in_time_order(frames, params.reorder):
+    for frame in frames_of(in_time_order(map(Block.of, frames), params.reorder)):
         yield associator.update(frame)
 
 

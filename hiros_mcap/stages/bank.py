@@ -6,6 +6,8 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from hiros_mcap.skeletons import UNTRACKED, Ints, Stamps
+
 P = TypeVar("P", bound=NamedTuple)
 
 
@@ -39,6 +41,23 @@ class Bank(Generic[P]):
             self._clear(self.rows[person])
         self.last_seen[person] = max(stamp, self.last_seen.get(person, stamp))
         return self.rows[person]
+
+    def rows_of(self, people: Ints, stamps: Stamps) -> Stamps:
+        """(P,) Rows of people who are seen at these times, ns, in order; -1 where UNTRACKED.
+
+        Somebody who comes back after having been forgotten starts anew.
+        """
+        rows = np.full(len(people), -1, np.int64)
+        for person in np.unique(people[people != UNTRACKED]).tolist():
+            own = np.flatnonzero(people == person)
+            times = stamps[own]
+            before, last = self.last_seen.get(person, times[0]), int(times.max())
+            if last - before > self._patience < np.diff(times, prepend=before).max():
+                self.forget(person)
+            rows[own] = self.row(person, last)
+        if len(stamps):
+            self.expire(int(stamps.max()))
+        return rows
 
     def expire(self, now: int) -> list[int]:
         """Forget those who were not seen for long enough at ``now``, ns; return who they were."""

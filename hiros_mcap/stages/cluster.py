@@ -22,8 +22,8 @@ from hiros_mcap.frames import Block
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.skeletons import Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.cluster_params import ClusterParams
 from hiros_mcap.stages.instants import InstantMerger
+from hiros_mcap.stages.lee_params import ClusterParams
 
 LEE_JOINTS = (
     "PELVIS", "SPINE_NAVEL", "NECK", "HEAD",

@@ -22,7 +22,7 @@ import numpy as np
 from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, join
+from hiros_mcap.frames import Block, HeldFrames
 from hiros_mcap.skeletons import (
     POSITION,
     STATE,
@@ -33,7 +33,7 @@ from hiros_mcap.skeletons import (
     SkeletonModel,
     Stamps,
 )
-from hiros_mcap.stages.constrain_params import ConstrainParams
+from hiros_mcap.stages.fuse_params import ConstrainParams
 from hiros_mcap.stages.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.pose_prior import RecentMotion, local_frames, shrink_noise
 from hiros_mcap.stages.residuals import restated
@@ -74,22 +74,22 @@ def constrain_blocks(
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
     waiting: deque[_Waiting] = deque()
-    held: list[Part] = []
+    held, first, begin = HeldFrames(), 0, None
     for block in blocks:
-        for i, stamp in enumerate(block.stamps.tolist()):
-            held.append((block, i))
-            first = held[0][0].stamps[held[0][1]]
-            if stamp - first >= params.window * 1e9:
-                waiting.append(_Waiting(bodies.measured(held)))
-                held = []
+        for number, (stamp, _, log_time) in enumerate(block.messages(), held.add(block)):
+            begin = stamp if begin is None else begin
+            if stamp - begin >= params.window * 1e9:
+                waiting.append(_Waiting(bodies.measured(held.copies(range(first, number + 1)))))
+                first, begin = number + 1, None
                 while waiting and bodies.can_correct(waiting[0].block, stamp):
-                    yield bodies.corrected(waiting.popleft().whole(), block.log_times[i])
+                    yield bodies.corrected(waiting.popleft().whole(), log_time)
                 if waiting:
                     waiting[-1].pack()
-    if held:
-        waiting.append(_Waiting(bodies.measured(held)))
+        held.keep(range(first, held.count))
+    if held.count > first:
+        waiting.append(_Waiting(bodies.measured(held.copies(range(first, held.count)))))
     bodies.end_of_log()
-    end = waiting[-1].block.log_times[-1] if waiting else 0
+    end = int(waiting[-1].block.log_times[-1]) if waiting else 0
     while waiting:
         yield bodies.corrected(waiting.popleft().whole(), end)
 
@@ -152,11 +152,10 @@ class _Bodies:
         self._limbs = PairLimbs(model, self._pairs, limbs)
         self._people: dict[int, _Body] = {}
 
-    def measured(self, held: list[Part]) -> Block:
+    def measured(self, out: Block) -> Block:
         """Measure everybody in a window, as long as the lengths are not well known; return it."""
-        out = join(held)
         variances = own_variances(out)
-        stamps = np.repeat(out.stamps, np.diff(out.rows).ravel())
+        stamps = np.repeat(out.stamps, out.sizes)
         for person, rows in _tracked(out):
             body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
@@ -220,8 +219,7 @@ class _Bodies:
             self._project(out, which, lengths, variances)
         now = int(out.stamps[-1])
         self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
-        log_times = np.full(len(out), log_time)
-        return replace(surer(out, variances, self._links), log_times=log_times)  # 4
+        return surer(out, variances, self._links).logged_at([log_time] * len(out))  # 4
 
     def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
         from hiros_mcap.kernels.link_lengths import project_all

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hiros_mcap.skeletons import Floats
+from hiros_mcap.skeletons import Flags, Floats
 
 _PERSON_RADIUS = 0.35  # m: a person this near to a line of sight blocks it
 _MARGIN = 0.3  # m: how far a place may lie beyond the farthest person reported
@@ -34,6 +34,12 @@ class _FieldOfView:
         near = self.nearest - margin <= distance <= self.farthest + margin
         return near and float(direction @ self.axis) >= self.least_cosine
 
+    def contain(self, rays: Floats, distances: Floats) -> Flags:
+        """(N,) Whether the cone holds the ends of ``rays`` (N, 3), m, or they have no length."""
+        near = (self.nearest <= distances) & (distances <= self.farthest)
+        held = near & (rays @ self.axis >= self.least_cosine * distances)
+        return np.asarray(held | (distances <= 0.0))
+
 
 class Coverage:
     """Says whether a camera ought to see a place.
@@ -57,13 +63,21 @@ class Coverage:
         view = self._views[source]
         return stamp - view.stamp >= (_INTERVAL if view.people >= _ENOUGH else _FIRST_INTERVAL)
 
-    def learn(self, source: str, place: Floats, stamp: int) -> None:
-        """Note that ``source`` reported a person at ``place`` (3,), m, in the fixed frame."""
+    def learn(self, source: str, places: Floats | Sequence[Floats], stamp: int) -> None:
+        """Note that ``source`` reported people at ``places`` (N, 3), m, in the fixed frame."""
+        if not len(places):
+            return
         view = self._views.setdefault(source, _FieldOfView())
         view.stamp = stamp
-        view.people += 1
-        ray = place - self._origins[source]
-        distance = float(np.linalg.norm(ray))
+        view.people += len(places)
+        rays = np.asarray(places) - self._origins[source]
+        distances = np.sqrt((rays * rays).sum(axis=1))
+        inside = view.contain(rays, distances)
+        for k in range(len(rays) if not inside.all() else 0):
+            self._widen(view, rays[k], float(distances[k]))
+
+    def _widen(self, view: _FieldOfView, ray: Floats, distance: float) -> None:
+        """Let a camera's cone hold a place, too."""
         if distance <= 0.0 or view.contains(ray / distance, distance, 0.0):
             return
         view.directions.append(ray / distance)

@@ -11,21 +11,21 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, join
+from hiros_mcap.frames import Block, HeldFrames
 from hiros_mcap.kernels import state_space
 from hiros_mcap.kernels.filtering import FilterMethod, FilterPast, FilterSettings, FilterSteps
 from hiros_mcap.kernels.link_lengths import average_lengths, restore_lengths
-from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel
+from hiros_mcap.skeletons import POSITION, UNTRACKED, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.delay import Delay
-from hiros_mcap.stages.filter_params import FilterParams
+from hiros_mcap.stages.hiros_params import FilterParams
 
 _JITTER = 0.001
 """s by which a frame may come early and still complete a look-ahead: stamps are rounded."""
@@ -75,7 +75,7 @@ def filter_blocks(
     skeletons = _SkeletonFilter(model, params, events, keep_positions=keep_positions)
     for block in blocks:
         for start in range(0, len(block), _BATCH):
-            yield from skeletons.update(block, range(start, min(start + _BATCH, len(block))))
+            yield from skeletons.update(block.select(slice(start, start + _BATCH)))
     yield from skeletons.rest()
 
 
@@ -102,17 +102,18 @@ class _SkeletonFilter:
         self._n_people = 0
         self._sample_times: dict[str, _SampleTime] = {}
         self._delay: Delay[_HeldFrame] = Delay(max(params.lookahead - _JITTER, 0.0))
+        self._held = HeldFrames()
         self._last: tuple[int, int] | None = None
         """Stamp and log time of the latest frame."""
 
-    def update(self, block: Block, frames: Iterable[int]) -> Iterator[Block]:
-        """Filter some frames of a block; yield those whose look-ahead is complete."""
-        plan = _FilterPlan()
-        for i in frames:
-            stamp, log_time = int(block.stamps[i]), int(block.log_times[i])
+    def update(self, block: Block) -> Iterator[Block]:
+        """Filter frames; yield those whose look-ahead is complete."""
+        plan, first = _FilterPlan(), self._held.add(block)
+        for i, (stamp, source, log_time) in enumerate(block.messages()):
             if self._last and stamp - self._last[0] > self._params.max_gap * 1e9:
                 self._estimate(plan, self._delay.rest(), self._last[1])  # no frame waits over a gap
-            held = self._add(plan, (block, i), stamp)  # 3.4: needs people with ids
+            people = self._add(plan, block.people, block.rows[i], stamp, source)  # 3.4: with ids
+            held = _HeldFrame(first + i, int(block.sizes[i]), people, self._sample_times[source])
             self._delay.push(stamp, held)  # until its look-ahead is complete
             self._estimate(plan, self._delay.release(stamp, lambda held: False), log_time)
             self._last = stamp, log_time
@@ -136,7 +137,8 @@ class _SkeletonFilter:
             if self._params.keep_lengths:
                 average_lengths(people, steps, past, self._links, self._params.length_time)
         if plan.done:
-            out, steps = join(plan.done), plan.estimates()
+            out, steps = self._held.copies(plan.done), plan.estimates()
+            self._held.keep(range(plan.done[-1] + 1, self._held.count))
             given = out.people.markers[:, :, POSITION].copy()
             # Beyond 3.4: the look-ahead, which removes the lag (fixed-lag smoothing)
             self._method.estimate(out.people, steps, past, settings, work)
@@ -145,19 +147,19 @@ class _SkeletonFilter:
                 positions[:] = np.where(np.isnan(given), positions, given)
             elif self._params.keep_lengths:
                 restore_lengths(out.people, steps, past, self._links)
-            yield replace(out, log_times=np.array(plan.log_times, np.int64))
+            yield out.logged_at(plan.log_times)
         self._forget()
 
-    def _add(self, plan: _FilterPlan, part: Part, stamp: int) -> _HeldFrame:
-        """Plan a step of everybody in a frame."""
-        block, i = part
-        source = block.sources[i]
+    def _add(
+        self, plan: _FilterPlan, people: People, rows: Stamps, stamp: int, source: str
+    ) -> list[tuple[int, _FilteredPerson, int]]:
+        """Plan a step of everybody in a frame; return them as in :class:`_HeldFrame`."""
         if source not in self._sample_times:
             self._sample_times[source] = _SampleTime(self._params, self._method, source)
         sample_time = self._sample_times[source]
         sample_time.update(stamp, self._events)
-        begin, end = block.rows[i].tolist()
-        ids, times = block.people.ids[begin:end].tolist(), block.people.stamps[begin:end].tolist()
+        begin, end = rows.tolist()
+        ids, times = people.ids[begin:end].tolist(), people.stamps[begin:end].tolist()
         steps = []
         for row, (identity, given) in enumerate(zip(ids, times, strict=True)):
             if identity == UNTRACKED:
@@ -170,7 +172,7 @@ class _SkeletonFilter:
             bank_row = self._bank.row(person.number, stamp)
             plan.update(begin + row, bank_row, person, time, sample_time)
             steps.append((row, person, person.n_steps - 1))
-        return _HeldFrame(part, end - begin, steps, sample_time)
+        return steps
 
     def _person(self, key: tuple[str, int], stamp: int, time: int) -> _FilteredPerson:
         """Return who goes on, or starts anew after a long gap."""
@@ -278,7 +280,7 @@ class _FilteredPerson:
 class _HeldFrame(NamedTuple):
     """A frame whose look-ahead is not complete."""
 
-    part: Part
+    number: int
     n_rows: int
     people: list[tuple[int, _FilteredPerson, int]]
     """Row in the frame, who, and the number of the step."""
@@ -289,8 +291,8 @@ class _FilterPlan:
     """What the kernels are to do with a batch of frames."""
 
     def __init__(self) -> None:
-        self.done: list[Part] = []
-        """Frames whose look-ahead is complete."""
+        self.done: list[int] = []
+        """Numbers of frames whose look-ahead is complete."""
         self.log_times: list[int] = []
         """Of these frames, ns."""
         self._n_rows = 0
@@ -319,7 +321,7 @@ class _FilterPlan:
 
     def finish(self, held: _HeldFrame, log_time: int) -> None:
         """Add a frame whose estimates are all planned."""
-        self.done.append(held.part)
+        self.done.append(held.number)
         self.log_times.append(log_time)
         self._n_rows += held.n_rows
 

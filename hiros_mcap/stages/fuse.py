@@ -22,7 +22,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.skeletons import Floats, SkeletonModel
 from hiros_mcap.stages.fuse_params import FuseParams
-from hiros_mcap.stages.merge_params import MergeParams
+from hiros_mcap.stages.hiros_params import MergeParams
 
 if TYPE_CHECKING:
     from hiros_mcap.stages.fusion_noise import FusionNoise

@@ -111,6 +111,7 @@ def distances(views: Sightings, names: Sequence[str], places: Mapping[str, Float
     nowhere = np.full(3, np.nan)
     cameras = np.array([places.get(name, nowhere) for name in names]).reshape(-1, 3)
     seen = ~np.isnan(views.positions[:, :, 0])
-    centres = np.nan_to_num(views.positions).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
+    sums = np.where(seen[:, :, None], views.positions, 0.0).sum(axis=1)
+    centres = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
     found = np.linalg.norm(centres - cameras[views.cameras], axis=1)
     return np.where(np.isnan(found), _REFERENCE, np.maximum(found, 0.3))

@@ -9,8 +9,8 @@ import numpy as np
 
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import UNTRACKED, Ints
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.reidentify import OVERLAP, Limbs, PersonCues, Verdict, reidentify
-from hiros_mcap.stages.track_params import TrackParams
 from hiros_mcap.stages.tracked_people import DetectionGroup, PersonTrack, Present, TrackedPeople
 
 _PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered

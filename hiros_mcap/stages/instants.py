@@ -4,33 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hiros_mcap.events import TOO_LATE, Events
-from hiros_mcap.frames import Block, Part, join, most_often
+from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
 from hiros_mcap.kernels.averaging import Buffers
-from hiros_mcap.skeletons import UNTRACKED, People, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
 from hiros_mcap.stages.unseen import Unseen
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, slots=True)
-class Instant(Generic[T]):
+class Instant:
     """One message of each camera that sent one."""
 
-    messages: Sequence[T]
-    """Sorted by source, so that nothing depends on which camera was first."""
+    messages: Sequence[int]
+    """Their numbers, sorted by source, so that nothing depends on which camera was first."""
     stamp: int
     """Mean time of the messages, ns."""
     log_time: int
     """Log time, ns, of the message that completed the instant."""
 
 
-class Instants(Generic[T]):
+class Instants:
     """Gathers one message per camera (Hi-ROS 2023, section 3.2).
 
     Times of instants never decrease: a message older than the last one is left out. Two have the
@@ -46,7 +45,8 @@ class Instants(Generic[T]):
 
     def __init__(self, cameras: int, max_delta_time: float, events: Events) -> None:
         self._cameras, self._span, self._events = cameras, max_delta_time * 1e9, events
-        self._buffer: dict[str, tuple[int, T]] = {}
+        self._buffer: dict[str, tuple[int, int]] = {}
+        """Source to the stamp and number of its message."""
         self._known: set[str] = set()
         self._newest = 0
         self._first = self._last = 0
@@ -54,9 +54,14 @@ class Instants(Generic[T]):
         self._log_time = 0
         """Of the latest message in the buffer."""
 
-    def add(self, stamp: int, source: str, log_time: int, message: T) -> list[Instant[T]]:
+    @property
+    def waiting(self) -> list[int]:
+        """Numbers of the messages whose instant is not complete."""
+        return [number for _, number in self._buffer.values()]
+
+    def add(self, stamp: int, source: str, log_time: int, number: int) -> list[Instant]:
         """Take a message; return the instants that it completes: none, one or two."""
-        done: list[Instant[T]] = []
+        done: list[Instant] = []
         self._known.add(source)
         if stamp < self._newest:
             self._events.count(TOO_LATE, source)
@@ -72,20 +77,20 @@ class Instants(Generic[T]):
             self._first, self._last = min(stamp, self._first), max(stamp, self._last)
         else:
             self._log_time, self._first, self._last = log_time, stamp, stamp
-        buffer[source] = stamp, message
+        buffer[source] = stamp, number
         if len(self._buffer) >= (self._cameras or len(self._known)):
             done.append(self._close(log_time))
         return done
 
-    def rest(self) -> list[Instant[T]]:
+    def rest(self) -> list[Instant]:
         """Return the instant that no further message will complete, if there is one."""
         return [self._close(self._log_time)] if self._buffer else []
 
-    def _close(self, log_time: int) -> Instant[T]:
+    def _close(self, log_time: int) -> Instant:
         buffer, self._buffer = self._buffer, {}
         messages = [buffer[source] for source in sorted(buffer)]
         self._newest = sum(stamp for stamp, _ in messages) // len(messages)
-        return Instant([message for _, message in messages], self._newest, log_time)
+        return Instant([number for _, number in messages], self._newest, log_time)
 
 
 MergeKernel = Callable[[Buffers, People, int, People, Stamps], None]
@@ -122,7 +127,8 @@ class InstantMerger:
         self._model, self._kernel, self._bank = model, kernel, bank
         self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
         self._unseen = unseen or Unseen()
-        self._cameras: dict[str, int] = {}
+        self._cameras = CameraNumbers()
+        self._held = HeldFrames()
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -131,34 +137,38 @@ class InstantMerger:
 
     def run(self, blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
         """Yield the merged people of every instant; the parameters are those of Instants."""
-        gathered: Instants[Part] = Instants(cameras, max_delta_time, self._events)
+        gathered = Instants(cameras, max_delta_time, self._events)
         for block in blocks:
-            ready: list[Instant[Part]] = []
-            for message in block.messages():
-                ready += gathered.add(*message)
-            yield from self._merge_all(ready)
+            first, ready = self._held.add(block), list[Instant]()
+            for number, message in enumerate(block.messages(), first):
+                ready += gathered.add(*message, number)
+            yield from self._merge_all(ready, block, first)
+            self._held.keep(gathered.waiting)
         yield from self._merge_all(gathered.rest())
 
-    def _merge_all(self, instants: Sequence[Instant[Part]]) -> Iterator[Block]:
-        """Merge in batches of a few seconds."""
-        batch: list[Instant[Part]] = []
-        for instant in instants:
-            if batch and instant.stamp - batch[0].stamp > self._SPAN:
-                yield self._merge(batch)
-                batch = []
-            batch.append(instant)
-        if batch:
-            yield self._merge(batch)
+    def _merge_all(
+        self, instants: Sequence[Instant], block: Block | None = None, first: int = 0
+    ) -> Iterator[Block]:
+        """Merge in batches of a few seconds; ``first`` is the number of the block's first message.
 
-    def _merge(self, instants: Sequence[Instant[Part]]) -> Block:
-        plans: list[_MergePlan] = []
-        for instant in instants:
-            block, places = _one_block(instant)
-            if not plans or block is not plans[-1].block:
-                plans.append(_MergePlan(block))
-            self._plan(plans[-1], instant.stamp, places)
-        stamps = np.array([instant.stamp for instant in instants], np.int64)
-        sizes = np.concatenate([np.diff(plan.people_ends) for plan in plans])
+        Messages are copied only where those of an instant lie in several blocks.
+        """
+        start = instants[0].stamp if instants else 0
+        for _, batch in groupby(instants, lambda one: (one.stamp - start) // self._SPAN):
+            plans = []
+            for is_held, some in groupby(batch, lambda one: min(one.messages) < first):
+                part = list(some)
+                numbers = [number for instant in part for number in instant.messages]
+                if block is None or is_held:
+                    plans.append(self._plan(part, self._held.copies(numbers)))
+                else:
+                    plans.append(self._plan(part, block.select(np.array(numbers) - first)))
+            yield self._merge(plans)
+
+    def _merge(self, plans: Sequence[_MergePlan]) -> Block:
+        """Merge people as planned."""
+        sizes = np.concatenate([np.diff(plan.buffers.people_ends) for plan in plans])
+        stamps = np.concatenate([plan.buffers.stamps for plan in plans])
         ends = np.concatenate([[0], np.cumsum(sizes)])
         out = People.allocate(int(ends[-1]), self._model.n_markers, self._model.n_links)
         out.stamps[:] = np.repeat(stamps, sizes)
@@ -169,99 +179,82 @@ class InstantMerger:
         for plan in plans:
             part = out.at(slice(first, first + len(plan.ids)))
             part.ids[:] = plan.ids
-            self._kernel(plan.buffers(), plan.people, plan.max_views, part, counts)
+            self._kernel(plan.buffers, plan.people, plan.most_views, part, counts)
             first += len(plan.ids)
         for kind, by_camera in zip(self._counted, counts.tolist(), strict=True):
             for source, n in zip(self._cameras, by_camera, strict=True):
                 self._events.count(kind, source, n)
-        firsts = [instant.messages[0] for instant in instants]
-        names = [self._fixed_frame or block.frame_ids[i] for block, i in firsts]
-        log_times = np.array([instant.log_time for instant in instants], np.int64)
-        return Block(stamps, log_times, names, names, np.stack([ends[:-1], ends[1:]], 1), out)
+        names = [name for plan in plans for name in plan.frame_ids]
+        numbers = CameraNumbers()
+        frames = np.array([numbers.setdefault(name, len(numbers)) for name in names])
+        log_times = np.concatenate([plan.log_times for plan in plans])
+        rows = np.stack([ends[:-1], ends[1:]], 1)
+        return Block(stamps, log_times, frames, frames, tuple(numbers), rows, out)
 
-    def _plan(self, plan: _MergePlan, stamp: int, places: Sequence[int]) -> None:
-        """Add the messages at ``places`` of the plan's block, merged at ``stamp``."""
-        seen: set[int] = set()
-        views = 0
-        for i in places:
-            people = plan.add_message(
-                i, self._cameras.setdefault(plan.block.sources[i], len(self._cameras))
-            )
-            seen.update(people)
-            here, source = plan.people_rows(i), plan.block.sources[i]
-            self._unseen.see(stamp, source, plan.people, here)
-            if plan.blank:
-                hidden = [plan.blank[row] for row in here if row in plan.blank]
-                self._unseen.hide(stamp, source, hidden)
-            views += most_often([person for person in people if person != UNTRACKED])
-        seen.discard(UNTRACKED)
+    def _plan(self, instants: Sequence[Instant], messages: Block) -> _MergePlan:
+        """Find out who is merged at each instant: whom its messages show, and who goes on."""
+        people = messages.people
+        blank: Flags = np.asarray(np.isnan(people.markers[:, :, 0]).all(axis=1))
+        people = people._replace(ids=np.where(blank, UNTRACKED, people.ids).astype(np.int32))
+        message_ends = np.cumsum([0, *(len(instant.messages) for instant in instants)])
+        stamps = np.array([instant.stamp for instant in instants], np.int64)
+        of_instant = np.repeat(np.arange(len(instants)), np.diff(message_ends))
+        rows, owners = messages.everybody()
+        shown = rows[people.ids[rows] != UNTRACKED], owners[people.ids[rows] != UNTRACKED]
+        keys = of_instant[shown[1]] * (1 << 32) + people.ids[shown[0]]
+        seen, views = np.unique(keys, return_counts=True)
+        bounds = np.searchsorted(seen >> 32, np.arange(1, len(instants)))
+        self._unseen.show(messages, stamps[of_instant], blank)
+        ids: list[int] = []
+        past_rows: list[int] = []
+        people_ends = [0]
+        for k, some in enumerate(np.split(seen & (2**32 - 1), bounds)):
+            present = self._present(int(stamps[k]), int(message_ends[k + 1]), some.tolist())
+            ids += present
+            past_rows += [self._bank.rows[person] for person in present]
+            people_ends.append(len(ids))
+        self._unseen.see_all()
+        columns = [messages.rows, messages.stamps[:, None], self._cameras.of(messages)[:, None]]
+        firsts = messages.frame_ids[message_ends[:-1]].tolist()
+        return _MergePlan(
+            Buffers(
+                stamps,
+                np.array(people_ends, np.int64),
+                message_ends,
+                np.concatenate(columns, axis=1),
+                np.array(past_rows, np.int64),
+            ),
+            people,
+            np.array(ids, np.int32),
+            int(views.max(initial=0)),
+            np.array([instant.log_time for instant in instants], np.int64),
+            [self._fixed_frame or messages.names[k] for k in firsts],
+        )
+
+    def _present(self, stamp: int, n_messages: int, seen: list[int]) -> list[int]:
+        """Return who is there at an instant whose messages show ``seen``, sorted; remember them."""
         self._bank.expire(stamp)
-        last = self._bank.last_seen
-        bridged, carried = self._unseen.go_on(stamp, seen, last)
-        people = sorted(seen | bridged | carried)
-        rows = [self._bank.row(p, stamp) if p in seen else self._bank.rows[p] for p in people]
-        plan.end_instant(stamp, people, rows, views)
+        bridged, carried = self._unseen.go_on(stamp, n_messages, seen, self._bank.last_seen)
+        for person in seen:
+            self._bank.row(person, stamp)
+        if not bridged and not carried:
+            return seen
         self._events.count("bridged", n=len(bridged))
         self._events.count("carried", n=len(carried))
+        return sorted({*seen, *bridged, *carried})
 
 
-def _one_block(instant: Instant[Part]) -> tuple[Block, list[int]]:
-    """Return a block that holds the messages of an instant, and where."""
-    block, places = instant.messages[0][0], [i for _, i in instant.messages]
-    if all(other is block for other, _ in instant.messages):
-        return block, places
-    return join(instant.messages), list(range(len(places)))
+class _MergePlan(NamedTuple):
+    """Instants whose messages lie in common arrays, written down for a kernel."""
 
-
-class _MergePlan:
-    """Instants whose messages lie in one block, written down for a kernel."""
-
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        ids, markers = block.people.ids, block.people.markers
-        blank = np.isnan(markers[:, :, 0]).all(axis=1) & (ids != UNTRACKED)
-        self.blank = {int(row): int(ids[row]) for row in np.flatnonzero(blank)}
-        """Row to person, where no marker is left."""
-        self.people = block.people._replace(ids=np.where(blank, UNTRACKED, ids).astype(np.int32))
-        """Those of the block; who is blank has no id."""
-        self.ids: list[int] = []
-        """Of each merged person."""
-        self.people_ends = [0]
-        self.max_views = 0
-        """Most views of one person at an instant."""
-        self._rows, self._ids = block.rows.tolist(), self.people.ids.tolist()
-        self._times = block.stamps.tolist()
-        self._past_rows: list[int] = []
-        self._stamps: list[int] = []
-        self._message_ends = [0]
-        self._messages: list[tuple[int, int, int, int]] = []
-
-    def add_message(self, i: int, camera: int) -> list[int]:
-        """Add message ``i`` of the block; return the ids of its people."""
-        begin, end = self._rows[i]
-        self._messages.append((begin, end, self._times[i], camera))
-        people: list[int] = self._ids[begin:end]
-        return people
-
-    def people_rows(self, i: int) -> range:
-        """Rows of the people of message ``i`` of the block."""
-        return range(*self._rows[i])
-
-    def end_instant(self, stamp: int, people: list[int], past_rows: list[int], views: int) -> None:
-        """Say whom the messages since the last instant make, and when."""
-        self._stamps.append(stamp)
-        self.ids += people
-        self._past_rows += past_rows
-        self.people_ends.append(len(self.ids))
-        self._message_ends.append(len(self._messages))
-        self.max_views = max(self.max_views, views)
-
-    def buffers(self) -> Buffers:
-        """Return the plan as arrays."""
-        return Buffers(
-            np.array(self._stamps, np.int64),
-            np.array(self.people_ends, np.int64),
-            np.array(self._message_ends, np.int64),
-            np.array(self._messages, np.int64).reshape(-1, 4),
-            np.array(self._past_rows, np.int64),
-        )
+    buffers: Buffers
+    people: People
+    """Whom the messages show; who has no marker has no id."""
+    ids: Ints
+    """(P,) Of each merged person."""
+    most_views: int
+    """Most views of one person at an instant."""
+    log_times: Stamps
+    """(Q,) ns."""
+    frame_ids: Sequence[str]
+    """Q names of coordinate frames."""

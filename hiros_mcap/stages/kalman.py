@@ -14,7 +14,7 @@ import numpy as np
 from hiros_mcap.events import TOO_LATE, Events
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.kalman_params import KalmanParams
+from hiros_mcap.stages.malaguti_params import KalmanParams
 
 _PEOPLE = attrgetter(*People._fields)
 

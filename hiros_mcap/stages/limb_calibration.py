@@ -22,13 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.body.limb_table import Limb, LimbTable, link_keys
-from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.optimizing import measure_lengths
 from hiros_mcap.skeletons import Flags, Floats, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.optimize_params import CalibrationParams
+from hiros_mcap.stages.hiros_params import CalibrationParams
 
 _SECOND = 1_000_000_000
 _GONE = _SECOND  # unseen for so long, a person has left and nothing is gained by waiting
@@ -121,7 +120,6 @@ class Calibration:
         self.limbs = limbs
         self._model, self._params, self._events = model, params, events
         self._links, self._keys = np.ascontiguousarray(model.links), link_keys(model)
-        self._mirror = symmetry_of(model).link_mirror
         none = [np.empty((0, model.n_links)) for _ in _LengthsInUse._fields]
         self._bank = Bank(_LengthsInUse(*none), _FORGET)
         self._people: dict[int, _Measured] = {}
@@ -291,15 +289,8 @@ class Calibration:
         self._record(identity, person)
 
     def _estimate(self, person: _Measured) -> Floats:
-        """(L,) best lengths so far, with the common mean of both sides if they are symmetric."""
-        length, _ = mean_lengths(person.accepted, self._params.debias)
-        if not self._params.symmetric:
-            return length
-        other, n = length[self._mirror], person.accepted[WEIGHT]
-        both = (n * np.nan_to_num(length) + n[self._mirror] * np.nan_to_num(other)) / np.maximum(
-            n + n[self._mirror], 1e-12
-        )
-        return np.where(np.isnan(length) & np.isnan(other), np.nan, both)
+        """(L,) best lengths so far."""
+        return mean_lengths(person.accepted, self._params.debias)[0]
 
     def _record(self, identity: int, person: _Measured) -> None:
         """Write a person's lengths to the table."""

@@ -29,8 +29,8 @@ from hiros_mcap.kernels import merging
 from hiros_mcap.kernels.averaging import Buffers, Views
 from hiros_mcap.skeletons import Floats, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.hiros_params import MergeParams
 from hiros_mcap.stages.instants import InstantMerger
-from hiros_mcap.stages.merge_params import MergeParams
 from hiros_mcap.stages.unseen import Unseen
 
 

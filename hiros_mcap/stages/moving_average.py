@@ -10,7 +10,7 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.moving_average_params import MovingAverageParams
+from hiros_mcap.stages.malaguti_params import MovingAverageParams
 
 
 class RecentPoses(NamedTuple):

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -42,8 +41,8 @@ from hiros_mcap.kernels.energy import Energy, SolverScratch, exact_weights, mini
 from hiros_mcap.skeletons import POSITION, Floats, Ints, People, SkeletonModel
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.elimination import topology_of
+from hiros_mcap.stages.hiros_params import OptimizeParams
 from hiros_mcap.stages.limb_calibration import Calibration, calibrate_limbs
-from hiros_mcap.stages.optimize_params import OptimizeParams
 
 _UNLIMITED = 1e9  # s; the calibration decides how long frames are held
 
@@ -144,8 +143,8 @@ class _Optimizer:
         nominal = np.concatenate([one.nominal for one in frames])
         known = ~np.isnan(nominal).all(axis=1)
         if not known.any():
-            return block.select(places, log_times)
-        out = join([(block, i) for i in places])
+            return block.select(places).logged_at(log_times)
+        out = join([block.select(places)]).logged_at(log_times)
         if known.all():
             self._optimize(out.people, nominal)
         else:
@@ -153,7 +152,7 @@ class _Optimizer:
             self._optimize(some, nominal[known])
             for name in ("markers", "marker_confidences", "links", "link_confidences"):
                 getattr(out.people, name)[known] = getattr(some, name)
-        return replace(out, log_times=np.array(log_times, np.int64))
+        return out
 
     def _optimize(self, people: People, nominal: Floats) -> None:
         """Optimize people whose limb lengths are known, in place."""

@@ -17,16 +17,17 @@ Nothing is changed while too little is known of a person.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, CameraNumbers
 from hiros_mcap.kernels import limb_deviations as kernels
-from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.plausible_params import PlausibleParams
+from hiros_mcap.stages.hiros_params import PlausibleParams
 
 DISTORTED, CONTRADICTORY = "distorted", "implausible marker"
 """Kinds of events: views that are left out, and markers that count less."""
@@ -79,31 +80,37 @@ class _KnownLimbs:
         )
         self._events, self._places = events, places
         self._bank = Bank(kernels.LimbPast.empty(len(self._links.ends)), _FORGET)
-        self._cameras: dict[str, int] = {}
+        self._cameras = CameraNumbers()
 
     def compare(self, block: Block) -> Block:
         """Return a block with less confident markers, and without those of distorted views."""
-        if not np.diff(block.rows).any():
-            return block
-        m = block.people.markers.shape[1]
-        # A copy of these frames only: the tracker may still write into others of the arrays.
-        out = join([(block, i) for i in range(len(block))])
-        messages = self._messages(out)
-        centres = np.empty((len(out.people.ids), 3))
-        work = kernels.PlausibleWork(np.empty(m), np.empty(m), centres, np.empty(1))
+        people, (rows, owners) = block.people, block.everybody()
+        past_rows = np.full(len(people.ids), -1, np.int64)
+        past_rows[rows] = self._bank.rows_of(people.ids[rows], block.stamps[owners])
+        messages = kernels.ComparedMessages(
+            block.stamps, self._cameras.of(block), block.rows, past_rows
+        )
+        work = kernels.PlausibleWork.of(*people.markers.shape[:2])
         nowhere = np.full(3, np.nan)
         places = np.array([self._places.get(name, nowhere) for name in self._cameras])
         self._make_room(len(places))
         counts = np.zeros((2, len(places)), np.int64)
+        # What is not written is shared: the tracker may still write into others of the arrays.
+        people = people._replace(marker_confidences=people.marker_confidences.copy())
         kernels.find_implausible(
-            messages, out.people, places, self._links, self._bank.past, self._settings, counts, work
+            messages, people, places, self._links, self._bank.past, self._settings, counts, work
         )
         if not counts.any():
             return block
         for kind, by_camera in zip((DISTORTED, CONTRADICTORY), counts.tolist(), strict=True):
             for source, n in zip(self._cameras, by_camera, strict=True):
                 self._events.count(kind, source, n)
-        return out
+        if work.left_out.any():
+            people = people.copy()
+            for array in people.markers, people.marker_confidences, people.links:
+                array[work.left_out] = np.nan
+            people.link_confidences[work.left_out] = np.nan
+        return replace(block, people=people)
 
     def _make_room(self, n_cameras: int) -> None:
         """Remember more cameras."""
@@ -111,17 +118,6 @@ class _KnownLimbs:
         if n_cameras > seen.shape[1]:
             seen = np.pad(seen, ((0, 0), (0, n_cameras)))
             self._bank.past = self._bank.past._replace(seen=seen)
-
-    def _messages(self, block: Block) -> kernels.ComparedMessages:
-        """Return the messages of a block, and where its people are remembered."""
-        cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
-        rows = np.full(len(block.people.ids), -1, np.int64)
-        for stamp, (begin, end) in zip(block.stamps.tolist(), block.rows.tolist(), strict=True):
-            self._bank.expire(stamp)
-            for p, person in enumerate(block.people.ids[begin:end].tolist(), begin):
-                if person != UNTRACKED:
-                    rows[p] = self._bank.row(person, stamp)
-        return kernels.ComparedMessages(block.stamps, np.array(cameras, np.int64), block.rows, rows)
 
 
 def links_of(model: SkeletonModel) -> kernels.LimbLinks:

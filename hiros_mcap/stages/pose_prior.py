@@ -21,6 +21,7 @@ FEWEST = 30
 _EXCESS = 1.5  # eigenvalue, in units of the noise, that noise alone may have
 _FREE = 0.003  # m; what each marker may do by itself
 _SHOWN = 0.4  # share of its variance that a Gauss-Markov offset of 1.7 s shows within 3 s
+_LEAST = 1e-9  # m; noise of a marker that does not move at all
 _ABSENT = 1.0  # m2; variance of a marker that is missing
 _RATE = 15.0  # Hz; a prior of the poses before needs no more poses
 _FIRST, _RENEWED = 2.0, 0.5  # s of a person before the first such prior, and between two
@@ -37,7 +38,6 @@ def shrink_noise(positions: Floats, variances: Floats) -> Floats:
     out, weights = np.zeros_like(positions), np.zeros(len(positions))
     if len(positions) < FEWEST:
         return positions
-    known = ~np.isnan(positions).any(axis=2).all(axis=0)
     starts = range(0, max(len(positions) - WINDOW // 2, 1), WINDOW // 2)
     for start in starts:
         part = slice(start, start + WINDOW)
@@ -45,7 +45,8 @@ def shrink_noise(positions: Floats, variances: Floats) -> Floats:
         # Neighbouring windows overlap by half and are faded into each other.
         fade = np.minimum(np.arange(n), np.arange(n)[::-1]) + 1.0
         estimate = positions[part].copy()
-        if n >= FEWEST:
+        known = ~np.isnan(positions[part]).any(axis=2).all(axis=0)
+        if n >= FEWEST and known.any():
             some = positions[part][:, known]
             noise = at_most_shown(some, variances[part][:, known])
             estimate[:, known] = estimated(motion_of(some, noise), some, noise)
@@ -153,7 +154,7 @@ def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
     v = _of_axes(variances, absent)
     mean = np.nanmean(y, axis=0)
     off = np.where(absent, 0.0, y - mean)
-    noise = np.sqrt(np.nanmean(np.where(absent, np.nan, v), axis=0))
+    noise = np.maximum(np.sqrt(np.nanmean(np.where(absent, np.nan, v), axis=0)), _LEAST)
     # P: directions in which the whitened poses vary by more than noise does.
     _, scales, directions = np.linalg.svd(off / noise, full_matrices=False)
     excess = scales**2 / len(y) - _EXCESS

@@ -18,7 +18,7 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import UNTRACKED, Frame, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.predict_params import PredictParams
+from hiros_mcap.stages.lee_params import PredictParams
 
 _SIZES = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration": 3}
 

@@ -91,7 +91,7 @@ class ResidualMeter:
             return
         fused = self._fused[0]
         if len(self._fused) > 1:
-            fused = join([(block, i) for block in self._fused for i in range(len(block))])
+            fused = join(self._fused)
         views = joined(self._views)
         done = views.instants < self._first + len(fused)
         self._count(fused, chosen(views, done))

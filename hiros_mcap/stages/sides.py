@@ -33,12 +33,12 @@ import numpy as np
 from hiros_mcap.body.forward_cues import ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, CameraNumbers, join
 from hiros_mcap.kernels import exchanging
 from hiros_mcap.kernels import facing as kernels
-from hiros_mcap.skeletons import UNTRACKED, Floats, Ints, SkeletonModel, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.sides_params import SidesParams
+from hiros_mcap.stages.hiros_params import SidesParams
 
 _SLAVED = 0.3  # toes that point the same way less often than this follow the label
 
@@ -97,15 +97,15 @@ class _Piece:
         return self._part(slice(0, k), slice(0, n)), self._part(slice(k, None), slice(n, None))
 
     def _part(self, frames: slice, views: slice) -> _Piece:
-        places = range(len(self.block))[frames]
-        block = self.block.select(places, self.block.log_times[frames].tolist())
-        own, owners = self.looks.at(views), self.owners[views] - places.start
-        return _Piece(block, self.views[views], owners, own, self.evidence[views])
+        own, owners = self.looks.at(views), self.owners[views] - (frames.start or 0)
+        return _Piece(
+            self.block.select(frames), self.views[views], owners, own, self.evidence[views]
+        )
 
     def logged_from(self, log_time: int) -> _Piece:
         """Return the same frames, known at ``log_time``, ns, or later."""
         times = np.maximum(self.block.log_times, log_time)
-        return replace(self, block=replace(self.block, log_times=times))
+        return replace(self, block=self.block.logged_at(times))
 
 
 class _Sides:
@@ -120,7 +120,7 @@ class _Sides:
         self._events = events
         self._bank = Bank(kernels.FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
         self._tables = kernels.FacingTables.make()
-        self._cameras: dict[str, int] = {}
+        self._cameras = CameraNumbers()
         self._held: list[_Piece] = []
         self._decided = 0
         """Cell before which everything is decided; 0 = nothing was seen yet."""
@@ -150,30 +150,15 @@ class _Sides:
 
     def _piece(self, block: Block) -> _Piece:
         """Find the views of a block, and whose they are."""
-        rows = block.rows
-        counts = rows[:, 1] - rows[:, 0]
-        owners = np.repeat(np.arange(len(block)), counts)
-        begins = rows[:, 0] - (np.cumsum(counts) - counts)
-        views = begins[owners] + np.arange(len(owners))
+        views, owners = block.everybody()
         tracked = block.people.ids[views] != UNTRACKED
         views, owners = views[tracked], owners[tracked]
         looks = kernels.Looks.allocate(len(views))
         looks.stamps[:] = block.stamps[owners]
         looks.cells[:] = looks.stamps // kernels.CELL
-        cameras = [self._cameras.setdefault(name, len(self._cameras)) for name in block.sources]
-        looks.cameras[:] = np.array(cameras, np.int64)[owners]
-        looks.rows[:] = self._rows_of(block.people.ids[views], looks.stamps)
+        looks.cameras[:] = self._cameras.of(block)[owners]
+        looks.rows[:] = self._bank.rows_of(block.people.ids[views], looks.stamps)
         return _Piece(block, views, owners, looks, np.empty((0, kernels.BINS)))
-
-    def _rows_of(self, ids: Ints, stamps: Stamps) -> Stamps:
-        """Rows of people in what is remembered."""
-        people, places = np.unique(ids, return_inverse=True)
-        if len(stamps):
-            newest = int(stamps.max())
-            self._bank.expire(newest)
-            rows = [self._bank.row(person, newest) for person in people.tolist()]
-            return np.array(rows, np.int64)[places]
-        return np.zeros(0, np.int64)
 
     # Decisions
 
@@ -236,7 +221,7 @@ class _Sides:
         if not len(swapped) and not len(turned):
             return piece.block
         # A copy of these frames only: the tracker may still write into others of the arrays.
-        block = join([(piece.block, i) for i in range(len(piece.block))])
+        block = join([piece.block])
         views = piece.views + (block.rows - piece.block.rows)[piece.owners, 0]
         facing = facings.facing[swapped]
         facing[facings.toes[swapped] >= _SLAVED] = np.nan

@@ -17,9 +17,9 @@ from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.averaging import Buffers
 from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.stages.hiros_params import MergeParams
 from hiros_mcap.stages.instants import InstantMerger
 from hiros_mcap.stages.merge import ViewMerger
-from hiros_mcap.stages.merge_params import MergeParams
 from hiros_mcap.stages.unseen import Unseen
 
 

@@ -12,7 +12,7 @@ from hiros_mcap.body.symmetry import split_side
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import POSITION, UNTRACKED, Frame, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.straighten_params import StraightenParams
+from hiros_mcap.stages.malaguti_params import StraightenParams
 
 
 def straighten(

@@ -13,8 +13,8 @@ import numpy as np
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps
 from hiros_mcap.stages.coverage import Coverage
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.identity import Identities
-from hiros_mcap.stages.track_params import TrackParams
 from hiros_mcap.stages.tracked_people import DetectionGroup, PersonTrack, Present, TrackedPeople
 
 _DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person
@@ -52,7 +52,7 @@ class Confirmation:
                 self._decide(track, group, scene)
                 self._merge_into_person(track, group, scene)
             elif due and track in scene.shown:
-                self._coverage.learn(group.source, self._people.centre(track), group.stamp)
+                self._coverage.learn(group.source, [self._people.centre(track)], group.stamp)
 
     def _weigh(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
         """Add the support, or the contradiction, of a camera's message."""
@@ -131,5 +131,4 @@ class Confirmation:
     def learn(self, source: str, stamp: int, centres: Floats, tracks: Stamps) -> None:
         """Learn what a camera looks at from people (P, 3), m, of certain tracks, by their order."""
         if self._coverage.is_due(source, stamp):
-            for row in np.argsort(tracks, kind="stable").tolist():
-                self._coverage.learn(source, centres[row], stamp)
+            self._coverage.learn(source, centres[np.argsort(tracks, kind="stable")], stamp)

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import heapq
-import itertools
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from typing import Generic, TypeVar
 
-import numpy as np
-
-from hiros_mcap.frames import Block, Part, join
-from hiros_mcap.skeletons import Frame
+from hiros_mcap.frames import Block, HeldFrames
 
 _USUAL_DELAY = 100_000_000  # ns: how late cameras are taken to be before any was late
 
-T = TypeVar("T")
+
+def in_time_order(
+    blocks: Iterable[Block], delay: float, *, patient: bool = False
+) -> Iterator[Block]:
+    """Yield copies of the frames, sorted as :class:`TimeOrder` does."""
+    order = TimeOrder(delay, patient=patient)
+    for block in blocks:
+        yield from order.push(block)
+    yield from order.rest()
 
 
-class TimeOrder(Generic[T]):
+class TimeOrder:
     """A queue that sorts messages by (stamp, source).
 
     A message leaves when every camera has sent a younger one, and when as much time has passed as
@@ -34,35 +36,46 @@ class TimeOrder(Generic[T]):
     """
 
     def __init__(self, delay: float, *, patient: bool = False) -> None:
-        self._waiting: list[tuple[int, str, int, T]] = []
+        self._held = HeldFrames()
+        self._waiting: list[tuple[int, str, int]] = []
+        """A heap: stamp, source, and number of each message that is held."""
         self._latest_of: dict[str, int] = {}
         """Camera to its latest stamp, ns."""
         self._latest = self._now = self._begin = 0
         self._patience = round(delay * 1e9)
         self._delay = self._patience if patient else min(self._patience, _USUAL_DELAY)
         """ns: how late the latest message was."""
-        self._count = itertools.count()
 
-    def push(self, stamp: int, source: str, log_time: int, item: T) -> list[tuple[T, int]]:
-        """Take a message; return those that leave now, with their log times, ns."""
-        latest = self._latest = max(self._latest, stamp)
-        self._now = max(self._now, log_time)
+    def push(self, block: Block) -> Iterator[Block]:
+        """Take messages; yield those that leave now, with their log times."""
+        order: list[int] = []
+        log_times: list[int] = []
+        for number, message in enumerate(block.messages(), self._held.add(block)):
+            stamp, source, log_time = message
+            self._add(stamp, source, log_time)
+            heapq.heappush(self._waiting, (stamp, source, number))
+            oldest, recent = self._latest - self._patience, self._latest - self._delay
+            complete = self._complete(source)
+            while self._waiting:
+                first = self._waiting[0]
+                if first[0] > oldest and (first[0] > recent or first[:2] > complete):
+                    break
+                order.append(heapq.heappop(self._waiting)[2])
+                log_times.append(self._now)
+        yield from self._leave(order, log_times)
+
+    def rest(self) -> Iterator[Block]:
+        """Yield what is left, now that nothing more comes."""
+        order = [number for *_, number in sorted(self._waiting)]
+        self._waiting.clear()
+        yield from self._leave(order, [self._now] * len(order))
+
+    def _add(self, stamp: int, source: str, log_time: int) -> None:
+        """Take note of a message's times."""
+        self._latest, self._now = max(self._latest, stamp), max(self._now, log_time)
         self._begin = self._begin or stamp
-        self._delay = max(self._delay, min(latest - stamp, self._patience))
+        self._delay = max(self._delay, min(self._latest - stamp, self._patience))
         self._latest_of[source] = max(self._latest_of.get(source, 0), stamp)
-        heapq.heappush(self._waiting, (stamp, source, next(self._count), item))
-        oldest, recent = latest - self._patience, latest - self._delay
-        complete, ready = self._complete(source), []
-        while self._waiting:
-            first = self._waiting[0]
-            if first[0] > oldest and (first[0] > recent or first[:2] > complete):
-                break
-            ready.append((heapq.heappop(self._waiting)[3], self._now))
-        return ready
-
-    def rest(self) -> list[tuple[T, int]]:
-        """Return what is left, now that nothing more comes."""
-        return [(heapq.heappop(self._waiting)[3], self._now) for _ in range(len(self._waiting))]
 
     def _complete(self, source: str) -> tuple[int, str]:
         """Stamp and source up to which every camera has sent its messages."""
@@ -75,27 +88,8 @@ class TimeOrder(Generic[T]):
                 complete = stamp, name
         return complete
 
-
-def in_time_order(frames: Iterable[Frame], delay: float) -> Iterator[Frame]:
-    """Sort frames as :class:`TimeOrder` does."""
-    order: TimeOrder[Frame] = TimeOrder(delay)
-    for frame in frames:
-        for ready, now in order.push(frame.stamp, frame.source, frame.log_time, frame):
-            yield ready.replace(log_time=now)
-    for ready, now in order.rest():
-        yield ready.replace(log_time=now)
-
-
-def late_in_order(blocks: Iterable[Block], delay: float) -> Iterator[Block]:
-    """Sort the frames of a file in which some are up to ``delay``, s, older than the one before."""
-    order: TimeOrder[Part] = TimeOrder(delay, patient=True)
-    for block in blocks:
-        ready = [pair for message in block.messages() for pair in order.push(*message)]
-        yield from _joined(ready)
-    yield from _joined(order.rest())
-
-
-def _joined(ready: list[tuple[Part, int]]) -> Iterator[Block]:
-    if ready:
-        block = join([part for part, _ in ready])
-        yield replace(block, log_times=np.array([now for _, now in ready], np.int64))
+    def _leave(self, order: list[int], log_times: list[int]) -> Iterator[Block]:
+        """Yield the messages with these numbers; keep those that wait."""
+        if order:
+            yield self._held.copies(order).logged_at(log_times)
+            self._held.keep([number for *_, number in self._waiting])

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from operator import itemgetter
 
@@ -31,17 +30,17 @@ import numpy as np
 
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
-from hiros_mcap.frames import Block, Part, join
+from hiros_mcap.frames import Block
 from hiros_mcap.kernels import tracking as kernels
 from hiros_mcap.kernels.compile import direct
-from hiros_mcap.skeletons import ORIENTATION, POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, SkeletonModel, Stamps
 from hiros_mcap.stages.copies import Copies
 from hiros_mcap.stages.delay import Delay
 from hiros_mcap.stages.displaced import DISPLACED
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.identity import Identities
 from hiros_mcap.stages.support import Confirmation
-from hiros_mcap.stages.time_order import TimeOrder
-from hiros_mcap.stages.track_params import TrackParams
+from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.tracked_people import (
     INSISTENCE,
     DetectionGroup,
@@ -90,13 +89,9 @@ def track_blocks(
     """
     params = params or TrackParams()
     tracker = _Tracker(model, params, events or Events(), cameras or {})
-    order: TimeOrder[Part] = TimeOrder(params.reorder)
-    for block in blocks:
-        ready: list[tuple[Part, int]] = []
-        for message in block.messages():
-            ready += order.push(*message)
-        yield from _gather(tracker.take(ready))
-    yield from _gather(tracker.take(order.rest()))
+    for block in in_time_order(blocks, params.reorder):
+        block.people.ids.fill(UNTRACKED)
+        yield from _gather(tracker.take(block))
     yield from _gather(tracker.finish())
 
 
@@ -104,7 +99,7 @@ def _gather(messages: Iterable[_Message]) -> Iterator[Block]:
     """Make a block of neighbours that lie in the same arrays."""
     for block, group in itertools.groupby(messages, key=itemgetter(0)):
         _, places, log_times = zip(*group, strict=True)
-        yield block.select(places, log_times)
+        yield block.select(places).logged_at(log_times)
 
 
 class _Tracker:
@@ -170,12 +165,9 @@ class _Tracker:
         if tracks[0].confirmed:
             self._drop_duplicates(tracks, group)
 
-    def take(self, ready: Sequence[tuple[Part, int]]) -> Iterator[_Message]:
-        """Track messages, with their log times; yield those that are decided."""
-        if not ready:
-            return
-        block, log_times = _own_block(ready), [now for _, now in ready]
-        place = 0
+    def take(self, block: Block) -> Iterator[_Message]:
+        """Track messages, and write into them; yield those that are decided."""
+        log_times, place = block.log_times.tolist(), 0
         while place < len(block):
             end = place + self._follow(block, place)
             yield from ((block, i, log_times[i]) for i in range(place, end))
@@ -261,10 +253,6 @@ class _Tracker:
             if not is_whole:
                 group.reasons[j] = "too few markers"
                 continue
-            turned = ~np.isnan(group.people.links[j, :, ORIENTATION.start])
-            if np.count_nonzero(turned) < self._params.min_links:
-                group.reasons[j] = "too few links"
-                continue
             support = Support(group.stamp, origin)
             pairs.match[j] = len(new)
             new.append(self._people.start(group.stamp, support))
@@ -309,8 +297,8 @@ class _Tracker:
         )  # fmt: skip
         for track, seen in zip(tracks, confirmed.last_seen.tolist(), strict=True):
             track.seen = seen
-        sources = block.sources[place : place + done]
-        for source, stamp, span in zip(sources, stamps.tolist(), spans.tolist(), strict=False):
+        messages = block.select(slice(place, place + done)).messages()
+        for (stamp, source, _), span in zip(messages, spans.tolist(), strict=False):
             people = slice(*span)
             centres, match = followed.centres[people], followed.match[people]
             self._support.learn(source, stamp, centres, match)
@@ -324,7 +312,7 @@ class _Tracker:
         late = block.stamps[place:] - seen >= int(self._params.max_gap * 1e9)
         displaced = self._copies.displaced
         if displaced:
-            late |= [source in displaced for source in block.sources[place:]]
+            late |= np.array([name in displaced for name in block.names])[block.sources[place:]]
         return place + int(late.argmax()) if late.any() else len(block)
 
 
@@ -340,10 +328,3 @@ def _is_sudden(track: PersonTrack, group: DetectionGroup) -> bool:
         first = group.stamp
     track.leaps[group.source] = first, group.stamp
     return group.stamp - first < INSISTENCE
-
-
-def _own_block(ready: Sequence[tuple[Part, int]]) -> Block:
-    """Return a copy of messages, for ids and velocities to be written into."""
-    block = join([part for part, _ in ready])
-    block.people.ids.fill(UNTRACKED)
-    return replace(block, log_times=np.array([now for _, now in ready], np.int64))

@@ -13,7 +13,7 @@ from hiros_mcap.kernels.compile import direct
 from hiros_mcap.kernels.distance import mean_distances
 from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.track_params import TrackParams
+from hiros_mcap.stages.hiros_params import TrackParams
 
 INSISTENCE = 500_000_000
 """ns for which a camera's leaps are left out, and for which a silent camera still counts."""
@@ -125,7 +125,7 @@ class DetectionGroup:
         """Return the message at a place of a block; it shares the block's arrays."""
         people = block.people.at(slice(*block.rows[place].tolist()))
         n = len(people.ids)
-        stamp, source = int(block.stamps[place]), block.sources[place]
+        stamp, source = int(block.stamps[place]), block.source(place)
         return cls(block, place, stamp, source, people, [None] * n, [""] * n)
 
     @property

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, People
+from hiros_mcap.frames import Block
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Flags, Floats, People, Stamps
 from hiros_mcap.stages.coverage import Coverage
 
 _RECENT = 1_000_000_000  # ns: a camera that was silent for longer did not see the person anyway
@@ -18,7 +19,7 @@ class Unseen:
     Everybody does for ``bridge`` s. Up to ``carry`` s, those do who are hidden: somebody else
     stands in front of every camera that reported them in the last second and looks at the place
     where they were seen last. Whom such a camera should see is gone until seen again. A camera that
-    showed a person distorted (:meth:`hide`) need not see him; ``carry`` then begins anew.
+    showed a person distorted need not see him; ``carry`` then begins anew.
 
     Parameters
     ----------
@@ -40,36 +41,32 @@ class Unseen:
         self._places: dict[int, Floats] = {}
         """Person who is not seen to the place of the latest view, (3,) m."""
         self._gone: set[int] = set()
+        self._shown: Block
+        """The messages, of which ``_done`` are noted; see :meth:`show`."""
         self._hidden: dict[int, tuple[int, str]] = {}
         """Person to the time, ns, and camera of the latest view left out as distorted since."""
 
-    def see(self, stamp: int, source: str, people: People, rows: range) -> None:
-        """Note that a camera's message of ``stamp``, ns, shows the people in ``rows``."""
-        if not self._sources:
-            return
-        due = self._coverage.is_due(source, stamp)
-        for row, person in enumerate(people.ids[rows.start : rows.stop].tolist(), rows.start):
-            if person == UNTRACKED:
-                continue
-            self._views[person] = people, row
-            self._reported.setdefault(person, {})[source] = stamp
-            if due:
-                self._coverage.learn(source, _centre(people, row), stamp)
+    def show(self, messages: Block, stamps: Stamps, blank: Flags) -> None:
+        """Take messages, each at the time (N,), ns, of its instant, whose people go on from there.
 
-    def hide(self, stamp: int, source: str, people: Iterable[int]) -> None:
-        """Note that a camera's views of people at ``stamp``, ns, were left out as distorted."""
-        if not self._sources:
-            return
-        for person in people:
-            self._hidden[person] = stamp, source
-            self._reported.setdefault(person, {})[source] = stamp
+        ``blank`` : (P,) by row of the people: who has no marker left was left out as distorted.
+        """
+        self._shown, self._stamps, self._blank, self._done = messages, stamps, blank, 0
 
     def go_on(
-        self, stamp: int, seen: Iterable[int], last_seen: Mapping[int, int]
+        self, stamp: int, n_messages: int, seen: Sequence[int], last_seen: Mapping[int, int]
     ) -> tuple[set[int], set[int]]:
-        """Return who is bridged and who is carried at ``stamp``, ns; nobody of those ``seen``."""
+        """Return who is bridged and who is carried at ``stamp``, ns; nobody of those ``seen``.
+
+        ``n_messages`` are up to then. ``last_seen`` : person -> ns, as remembered before.
+        """
+        bridged, carried = set[int](), set[int]()
+        absent = self._places or self._gone or self._hidden or self._blank.any()
+        left = self._views.keys() - last_seen.keys()
         shown = set(seen)
-        bridged, carried = set(), set()
+        if not absent and not left and last_seen.keys() <= shown:
+            return bridged, carried
+        self._see(n_messages)
         for person, last in last_seen.items():
             if person in shown or stamp < last:
                 continue
@@ -77,9 +74,39 @@ class Unseen:
                 bridged.add(person)
             elif self._is_carried(person, stamp, last, shown):
                 carried.add(person)
-        if self._places or self._gone or self._hidden or len(self._views) > len(last_seen):
-            self._tidy(shown, last_seen)
+        self._tidy(shown, last_seen)
         return bridged, carried
+
+    def see_all(self) -> None:
+        """Note whom the rest of the messages show."""
+        self._see(len(self._shown))
+
+    def _see(self, end: int) -> None:
+        """Note whom the messages before ``end`` show, and what their cameras look at."""
+        begin, self._done = self._done, end
+        if not self._sources or begin == end:
+            return
+        block, stamps = self._shown.select(slice(begin, end)), self._stamps[begin:end]
+        rows, owners = block.everybody()
+        tracked = block.people.ids[rows] != UNTRACKED
+        rows, owners = rows[tracked], owners[tracked]
+        people, whole = block.people.ids[rows], ~self._blank[rows]
+        self._learn(block, stamps, rows[whole], owners[whole])
+        latest = dict(zip(people[whole].tolist(), rows[whole].tolist(), strict=True))
+        self._views.update({person: (block.people, row) for person, row in latest.items()})
+        views = zip(people.tolist(), block.sources[owners].tolist(), strict=True)
+        for (person, code), stamp in dict(zip(views, stamps[owners].tolist(), strict=True)).items():
+            self._reported.setdefault(person, {})[block.names[code]] = stamp
+        for k in np.flatnonzero(~whole).tolist():
+            self._hidden[int(people[k])] = int(stamps[owners[k]]), block.source(owners[k])
+
+    def _learn(self, block: Block, stamps: Stamps, rows: Stamps, owners: Stamps) -> None:
+        """Learn what cameras look at from the people in ``rows``, each of one message."""
+        ends = np.searchsorted(owners, np.arange(len(block) + 1)).tolist()
+        for i, (_, source, _) in enumerate(block.messages()):
+            if self._coverage.is_due(source, int(stamps[i])):
+                some = [_centre(block.people, row) for row in rows[ends[i] : ends[i + 1]].tolist()]
+                self._coverage.learn(source, some, int(stamps[i]))
 
     def _is_carried(self, person: int, stamp: int, last: int, shown: set[int]) -> bool:
         """Whether a person who was seen at ``last``, ns, is hidden, and not for long."""

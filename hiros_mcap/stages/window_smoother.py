@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.frames import Block, Part, join
+from hiros_mcap.frames import Block, HeldFrames
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import POSE, FusedPoses, JointStates, Sightings, Steps
 from hiros_mcap.skeletons import (
@@ -80,11 +80,13 @@ class WindowSmoother:
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
-        self._held: list[Part] = []
+        self._held = HeldFrames()
+        self._stamps: list[int] = []
+        """Of the instants that are held and known, ns."""
         self._views: list[Sightings] = []
         """Not yet filtered; instants are numbered through the log."""
-        self._first = self._count = 0
-        """Numbers of the first instant that is held, and of the next one to come."""
+        self._first = 0
+        """Number of the first instant that is held."""
         self._taken = 0
         """Time, ns, before which the filters have taken over everything."""
         self._origin: int | None = None
@@ -99,16 +101,17 @@ class WindowSmoother:
         self._make_room(names)
         patience = round((self._waiting.window + self._waiting.lookahead) * 1e9)
         bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
-        times = zip(block.stamps.tolist(), block.log_times.tolist(), strict=True)
-        for i, (stamp, log_time) in enumerate(times):
+        views = views._replace(instants=views.instants + self._held.add(block))
+        taken = 0
+        for (stamp, _, log_time), end in zip(block.messages(), bounds[1:].tolist(), strict=True):
             self._origin = stamp if self._origin is None else self._origin
-            some = chosen(views, slice(bounds[i], bounds[i + 1]))
-            self._views.append(some._replace(instants=some.instants - i + self._count))
-            self._held.append((block, i))
-            self._count += 1
+            self._stamps.append(stamp)
             self._count_on(log_time)
-            while self._held and (stamp - self._stamp(0) >= patience or self._is_due(log_time)):
-                yield self._smooth(self._stamp(0) + round(self._waiting.window * 1e9))
+            while self._stamps and (stamp - self._stamps[0] >= patience or self._is_due(log_time)):
+                self._views.append(chosen(views, slice(taken, end)))
+                taken = end
+                yield self._smooth(self._stamps[0] + round(self._waiting.window * 1e9), log_time)
+        self._views.append(chosen(views, slice(taken, None)))
 
     def _count_on(self, log_time: int) -> None:
         """Measure how regularly instants come."""
@@ -121,16 +124,12 @@ class WindowSmoother:
     def _is_due(self, log_time: int) -> bool:
         """Whether the first instant would be too late if it waited for one more."""
         next_time = log_time + self._interval + 2 * self._jitter
-        return next_time > self._stamp(0) + self._waiting.max_lag * 1e9
+        return next_time > self._stamps[0] + self._waiting.max_lag * 1e9
 
     def rest(self) -> Iterator[Block]:
         """Yield what is left at the end of the log."""
-        if self._held:
-            yield self._smooth(self._stamp(-1) + 1)
-
-    def _stamp(self, k: int) -> int:
-        block, i = self._held[k]
-        return int(block.stamps[i])
+        if self._stamps:
+            yield self._smooth(self._stamps[-1] + 1, self._last_log_time or 0)
 
     def _make_room(self, names: tuple[str, ...]) -> None:
         """Add states for the offsets of new cameras; of these nothing is known yet."""
@@ -147,17 +146,16 @@ class WindowSmoother:
             covariances[:, :, k, k] = np.where(known, self._noise.offsets**2, 0.0)
         self._bank.past = past._replace(means=means, covariances=covariances)
 
-    def _smooth(self, end: int) -> Block:
+    def _smooth(self, end: int, log_time: int) -> Block:
         """Return the held instants before ``end``, ns, or at least one, smoothed."""
-        log_time = self._held[-1][0].log_times[self._held[-1][1]]
-        n = max(sum(self._stamp(k) < end for k in range(len(self._held))), 1)
-        boundary = self._stamp(min(n, len(self._held) - 1))  # nothing older is merged any more
-        out = join(self._held[:n])
+        n = max(sum(stamp < end for stamp in self._stamps), 1)
+        boundary = self._stamps[min(n, len(self._stamps) - 1)]  # nothing older is merged any more
+        out = self._held.copies(range(self._first, self._first + n))
         views = joined(self._views)
-        owners = np.repeat(np.arange(n), np.diff(out.rows).ravel())
+        owners = np.repeat(np.arange(n), out.sizes)
         window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
         of_views = rows_of(views, self._first + owners, out.people.ids)
-        self._bank.expire(self._stamp(0))
+        self._bank.expire(self._stamps[0])
         poses = self._without_displaced(window, of_views, boundary)
         seen = cameras_by_row(views, of_views, poses.variances.shape)
         self._drop(n, boundary, views)
@@ -231,8 +229,9 @@ class WindowSmoother:
 
     def _drop(self, n: int, boundary: int, views: Sightings) -> None:
         """Forget what the filters have taken over."""
-        self._held = self._held[n:]
+        self._stamps = self._stamps[n:]
         self._first += n
+        self._held.keep(range(self._first, self._held.count))
         self._taken = boundary
         self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
 
@@ -251,8 +250,7 @@ class WindowSmoother:
         total = np.nansum(people.marker_confidences, axis=1)
         people.confidences[:] = np.where(known > 0, total / np.maximum(known, 1), np.nan)
         uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
-        log_times = np.full(len(out), log_time, np.int64)
-        return replace(out, log_times=log_times, uncertainty=uncertainty)
+        return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
 
 
 def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:

@@ -19,6 +19,7 @@ LETTERS = {"T": "tracked", "M": "merged", "O": "optimized", "F": "filtered"}
 _HIROS = ("T", "TM", "TO", "TF", "TMF", "TMO", "TMOF")
 _FUSE = ("T", "TM", "TMO", "TMF", "TMOF")
 _LEE = ("T", "TM", "TMF")
+_UNFILTERED = _LEE[:2], ("track", "cluster")
 
 _HIROS_SECTIONS = ("track", "plausible", "sides", "merge", "optimize", "filter")
 _FUSE_SECTIONS = ("track", "plausible", "sides", "merge", "fuse", "constrain", "filter")
@@ -31,10 +32,11 @@ SYSTEMS: dict[str, System] = {
         _FUSE_SECTIONS,
     ),
     "fuse-realtime": System(
-        "fuse without future frames, the default of live input; learns on the way",
+        "without future frames, the default of live input; learns on the way",
         fuse,
         _FUSE,
         _FUSE_SECTIONS,
+        of="fuse",
     ),
     "hiros": System(
         "Hi-ROS 2023, extended for real logs",
@@ -43,10 +45,11 @@ SYSTEMS: dict[str, System] = {
         _HIROS_SECTIONS,
     ),
     "hiros-realtime": System(
-        "hiros with the preset realtime: no stage waits for future frames",
+        "with the preset realtime: no stage waits for future frames",
         hiros,
         _HIROS,
         _HIROS_SECTIONS,
+        of="hiros",
     ),
     "malaguti": System(
         "Malaguti 2019: one Kalman filter per person, limb lengths",
@@ -84,14 +87,10 @@ SYSTEMS: dict[str, System] = {
         _LEE,
         ("track", "cluster", "predict"),
     ),
-    "lee-a1": System("Lee's A1: mean of the cameras", lee, _LEE[:2], ("track", "cluster")),
-    "lee-a2": System(
-        "Lee's A2: sides re-arranged, mean of the cameras", lee, _LEE[:2], ("track", "cluster")
-    ),
-    "lee-a3": System("Lee's A3: sides re-arranged, DBSCAN", lee, _LEE[:2], ("track", "cluster")),
-    "lee-a4": System(
-        "Lee's A4: A3 with the previous position", lee, _LEE[:2], ("track", "cluster")
-    ),
+    "lee-a1": System("A1: mean of the cameras", lee, *_UNFILTERED, of="lee"),
+    "lee-a2": System("A2: sides re-arranged, mean of the cameras", lee, *_UNFILTERED, of="lee"),
+    "lee-a3": System("A3: sides re-arranged, DBSCAN", lee, *_UNFILTERED, of="lee"),
+    "lee-a4": System("A4: A3 with the previous position", lee, *_UNFILTERED, of="lee"),
 }
 
 
@@ -110,8 +109,8 @@ def system(name: str) -> System:
 
 def sections_of(name: str) -> tuple[str, ...]:
     """Return the sections of the configuration that a system reads; ConfigError as in system."""
-    own = system(name).sections
-    return ("input", "clock", *(("noise",) if "fuse" in own else ()), "output", *own)
+    sections = system(name).sections
+    return ("input", "clock", *(("noise",) if "fuse" in sections else ()), "output", *sections)
 
 
 def chain_of(name: str, stages: str = "") -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hiros_mcap.frames import BlockStage
-from hiros_mcap.stages.merge_params import MergeParams
+from hiros_mcap.stages.hiros_params import MergeParams
 from hiros_mcap.systems.run import Run, Stages
 
 

@@ -2,7 +2,7 @@
 
 The paper follows one person with cameras that a wire synchronises. Here the tracker of Hi-ROS comes
 first, and every person is merged as the paper merges its one. The variants A1 to A5 of section 3.1
-are the same stages with other parameters (``SYSTEM_DEFAULTS`` of the configuration).
+are the same stages with other parameters (``systems/presets``).
 """
 
 from __future__ import annotations

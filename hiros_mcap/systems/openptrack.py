@@ -1,4 +1,4 @@
-"""OpenPTrack's filter per joint, with the numbers that ``SYSTEM_DEFAULTS`` gives it."""
+"""OpenPTrack's filter per joint, with the numbers of ``presets/openptrack.toml``."""
 
 from __future__ import annotations
 

@@ -60,3 +60,5 @@ class System:
     """Legal selections of the stages by their letters (T M O F); the last one is all of them."""
     sections: tuple[str, ...]
     """Sections of the configuration that its stages read."""
+    of: str = ""
+    """Name of the system that this is with other parameters (``presets``), "" if there is none."""

@@ -139,7 +139,7 @@ def test_without_opencv_the_line_names_the_extra(
     log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    assert "pip install 'hiros-mcap[images]'" in failure([str(log), *OPTIONS], capsys)
+    assert "pip install opencv-python-headless" in failure([str(log), *OPTIONS], capsys)
 
 
 def test_ready_centres_need_no_opencv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

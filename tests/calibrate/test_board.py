@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
 from rendered_ball import STORE, header, image, millimetres, write_messages
 from scipy.spatial.transform import Rotation
+from whole_commands import altered_text
 
 from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, angle, to_matrix
@@ -114,8 +118,8 @@ def test_each_camera_sees_the_board(log: Path) -> None:
     assert_right([camera.pose for camera in found.cameras])
 
 
-def test_with_known_poses_one_camera_is_enough(tmp_path: Path) -> None:
-    log = write_board(tmp_path / "board.mcap", sees=(True, False))
+def of_the_ball() -> bytes:
+    """Poses of the cameras in another frame, as TOML."""
     turn = Rigid(np.array([0.0, 0.0, np.sin(0.2), np.cos(0.2)]), np.array([1.0, 2.0, 0.3]))
     lines = []
     for k, camera in enumerate(CAMERAS):
@@ -126,8 +130,30 @@ def test_with_known_poses_one_camera_is_enough(tmp_path: Path) -> None:
             f"translation = {pose.translation.tolist()}",
             f"quaternion_xyzw = {pose.xyzw.tolist()}",
         ]
+    return "\n".join(lines).encode()
+
+
+@pytest.fixture(scope="module")
+def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_board(tmp_path_factory.mktemp("board") / "brief.mcap", n=1)
+
+
+@settings(max_examples=4, deadline=None, derandomize=True, database=None)
+@given(data=altered_text(of_the_ball()))
+def test_altered_poses_are_taken_or_refused_in_one_line(brief: Path, data: bytes) -> None:
+    poses = brief.with_name("ball.toml")
+    poses.write_bytes(data)
+    with redirect_stderr(io.StringIO()) as stderr:
+        code = run(["calibrate", "board", str(brief), "--extrinsics", str(poses)])
+    assert code in (0, 2)
+    assert stderr.getvalue().count("hiros: error: ") == (code == 2), stderr.getvalue()
+    assert "Traceback" not in stderr.getvalue()
+
+
+def test_with_known_poses_one_camera_is_enough(tmp_path: Path) -> None:
+    log = write_board(tmp_path / "board.mcap", sees=(True, False))
     ball = tmp_path / "ball.toml"
-    ball.write_text("\n".join(lines))
+    ball.write_bytes(of_the_ball())
     found = calibrate_board(log, extrinsics=ball)
     assert found.gauge == "transforms"
     assert_right([camera.pose for camera in found.cameras])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 from rooms import late, mirrored, simulated, write
 
 from hiros_cli.app import run
+from hiros_cli.calibration_report import _notes
 from hiros_mcap.body.rotations import Rigid, angle, multiply
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.joint_refinement import (
     Points,
     free_unknowns,
@@ -291,3 +294,10 @@ def test_the_copy_has_right_stamps_and_everything_else(nothing: Path, tmp_path: 
             assert late == pytest.approx(CLOCKS[after.source], abs=0.005)
             np.testing.assert_array_equal(before.markers, after.markers)
         assert new.transforms.at_rest("camera_1", "world") is not None
+
+
+@pytest.mark.parametrize(("names", "who"), [("ab", "b (or the other camera)"), ("abc", "c")])
+def test_of_two_cameras_either_may_have_been_moved(names: str, who: str) -> None:
+    cameras = [CalibratedCamera(name, name) for name in names]
+    cameras += [replace(cameras[-1], since_s=3.0)]
+    assert f"{who} was moved 3.0 s after the start" in list(_notes(cameras))

@@ -23,11 +23,12 @@ import typer
 
 from hiros_cli.app import run
 from hiros_cli.commands import app
-from hiros_cli.commands.simulate import _params
+from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.help_page import EXAMPLES
 from hiros_mcap import __version__, kernels
 from hiros_mcap.config import load_config
+from hiros_mcap.defaults import SYSTEM_NAMES
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels import shipped
@@ -124,7 +125,7 @@ def test_the_help_of_simulate_states_the_bounds_that_hold(
     assert [name for name, _ in stated] == ["people", "cameras", "seconds", "rate"]
     for name, bound in stated:
         with pytest.raises(ConfigError, match=rf"--{name}: .* {bound}, is"):
-            _params({name: int(bound) + 1})
+            simulate_params({name: int(bound) + 1})
     assert "real depth camera has, at most 100." in text
 
 
@@ -134,9 +135,8 @@ def test_config_prints_what_config_reads(
     assert run(["config", "--preset", "paper", "--set", "filter.cutoff=5"]) == 0
     path = tmp_path / "hiros.toml"
     path.write_text(capsys.readouterr().out)
-    assert load_config(path) == load_config(
-        overrides=["filter.cutoff=5"], preset="paper", system="hiros"
-    )
+    as_printed = load_config(path, preset="paper", system="hiros")
+    assert as_printed == load_config(overrides=["filter.cutoff=5"], preset="paper", system="hiros")
 
 
 def test_config_prints_the_sections_of_the_system(capsys: pytest.CaptureFixture[str]) -> None:
@@ -293,11 +293,14 @@ def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path: Path) ->
     assert (done.stdout, done.stderr) == ("", "")
 
 
-def test_systems_are_listed_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:
+def test_systems_are_listed_once_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["systems"]) == 0
-    text = capsys.readouterr().out
-    assert "malaguti" in text
-    assert "stages: T, TM, TMO" in text
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert sorted(row[0] for row in rows) == sorted(SYSTEM_NAMES)
+    (malaguti,) = (row for row in rows if row[0] == "malaguti")
+    assert malaguti[-3:] == ["T,", "TM,", "TMO"]
+    (lee,) = (k for k, row in enumerate(rows) if row[0] == "lee")
+    assert [row[0] for row in rows[lee + 1 :]] == ["lee-a1", "lee-a2", "lee-a3", "lee-a4"]
 
 
 def test_calibrate_noise_prints_what_config_reads(
@@ -373,3 +376,20 @@ def test_the_version_and_help_have_the_spellings_that_people_try(
     assert "process" in capsys.readouterr().out
     assert run(["calibrate"]) == 2
     assert "people" in capsys.readouterr().out
+
+
+def test_demo_writes_a_log_and_names_what_comes_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["demo"]) == 0
+    first, process, view = capsys.readouterr().out.splitlines()
+    assert first == "wrote demo.mcap; go on with"
+    assert Path("demo.mcap").stat().st_size < 8e6
+    assert run([*shlex.split(process)[1:], "-q"]) == 0
+    assert run([*shlex.split(view)[1:], "--save", "demo.rrd", "--time-range", "0:1", "-q"]) == 0
+    capsys.readouterr()
+    assert run(["eval", "demo.hiros.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["true_people"] == [0, 1]
+    Path("demo.mcap").write_bytes(b"mine")
+    assert run(["demo", "-q"]) == 2

@@ -50,7 +50,7 @@ def test_parameters(
     shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = offered("hiros process a.mcap --set track.max_", shell, monkeypatch, capsys)
-    assert set(found) >= {"track.max_distance=", "track.max_gap=", "track.max_speed="}
+    assert set(found) >= {"track.max_distance=", "track.max_gap=", "track.max_jump="}
     assert all(name.startswith("track.max_") for name in found)
 
 

@@ -119,6 +119,11 @@ def test_calibrate_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert_as_documented([printed(["calibrate", "people", log], capsys)])
 
 
+def test_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["plan", "--room", "4x3", "--cameras", "2"]
+    assert_as_documented([printed(command, capsys)])
+
+
 def test_calibrate_ball(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cameras = [camera_at(0.0), camera_at(1.5)]
     log = write_messages(tmp_path / "ball.mcap", centres_of(cameras, ball_path(60)))

@@ -12,7 +12,7 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.evaluate import comparison_tables
+from hiros_mcap.evaluate import score_tables
 from hiros_mcap.evaluate.comparison import (
     DEFAULT,
     Entry,
@@ -94,7 +94,7 @@ def test_side_by_side_as_one_after_the_other(walking: Path) -> None:
     together, alone = comparison(tasks, jobs=2), comparison(tasks, jobs=1)
     assert [o.name for o in together] == ["raw", "hiros", "average"]
     assert [o.error for o in together] == [o.error for o in alone]
-    header, rows = comparison_tables.table_of(together)
+    header, rows = score_tables.system_table(together)
     assert header[:2] == ("System", "Mean")
     assert [row[0] for row in rows] == ["hiros", "average", "raw"]
 
@@ -145,7 +145,7 @@ def test_every_subset_of_the_cameras(walking: Path, name: str) -> None:
 
 
 def test_errors_by_number_of_cameras_as_a_table() -> None:
-    header, rows = comparison_tables.camera_table({"hiros": {1: (30.0, 5.0), 3: (20.0, 4.0)}})
+    header, rows = score_tables.camera_table({"hiros": {1: (30.0, 5.0), 3: (20.0, 4.0)}})
     assert header == ("System", "1", "3")
     assert rows == [("hiros", "30.0 (5.0)", "20.0 (4.0)")]
 

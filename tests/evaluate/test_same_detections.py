@@ -30,7 +30,7 @@ def test_who_has_nobody_where_it_is_hard_gains_nothing() -> None:
     worse[50:] = np.nan
     first, second = on_same_detections({"a": [camera(good)], "b": [camera(worse)]}).values()
     assert (first.distance.mean, second.distance.mean) == pytest.approx((20, 30))
-    assert (first.median, second.median) == pytest.approx((20, 30))
+    assert (first.disagreement, second.disagreement) == pytest.approx((20, 30))
     assert (first.misses, second.misses) == (0, 50)
     assert first.detections == second.detections == 100
     assert second.difference is not None

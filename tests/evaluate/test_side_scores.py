@@ -65,6 +65,16 @@ def test_real_backward_walking_contradicts_no_toe() -> None:
     assert scores.backwards == scores.walking > 60 and scores.contradicting["toe"] == 0
 
 
+def test_who_walks_sideways_does_not_walk_backwards() -> None:
+    turn, sideways = Rotation.from_euler("z", 90, degrees=True), []
+    for frame in walk():
+        markers, centre = frame.markers.copy(), frame.positions[0].mean(axis=0)
+        markers[0, :, :3] = turn.apply(markers[0, :, :3] - centre) + centre
+        sideways.append(frame.replace(markers=markers))
+    scores = side_scores(sideways, MODEL)
+    assert scores.walking > 60 and scores.backwards < 0.1 * scores.walking
+
+
 def test_a_swap_in_the_middle_is_two_jumps() -> None:
     frames = [mirror(f) if 40 <= k < 80 else f for k, f in enumerate(walk())]
     assert side_scores(frames, MODEL).jumps == 2

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from stick_figures import MODEL, START, at, person, seen
+from stick_figures import MODEL, POSE, START, at, person, seen
 
 from hiros_mcap.body.rotations import rotate
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate import Truth, evaluate, load_truth
+from hiros_mcap.evaluate.logs import Channel, evaluate_channels
+from hiros_mcap.evaluate.remarks import notes_of
 from hiros_mcap.skeletons import Frame, SkeletonModel
 
 CSV = """time,person,marker,x,y,z
@@ -171,6 +173,29 @@ def test_other_marker_sets_are_compared_on_what_they_share() -> None:
     scores = evaluate(frames(), truth, MODEL)
     assert list(scores.joints) == ["WRIST_LEFT"]
     assert scores.mean == pytest.approx(30)
+
+
+def links(*ends: tuple[int, int]) -> SkeletonModel:
+    return SkeletonModel.of(MODEL.marker_names, [(f"{p} {c}", p, c) for p, c in ends])
+
+
+def test_links_are_compared_by_the_joints_that_they_join() -> None:
+    ends = [(int(p), int(c)) for p, c in MODEL.links]
+    turns = np.random.default_rng(0).normal(size=(1, 1, 7, 4))
+    stamps, people = np.array([at(0)]), np.zeros((1, 1, 8, 3))
+    truth = Truth(stamps, people, turns, (0,), links(*ends[::-1]))
+    np.testing.assert_array_equal(truth.seen_by(MODEL).orientations, turns[:, :, ::-1])
+
+
+def test_links_that_the_result_lacks_are_counted() -> None:
+    ends = [(0, 1), (1, 6), (1, 7)]
+    truth = Truth(
+        np.array([at(0), at(1)]), np.tile(POSE, (2, 1, 1, 1)), np.zeros((2, 1, 3, 4)), (0,),
+        links(*ends),
+    )  # fmt: skip
+    results = evaluate_channels({"/x": Channel("x", frames()[:2], MODEL)}, truth)
+    (note,) = notes_of(truth, results)
+    assert note == "2 links of the truth join no two joints that the result links"
 
 
 def test_nothing_in_common_is_an_error() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,6 +26,7 @@ from hiros_cli.app import run
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import McapReader
 from hiros_mcap.io.log import open_log
+from hiros_mcap.io.overview import look
 from hiros_mcap.running.pipeline import process
 
 SKELETONS, TF = hiros_schemas.SKELETON_GROUP, hiros_schemas.TF_MESSAGE
@@ -146,14 +148,26 @@ def test_a_bag_can_be_processed(bag: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("maker", MAKERS)
 def test_a_bag_without_skeletons_says_what_it_has(
-    maker: Callable[[Path, list[Message]], Path], tmp_path: Path, messages: list[Message]
+    maker: Callable[[Path, list[Message]], Path],
+    tmp_path: Path,
+    messages: list[Message],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = maker(tmp_path, [m for m in messages if m[1] != SKELETONS])
     with pytest.raises(
-        LogError, match=r"no SkeletonGroup topic; it has /chatter \(std_msgs"
+        LogError, match=r"no SkeletonGroup topic; .*it has /chatter \(std_msgs"
     ) as bad:
         open_log(path)
     assert "/tf_static" in str(bad.value)
+    overview = look(path)
+    rows = {row.topic: (row.type, row.messages) for row in overview.channels}
+    assert rows["/chatter"] == ("std_msgs/msg/String", 1)
+    assert rows["/tf_static"][1] == 1
+    assert (overview.kind, overview.cameras) == ("other", ())
+    assert run(["info", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"^/chatter +1 +- +0\.0  String", text, re.MULTILINE)
+    assert text.rstrip().splitlines()[-2] == "nothing to process: has no SkeletonGroup topic"
 
 
 def test_a_bag_is_a_log_for_every_command(

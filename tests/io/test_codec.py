@@ -588,6 +588,7 @@ VARIANTS = {
     "small numbers": TEXT.replace("float64 confidence", "float32 confidence"),
     "wide ids": TEXT.replace("int32 parent_marker", "int64 parent_marker"),
     "a fixed array": TEXT.replace("Marker[] markers", "Marker[2] markers"),
+    "a header of ROS 1": TEXT.replace("Time stamp\n", "Time stamp\nuint32 seq\n"),
     "a field at the end": TEXT.replace("Skeleton[] skeletons\n", "Skeleton[] skeletons\nbool x\n"),
 }
 
@@ -621,12 +622,11 @@ def test_translated_message_of_several_cameras_can_be_split() -> None:
     [
         (TEXT.replace("float64 height", "float64 tall"), "lacks the field .*bounding_box.height"),
         (TEXT.replace("int32 sec", "string sec"), "string instead of int32 for .*header.stamp.sec"),
+        (TEXT.replace("int32 sec", "int64 sec"), "builtin_interfaces/Time"),
         (TEXT.replace("Link[] links\n", ""), r"lacks the field skeletons\[\].links\[\].id"),
         (TEXT.replace("Skeleton[] skel", "Skeleton skel"), r"lacks the field skeletons\[\].id"),
         (TEXT.replace("MSG: hiros_skeleton_msgs/Box", "MSG: hiros_skeleton_msgs/B"), "Box is miss"),
         (TEXT.replace("float64 height", "Box inner\nfloat64 height"), "contains itself"),
-        (TEXT.replace("float64 height", "Bomb[] b\nfloat64 height") + "\n" + "=" * 80
-         + "\nMSG: hiros_skeleton_msgs/Bomb\nuint8[4] x\n", "nothing but bytes"),
         (TEXT.replace("int32 id", "int32 id id2 = 3", 1) + "\n" + "=" * 80, "lacks its line"),
         (TEXT + "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nint8 x\n", "defined twice"),
         (TEXT.replace("string name", "???"), "no field"),
@@ -676,6 +676,14 @@ def test_damaged_message_of_a_compatible_schema_is_refused() -> None:
             exact(stick(), data[:n], checked(text))
     with pytest.raises(LogError, match="0x0003"):
         exact(stick(), b"\0\3" + data[2:], checked(text))
+
+
+def test_elements_without_numbers_are_not_built_from_nothing() -> None:
+    """A few bytes may claim 2^32 elements that take no bytes of their own."""
+    bomb = f"\n{'=' * 80}\nMSG: hiros_skeleton_msgs/Bomb\nuint8[4] x\n"
+    text = TEXT.replace("Header header\n", "Header header\nBomb[] b\n", 1) + bomb
+    with pytest.raises(LogError, match="its own schema"):
+        exact(stick(), b"\0\1\0\0" + bytes(16) + b"\xff" * 4 + bytes(8), checked(text))
 
 
 def test_number_that_does_not_fit_the_published_type_is_refused() -> None:

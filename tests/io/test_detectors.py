@@ -6,6 +6,7 @@ import re
 import tempfile
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,28 @@ def test_an_empty_capture_is_a_camera_that_sees_nobody(tmp_path: Path, scene: Sc
     assert last.frame_id.startswith("camera_")
 
 
+def test_messages_without_skeletons_are_counted_and_transforms_are_not(
+    tmp_path: Path, scene: Scene
+) -> None:
+    def with_arrows(scene: Scene) -> made.Made:
+        arrow = made.ROS2.types[made.MARKERS]([made.default("visualization_msgs/msg/Marker")])
+        for topic, name, log_time, data in islice(only("camera_0", azure)(scene), 5):
+            yield topic, name, log_time, data
+            yield topic, name, log_time, made.ROS2.serialize_cdr(arrow, name)
+
+    def with_humans(scene: Scene) -> made.Made:
+        yield from islice(made.humans(scene), 20)
+
+    for maker, wanted in (
+        (with_arrows, ["/camera_0/body_tracking_data: 5 messages"]),
+        (with_humans, []),
+    ):
+        with open_log(write_ros2(tmp_path / f"{maker.__name__}.mcap", scene, maker)) as log:
+            assert any(frame.n_people for frame in log.frames())
+            remarks = [text for text in log.remarks if "without skeletons" in text]
+        assert remarks == [f"{what} without skeletons left out" for what in wanted]
+
+
 def test_the_joints_of_a_marker_are_those_of_the_sdk(tmp_path: Path, scene: Scene) -> None:
     assert body_model("azure-kinect").marker_names == scene.names
     assert body_model("azure-kinect").marker_names.index("HEAD") == 26
@@ -185,7 +208,8 @@ def test_body_formats_of_the_zed_have_their_joints() -> None:
 @pytest.mark.parametrize("name", BODY_MODELS)
 def test_every_skeleton_is_one_tree(name: str) -> None:
     model = body_model(name)
-    assert model.n_links == model.n_markers - 1
+    trees = 2 if name == "mediapipe-33" else 1  # its head hangs on nothing
+    assert model.n_links == model.n_markers - trees
     assert len(set(model.link_children)) == model.n_links
     assert len(set(joints_of(model.marker_names))) == model.n_markers
     assert name_of(model) == name

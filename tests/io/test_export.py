@@ -16,6 +16,8 @@ import pytest
 from hiros_cli.app import run
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate.truth_files import read_trc
+from hiros_mcap.io.channels import add_skeleton_channel
+from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.export.files import FORMATS, export, files_of, steady
 from hiros_mcap.io.export.marker_set import load_marker_set
@@ -23,8 +25,9 @@ from hiros_mcap.io.result import Motion, Result, open_result
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.body_model import MODEL
 from hiros_mcap.simulate.write_log import write_log
-from hiros_mcap.skeletons import SkeletonModel
+from hiros_mcap.skeletons import Frame, SkeletonModel
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +79,28 @@ def test_resampling_keeps_pauses() -> None:
     known = ~np.isnan(fine.positions[:, 0, 0])
     assert not known[(fine.times > 0.91) & (fine.times < 1.99)].any()
     np.testing.assert_allclose(fine.positions[known, 0, 0], fine.times[known], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [([0, 0, 0, 1], "twice at one time"), ([0, 1, 2, 10**9], "--start and --end")],
+)
+def test_instants_without_a_rate_are_refused_and_others_are_put_in_order(
+    stamps: list[int], words: str, tmp_path: Path
+) -> None:
+    encoder = Encoder(MODEL)
+    for name, times in (("odd", stamps), ("late", [3, 1, 2, 0])):
+        with McapWriter(tmp_path / name) as writer:
+            channel = add_skeleton_channel(writer, "/hiros/tracked")
+            for log_time, stamp in enumerate(times):
+                frame = Frame.empty(1, MODEL, stamp=(100 + stamp) * 10**8, frame_id="world")
+                frame.ids[:], frame.markers[..., :3] = 0, stamp if name == "late" else log_time
+                writer.write(channel, log_time, encoder.encode(frame))
+            writer.commit()
+    with pytest.raises(ConfigError, match=words):
+        steady(open_result(tmp_path / "odd"))
+    late = steady(open_result(tmp_path / "late")).motions[0]
+    np.testing.assert_allclose(late.positions[:, 0, 0], [0, 1, 2, 3], atol=1e-9)
 
 
 def test_parts_can_be_selected(result: Result) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+import detector_files as files
 import detector_logs as made
 import numpy as np
 import pytest
@@ -137,6 +138,82 @@ def test_files_say_what_the_log_says(kind: str, tmp_path: Path, scene: Scene) ->
         assert (a.frame_id, a.source) == ("camera_0", "camera_0")
 
 
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "two_people_crossing.mcap"
+RECIPES = {
+    "openpose": ("openpose", 'axes = ["x", "z", "-y"]\n[time]\nrate = 30', 21),
+    "mediapipe": ("mediapipe.json", "", 21),
+    "freemocap": ("mediapipe_body_3d_xyz.csv", "[time]\nrate = 30", 21),
+    "pose2sim": ("walk_P1.trc", "", len(files.POSE2SIM)),
+    "opencap": ("squat.trc", "", len(files.OPENCAP)),
+}
+"""Detector -> what it writes, what else the mapping says, and the joints that it sees."""
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what each detector writes of the same two people."""
+    folder = tmp_path_factory.mktemp("written")
+    files.write_all(folder, SAMPLE)
+    return folder
+
+
+@pytest.mark.parametrize("detector", RECIPES)
+def test_files_of_a_detector_show_the_people_where_they_were(
+    detector: str, tmp_path: Path, written: Path
+) -> None:
+    name, more, n_joints = RECIPES[detector]
+    mapping = tmp_path / "own.toml"
+    mapping.write_text(f'detector = "{detector}"\n{more}\n')
+    import_joints([written / name], tmp_path / "log.mcap", mapping if more else Path(detector))
+    expected, markers = files.truth_of(SAMPLE)
+    with open_log(tmp_path / "log.mcap") as log:
+        found, names = list(log.frames()), log.model.marker_names
+        assert log.model.n_links >= n_joints - 6
+    assert len(found) == len(expected) == 150
+    assert [f.stamp - found[0].stamp for f in found[:2]] == pytest.approx([0, 33.3e6], abs=4e5)
+    for frame, true in zip(found, expected, strict=True):
+        people = files.seen(true, markers, names)[: frame.n_people]
+        positions = frame.positions
+        if detector == "mediapipe":  # from the middle of the hips
+            people -= people[:, 23:25].mean(axis=1, keepdims=True)
+            positions = np.where(np.isnan(people), np.nan, positions)
+        assert (~np.isnan(positions[0, :, 0])).sum() == n_joints
+        np.testing.assert_allclose(positions, people, atol=1e-6)
+
+
+def test_people_of_two_files_in_one_frame_have_no_poses_of_cameras(
+    tmp_path: Path, written: Path
+) -> None:
+    both = [written / "walk_P1.trc", written / "walk_P2.trc"]
+    import_joints(both, tmp_path / "log.mcap", Path("pose2sim"))
+    summary = process(tmp_path / "log.mcap", tmp_path / "out.mcap")
+    assert len(summary.people) == 2
+    assert not summary.poses
+
+
+def test_joints_of_the_image_alone_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "op").mkdir()
+    people = '{"people": [{"pose_keypoints_2d": [1, 2, 0.9], "pose_keypoints_3d": []}]}'
+    (tmp_path / "op" / "a_0_keypoints.json").write_text(people)
+    (tmp_path / "own.toml").write_text('detector = "openpose"\n[time]\nrate = 30\n')
+    with pytest.raises(ConfigError, match="op: holds no joint in 3D"):
+        import_joints([tmp_path / "op"], tmp_path / "log.mcap", tmp_path / "own.toml")
+
+
+def test_files_of_a_folder_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    (tmp_path / "op").mkdir()
+    for number in range(12):
+        joints = [0.1 * number, 0, 0, 1, 1, 1, 1, 1, 0, 0, 0, 0]
+        content = {"people": [{"joints": joints}]}
+        (tmp_path / "op" / f"a_{number}.json").write_text(json.dumps(content))
+    (tmp_path / "own.toml").write_text('names = ["A", "B", "C"]\n[time]\nrate = 10\n')
+    import_joints([tmp_path / "op"], tmp_path / "log.mcap", tmp_path / "own.toml")
+    with open_log(tmp_path / "log.mcap") as log:
+        people = np.concatenate([frame.positions for frame in log.frames()])
+    np.testing.assert_allclose(people[:, 0, 0], 0.1 * np.arange(12), atol=1e-9)
+    assert np.isnan(people[:, 2]).all()
+
+
 def test_an_imported_log_can_be_processed(tmp_path: Path, scene: Scene) -> None:
     wide_csv(tmp_path / "a.csv", frames_of(scene, "camera_0"), scene.names)
     (tmp_path / "map.toml").write_text(KINDS["wide"][2])
@@ -199,6 +276,7 @@ def test_a_joint_is_linked_to_the_nearest_one_above() -> None:
     ("text", "fault"),
     [
         ('unit = "inch"', "unit: should be 'm', 'cm' or 'mm'"),
+        ('detector = "pose"', "detector: 'pose' is none of openpose, mediapipe, freemocap"),
         ('axes = ["x", "y", "-z"]', "axes: should not mirror people"),
         ('axes = ["x", "x", "z"]', "axes: should be x, y and z in some order"),
         ("colour = 3", "colour: "),

@@ -119,6 +119,8 @@ def test_what_happened_is_logged(messages: Messages) -> None:
     texts = [(entry.level, entry.name, entry.msg) for entry in messages[LOG]]
     assert (20, "hiros", "limbs calibrated person 0: 150 frames") in texts
     assert any("track born person 1" in text for _, _, text in texts)
+    times = [(entry.stamp.sec, entry.stamp.nanosec, entry.msg) for entry in messages[LOG]]
+    assert len(set(times)) == len(times)
 
 
 @pytest.mark.parametrize(

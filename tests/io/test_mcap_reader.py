@@ -194,6 +194,15 @@ def test_chunks_without_the_chosen_channels_are_not_decompressed(path):
         assert len(reader.loaded) == 1
 
 
+def test_chunks_that_touch_a_span_are_read_and_others_are_not(path):
+    write_log(path, [(1, 10 * k, bytes(90)) for k in range(20)], chunk_size=300)
+    with Counting(path) as reader:
+        chunks = reader.contents.chunks
+        spans = [(chunks[1].end_time, chunks[2].start_time)]
+        list(reader.batches(spans=spans))
+        assert reader.loaded == [chunk.offset for chunk in chunks[1:3]]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_log_cut_anywhere_is_refused(path, kind):
     whole = write_log(path, make_messages(6), **KINDS[kind]).read_bytes()

@@ -312,6 +312,17 @@ def test_a_damaged_chunk_is_not_copied(tmp_path, out):
         ChunkCopier(reader, writer, reader.channels).finish()
 
 
+def test_what_is_appended_lies_behind_what_was_written_before(tmp_path, out):
+    source = write_log(tmp_path / "in.mcap", [(1, 7, b"second")])
+    with McapReader(source) as reader, McapWriter(out) as writer:
+        writer.define(reader.schema(reader.channels[1]))
+        writer.define(reader.channels[1])
+        writer.write(1, 7, b"first")
+        writer.append(reader, reader.channels)
+        writer.commit()
+    assert [message[2] for message in by_library(out)] == [b"first", b"second"]
+
+
 def test_new_ids_lie_above_those_of_channels_left_out(tmp_path, out):
     source = write_log(tmp_path / "in.mcap")
     with McapReader(source) as reader, McapWriter(out) as writer:

@@ -147,6 +147,19 @@ def test_what_is_lost_is_told_by_message_indexes_where_there_are_no_statistics(p
     assert recovery.lost is None  # behind the cut
 
 
+def test_metadata_behind_a_damaged_attachment_are_left(path: Path) -> None:
+    data = bytearray(write_log(path).read_bytes())
+    with McapReader(path) as reader:
+        (attachment,) = reader.contents.attachments
+        rows = [(m.channel_id, bytes(m.data)) for m in reader.messages()]
+    data[attachment.offset + 7] ^= 1  # its length
+    path.write_bytes(data)
+    with RecoveringReader(path) as reader:
+        assert [(m.channel_id, bytes(m.data)) for m in reader.messages()] == rows
+        assert reader.contents.attachments == []
+        assert reader.contents.metadata == [("about", {"key": "value"})]
+
+
 def test_statistics_tell_what_is_lost_of_each_channel(path: Path) -> None:
     data = bytearray(write_log(path, make_messages(200)).read_bytes())
     with McapReader(path) as reader:
@@ -200,6 +213,17 @@ def test_messages_whose_channel_is_lost_are_counted(path: Path) -> None:
     assert [row[0] for row in rows] == [2]
     (loss,) = (c for c in recovery.channels if c.topic != "/b")
     assert (loss.topic, loss.lost, loss.lost_bytes) == ("channel 1 without a definition", 1, 7)
+
+
+def test_the_indexes_of_a_lost_chunk_are_its_own(path: Path) -> None:
+    first = [channel(), channel(2, "/b"), message(), message(2)]
+    at = len(first[0]) + len(first[1])
+    parts = [chunk(*first, times=(5, 5)), index(1, [(5, at)]), index(2, [(5, at + len(first[2]))])]
+    lost = chunk(message(2), times=(5, 5), crc=1), index(2, [(5, 0)])
+    rows, recovery = left_of(path, mcap_file(path, *parts, *lost).read_bytes())
+    assert [row[0] for row in rows] == [1, 2]
+    assert [damage.counts for damage in recovery.damages] == [{2: 1}]
+    assert [(c.topic, c.lost) for c in recovery.channels] == [("/a", 0), ("/b", 1)]
 
 
 def test_indexes_of_times_of_today_match(path: Path) -> None:

@@ -72,6 +72,14 @@ def test_version_input_and_parameters_that_changed() -> None:
     assert [d.what for d in changes(Provenance(), was)] == ["version and configuration"]
 
 
+def test_a_parameter_that_became_a_constant_of_the_same_value_is_no_change() -> None:
+    was = Provenance({}, {"track.horizon": "0.2", "track.min_links": "0", "filter.order": "2"})
+    now = Provenance({}, {"filter.order": "2"})
+    assert changes(now, was) == []
+    other = Provenance({}, {**was.parameters, "track.horizon": "0.3"})
+    assert [d.what for d in changes(now, other)] == ["track.horizon"]
+
+
 def test_another_input_is_named(output: Path, tmp_path: Path) -> None:
     check_output(output, Golden(tmp_path / "golden.mcap"), bless=True)
     other = tmp_path / "other.mcap"

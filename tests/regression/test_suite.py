@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError, LogError
 from hiros_mcap.evaluate import Truth, evaluate, load_truth
 from hiros_mcap.evaluate.logs import output_channels
+from hiros_mcap.evaluate.measures import MEASURES
 from hiros_mcap.frames import by_block, by_frame
 from hiros_mcap.regression import check_report
 from hiros_mcap.regression.differences import (
@@ -28,7 +30,6 @@ from hiros_mcap.regression.differences import (
 )
 from hiros_mcap.regression.golden import write_golden
 from hiros_mcap.regression.metrics import (
-    METRICS,
     GoldenMetrics,
     Threshold,
     load_metrics,
@@ -38,7 +39,7 @@ from hiros_mcap.regression.metrics import (
 )
 from hiros_mcap.regression.provenance import Provenance
 from hiros_mcap.regression.suite import CaseResult, Golden, SuiteOptions, load_suite, run_suite
-from hiros_mcap.regression.tolerances import Tolerances, beside
+from hiros_mcap.regression.tolerances import LIMITS, Tolerances, beside
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
 from hiros_mcap.systems import SYSTEMS, Run, Stages
@@ -54,6 +55,12 @@ channels = ["/hiros/*"]
 require = ["mpjpe <= 25 mm", "id_switches = 0"]
 system = "hiros"
 """
+
+
+def test_the_total_adds_what_every_log_took() -> None:
+    cases = [("a", "equal", 1.0), ("b", "error", 2.5), ("c", "different", 0.2)]
+    results = [CaseResult(name, status, seconds=s) for name, status, s in cases]  # type: ignore[arg-type]
+    assert check_report.totals(results) == ("1 of 3 logs as expected, 1 different, 1 failed, 3.7 s")
 
 
 def test_the_sample_logs_give_what_they_gave() -> None:
@@ -440,6 +447,11 @@ def test_each_metric_is_that_of_its_name(name: str, field: str) -> None:
     frame = [seen([person()], at(0), ids=[0])]
     scores = evaluate(frame, Truth.of(frame), MODEL)
     changed = replace(scores, **{field: 7})
-    read = METRICS[name].of
-    assert read is not None
-    assert read(changed) == 7
+    assert MEASURES[name].compared(changed) == 7
+
+
+def test_the_page_has_the_tolerances() -> None:
+    page = (SAMPLES.parent / "docs" / "golden.md").read_text(encoding="utf-8")
+    block = page.partition("## Tolerances")[2].partition("```toml\n")[2].partition("```")[0]
+    others = {name: getattr(Tolerances(), name) for name in Tolerances.model_fields}
+    assert tomllib.loads(block) == {**LIMITS, **others}

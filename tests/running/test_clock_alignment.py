@@ -270,6 +270,18 @@ def test_a_camera_that_was_moved_has_the_surer_of_its_two_clocks() -> None:
     assert [fault.seconds for fault in clocks.faults] == [-0.04]
 
 
+@pytest.mark.parametrize(("error_ms", "corrected"), [(4.0, True), (6.0, False)])
+def test_the_difference_of_two_clocks_has_the_errors_of_both(
+    error_ms: float, corrected: bool
+) -> None:
+    clocks = three(a=0.0, b=0.03)
+    clocks.take_offsets([
+        PoseSummary("a", "good", clock_ms=-15.0, error_ms=error_ms),
+        PoseSummary("b", "good", clock_ms=15.0, error_ms=error_ms),
+    ])  # fmt: skip
+    assert bool(clocks.faults) == corrected
+
+
 def test_of_two_cameras_the_one_logged_nearer_to_its_stamps_is_right() -> None:
     clocks = three(a=-0.07, b=0.03)
     clocks.take_offsets([

@@ -17,10 +17,11 @@ from hiros_mcap import stages
 from hiros_mcap.body.limb_table import Limb, LimbTable
 from hiros_mcap.events import COUNTED, TOO_LATE, counted
 from hiros_mcap.frames import Block
-from hiros_mcap.io.log import Log
+from hiros_mcap.io.log import Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.running.observe import (
     DETECTIONS,
+    CommonPauses,
     DetectionSample,
     MessageRate,
     Observer,
@@ -39,8 +40,9 @@ MS, S = 1_000_000, 1_000_000_000
 def rate(*stamps: float) -> MessageRate:
     """A camera that sent messages stamped at these times, s."""
     result = MessageRate()
-    for stamp in stamps:
-        result.add(round((100 + stamp) * S))
+    for some in stamps[:2], stamps[2:]:  # of two blocks
+        if some:
+            result.add(np.array([round((100 + stamp) * S) for stamp in some]))
     return result
 
 
@@ -53,6 +55,22 @@ def test_a_message_out_of_order_does_not_count_for_the_rate() -> None:
     assert rate(0, 0.1, 0.05, 0.15).hertz == pytest.approx(10)
 
 
+def test_pauses_of_all_cameras_are_those_that_nobody_fills() -> None:
+    def notes(*seconds: float) -> list[str]:
+        pauses = CommonPauses()
+        for part in (seconds[:7], seconds[7:]):
+            pauses.add(np.array([round((100 + s) * S) for s in part], np.int64))
+        return list(pauses.notes(100 * S))
+
+    busy = [k / 10 for k in range(30)]
+    assert notes(*busy) == []
+    assert notes(*busy, 4.5, 4.4) == ["all cameras pause from 2.9 to 4.5 s"]
+    assert notes(*busy, 5.0, 5.1, 8.5) == [
+        "all cameras pause 2 times, 5.5 s in all; the longest pause is from 5.1 to 8.5 s"
+    ]
+    assert notes(0, 2, 4, 6, 8, 10) == []  # this is how often they send
+
+
 def sample(scale: float, confidence: float) -> DetectionSample:
     result = DetectionSample()
     frame = seen([person()], at(0))
@@ -60,6 +78,16 @@ def sample(scale: float, confidence: float) -> DetectionSample:
     frame.marker_confidences[...] = confidence
     result.add(Block.of(frame))
     return result
+
+
+@pytest.mark.parametrize("confidences", [(0.5, 0.0), (0.0, 0.5)])
+def test_one_marker_with_a_confidence_is_enough(confidences: tuple[float, ...]) -> None:
+    result = DetectionSample()
+    for k, confidence in enumerate(confidences):
+        frame = seen([person()], at(k))
+        frame.marker_confidences[...] = confidence
+        result.add(Block.of(frame))
+    assert list(result.reasons()) == []
 
 
 @pytest.mark.parametrize(
@@ -151,7 +179,7 @@ def report_on(run: Run) -> Report:
     observer = Observer(["tracked", "optimized"])
     log, options = cast(Log, None), ProcessOptions()
     prepared = Prepared(log, run.config, options, ClockAlignment(), PoseAlignment(), Stopwatch())
-    return Report(prepared, run, observer)
+    return Report(prepared, run, observer, cast(Reading, None))
 
 
 def test_limbs_are_summed_up_by_the_median_and_the_worst() -> None:

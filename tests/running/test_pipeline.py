@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -26,6 +27,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.io.container import ChunkCopier, McapReader, McapWriter
 from hiros_mcap.io.log import Log, open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.recording import Recording
 from hiros_mcap.skeletons import ACCELERATION, ORIENTATION, POSITION, STATE, VELOCITY, Frame
 from hiros_mcap.systems import LETTERS, SYSTEMS, chain_of
 
@@ -280,7 +282,7 @@ def test_provenance_and_configuration_are_in_the_output(tmp_path: Path) -> None:
     ("system", "stages", "switch", "merging"),
     [
         ("hiros", "TMF", [], "flips,outliers,mean"),
-        ("hiros", "TM", ["merge.max_facing_delta=0"], "outliers,mean"),
+        ("hiros", "TM", ["merge.max_position_delta=0"], "flips,outliers,mean"),
         ("hiros", "TF", [], None),
         ("lee", "TM", [], None),
     ],
@@ -431,8 +433,83 @@ def test_input_after_the_last_result_is_copied_too(tmp_path: Path) -> None:
     assert found[2].data == b"late"
 
 
+def test_the_head_of_a_recording_has_the_messages_that_were_asked_for(walking: Path) -> None:
+    recording = Recording.read(walking, load_config(), ProcessOptions())
+    frames = list(recording.frames())
+    for n in (1, 100, len(frames)):
+        head = list(recording.head(n).frames())
+        assert n <= len(head) < n + max(map(len, recording.blocks))
+        assert all(map(same, head, frames))
+
+
 def test_options_may_stand_by_themselves() -> None:
-    with pytest.raises(ConfigError, match=r"no option 'sytem' \(there are: system, stages"):
+    with pytest.raises(TypeError, match=r"no argument 'sytem'; did you mean 'system'\? \(of Proc"):
         process(WALKING, sytem="hiros")
     summary = process(WALKING, system="hiros-realtime", calibrate="off", progress=True)
     assert (summary.system, summary.poses) == ("hiros-realtime", ())
+
+
+def test_options_take_what_people_write(tmp_path: Path) -> None:
+    options = ProcessOptions(topics="/camera_0/*", keep=[], extrinsics="cameras.toml")  # type: ignore[arg-type]
+    assert (options.topics, options.keep) == (("/camera_0/*",), ())
+    assert options.extrinsics == Path("cameras.toml")
+    with pytest.raises(ConfigError, match="^calibrate: 'on' is none of 'off', 'auto', 'require'$"):
+        process(WALKING, calibrate="on")
+
+
+def test_warnings_of_a_run_are_logged_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    late = load_config(overrides=["clock.camera_0=100"])
+    with caplog.at_level("DEBUG", "hiros_mcap"):
+        summary = process(CROSSING, tmp_path / "out.mcap", config=late, calibrate="off")
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert summary.warnings
+    assert warnings == [f"{CROSSING}: {text}" for text in summary.warnings]
+    steps = [record.getMessage() for record in caplog.records if record.levelname == "INFO"]
+    assert f"{CROSSING}: camera_0, camera_1, camera_2; fixed frame world" in steps
+    assert f"{CROSSING}: wrote {tmp_path / 'out.mcap'}" in steps
+
+
+def test_a_notebook_shows_the_bar_and_a_pipe_does_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    process(WALKING, calibrate="off", progress=True)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    process(WALKING, calibrate="off", progress=True)
+    assert "100%" in capsys.readouterr().err
+    process(WALKING, calibrate="off")
+    assert capsys.readouterr().err == ""
+
+
+def odd_walk(target: Path) -> Path:
+    """Somebody walks: nobody sends from 1.0 to 2.2 s; one message repeated, one logged in 2300."""
+    with open_log(WALKING) as log, McapWriter(target) as writer:
+        writer.copy_definitions(log.reader, log.reader.channels)
+        start, far = log.span[0], 0
+        for m in log.reader.messages():
+            after = m.log_time - start
+            if 1.0e9 < after < 2.2e9:
+                continue
+            data, topic = bytes(m.data), log.reader.channels[m.channel_id].topic
+            writer.write(m.channel_id, m.log_time, data)
+            if topic == "/camera_0/skeletons" and after > 2.3e9 and not far:
+                writer.write(m.channel_id, m.log_time + 1000, data)
+                far, last = m.channel_id, data
+        writer.write(far, 2**63 + 5, last)
+        writer.commit()
+    return target
+
+
+def test_a_pause_a_repeat_and_few_lost_messages_are_told(tmp_path: Path) -> None:
+    summary = process(odd_walk(tmp_path / "odd.mcap"), calibrate="off")
+    (few,) = (text for text in summary.warnings if "not used" in text)
+    assert few == (
+        "a few messages were not used: /camera_0/skeletons: 1 log time after the year 2262"
+    )
+    notes = "\n".join(summary.notes)
+    assert "/camera_0/skeletons: 1 message skipped as stale repeats: the detector sent" in notes
+    assert re.search(r"all cameras pause from (0\.9|1\.0) to (2\.2|2\.3) s$", notes, re.MULTILINE)
+    assert "pause" not in "\n".join(process(WALKING, calibrate="off").notes)

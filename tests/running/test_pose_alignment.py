@@ -180,6 +180,7 @@ def test_a_log_that_nobody_calibrated_is_processed(
     summary = process(log, out)
     assert verdicts(summary) == ["good"] * 3
     assert any("poses come from the people" in note for note in summary.notes)
+    assert summary.placement is None  # nothing says where the rig is
     with open_log(out) as result:
         fixed = result.fixed_frame
         one, other = (result.transforms.lookup(name, fixed, 0) for name in NAMES[:2])

@@ -42,7 +42,7 @@ def folder(scene: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def followed(log: Log, blocks: Iterable[Block]) -> tuple[list[Frame], PoseAlignment]:
     alignment = PoseAlignment()
-    return list(frames_of(PoseFollower(log, alignment).correct(blocks))), alignment
+    return list(frames_of(PoseFollower(log.read(), alignment).correct(blocks))), alignment
 
 
 def assert_same(ones: Sequence[Frame], others: Sequence[Frame]) -> None:
@@ -99,7 +99,7 @@ def test_only_the_people_of_the_last_seconds_are_compared(
 def test_it_does_not_matter_how_messages_come_in_blocks(folder: Path) -> None:
     with open_log(folder / "off.mcap") as log:
         frames = list(log.detections())
-        whole = join([(Block.of(frame), 0) for frame in frames])
+        whole = join([Block.of(frame) for frame in frames])
         one_by_one, in_one = followed(log, map(Block.of, frames))[0], followed(log, [whole])[0]
         assert_same(one_by_one, in_one)
         assert_same(one_by_one, followed(log, log.blocks())[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -161,6 +162,19 @@ def test_the_body_repeats_the_motion_with_its_own_constant_limbs(tmp_path: Path)
     ahead = rotations[:, 0, :, 0]  # the pelvis' x is forward: the way that the person walks
     path_ = np.diff(poses[:20, 0], axis=0)
     assert (np.einsum("ij,ij->i", ahead[:19], path_) > 0).all()
+
+
+@pytest.mark.parametrize("name", [r"\1\2", r"\1_\2", r"\2\1", r"\2.\1"])
+@pytest.mark.parametrize("sides", [("Left", "Right"), ("l", "r")])
+def test_the_side_may_stand_before_or_behind_a_joints_name(
+    name: str, sides: tuple[str, str], tmp_path: Path
+) -> None:
+    text = re.sub(r"\b(Left|Right)(\w+)", name, bvh(3))
+    for side, ours in zip(("Left", "Right"), sides, strict=True):
+        text = text.replace(side, ours)
+    files = [write(tmp_path, "a.bvh", bvh(3)), write(tmp_path, "b.bvh", text)]
+    people = [simulate(SimulateParams(motion=(str(path),))).people[0] for path in files]
+    np.testing.assert_array_equal(*(who.pose(np.arange(2) / 30)[0] for who in people))
 
 
 def test_it_goes_forth_and_back_without_a_jump(tmp_path: Path) -> None:

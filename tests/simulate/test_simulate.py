@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import NonSeekingReader
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.transforms import transform_to_fixed
@@ -13,7 +14,7 @@ from hiros_mcap.io.log import open_log
 from hiros_mcap.simulate import DetectorParams, RigParams, SimulateParams, simulate
 from hiros_mcap.simulate.actions import ACTIONS
 from hiros_mcap.simulate.body_model import SLOT
-from hiros_mcap.simulate.randomness import coloured
+from hiros_mcap.simulate.randomness import coloured, episodes
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import (
@@ -288,6 +289,12 @@ def test_coloured_noise_has_a_deviation_of_one() -> None:
     assert np.mean(noise[1:] * noise[:-1]) == pytest.approx(0.85, abs=0.05)
 
 
+def test_episodes_end_with_the_log() -> None:
+    found = episodes(np.random.default_rng(0), 10, 1.0, (3, 30))
+    assert [start for start, _ in found] == list(range(10))
+    assert all(start < stop <= 10 for start, stop in found)
+
+
 @pytest.mark.parametrize(("rate", "correlation"), [(30, 0.85), (15, 0.85**2)])
 def test_slow_noise_is_correlated_as_asked(rate: float, correlation: float) -> None:
     slow = {"coloured": 0.02, "bias": 0.0, "white": 0.0, "correlation": 0.85}
@@ -341,7 +348,7 @@ def test_frames_are_lost_at_the_rate_that_was_asked_for() -> None:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    params = SimulateParams(people=2, cameras=3, seconds=1)
+    params = SimulateParams(people=2, cameras=3, seconds=1, rig=RigParams(clock_offset=0.05))
     write_log(tmp_path / "log.mcap", params)
     expected = [f for f in simulate(params).detections if f.n_people]
     with open_log(tmp_path / "log.mcap") as log:
@@ -349,6 +356,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         read = [f for f in transform_to_fixed(log.frames(), log.transforms, "world") if f.n_people]
     assert len(read) == len(expected)
     assert log.model == simulate(params).model
+    with (tmp_path / "log.mcap").open("rb") as file:
+        messages = NonSeekingReader(file).iter_messages(log_time_order=False)
+        times = [message.log_time for *_, message in messages]
+    assert times == sorted(times)
 
 
 def _numbers(simulation: Simulation) -> list[tuple[int, bytes]]:

@@ -89,7 +89,7 @@ def test_blocks_change_nothing_and_absent_numbers_are_passed_over() -> None:
     for k in range(40, 60):
         frames[k].links[0, 0, ORIENTATION] = np.nan
         frames[k + 30].markers[0, 2] = np.nan
-    whole = list(frames_of(align_blocks([join([(Block.of(f), 0) for f in frames])], ARM)))
+    whole = list(frames_of(align_blocks([join([Block.of(f) for f in frames])], ARM)))
     assert all(map(same, whole, aligned(frames)))
     assert np.isnan(whole[50].orientations[0, 0]).all()
     assert not np.isnan(whole[80].orientations[0]).any()

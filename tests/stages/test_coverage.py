@@ -19,7 +19,7 @@ def taught(n: int = 6) -> Coverage:
     coverage = Coverage(CAMERA)
     spots = [(3, -0.5), (3, 0.5), (4, -0.5), (4, 0.5), (3.5, 0.0), (3.2, 0.1)]
     for k, (x, y) in enumerate(spots[:n]):
-        coverage.learn("a", place(x, y), k)
+        coverage.learn("a", [place(x, y)], k)
     return coverage
 
 
@@ -71,11 +71,11 @@ def test_a_camera_that_has_reported_nobody_is_due() -> None:
 def test_the_cone_grows_with_the_people() -> None:
     coverage = taught()
     assert not coverage.sees("a", place(3.0, 2.0), [])
-    coverage.learn("a", place(3.0, 2.2), 100)
+    coverage.learn("a", [place(3.0, 2.2)], 100)
     assert coverage.sees("a", place(3.0, 2.0), [])
 
 
 def test_a_person_at_the_camera_itself_teaches_nothing() -> None:
     coverage = taught()
-    coverage.learn("a", CAMERA["a"].copy(), 100)
+    coverage.learn("a", [CAMERA["a"].copy()], 100)
     assert not coverage.sees("a", place(0.5, 0.0), [])

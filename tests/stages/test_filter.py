@@ -354,7 +354,7 @@ def test_it_does_not_matter_how_frames_are_cut_even_if_an_id_comes_often(lookahe
         frame = frame_at(k / 30, (math.sin(k), 0, 0), ids=(4, 4, 4, 4))
         frame.stamps[:] = frame.stamp + np.arange(4) * 8_000_000
         frames.append(frame)
-    block = join([(Block.of(frame), 0) for frame in frames])
+    block = join([Block.of(frame) for frame in frames])
     found = frames_of(filter_blocks([block], MODEL, p))
     for one, other in zip(filter_frames(frames, MODEL, p), found, strict=True):
         np.testing.assert_array_equal(one.markers, other.markers)
@@ -513,12 +513,12 @@ def test_gap_on_a_straight_line_is_filled_in_on_it(method, order):
 
 
 def test_lengths_follow_the_input_with_their_time_constant():
-    """A limb of .3 m that is .4 m from 5 s on: 1 - 1/e of the change after length_time."""
+    """A limb of .3 m that is .4 m from 5 s on: 1 - 1/e of the change after length_time, 2 s."""
     frames = [frame_at(k / 30, hand=(0.3 if k < 150 else 0.4, 0, 0)) for k in range(240)]
-    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0, length_time=1.0)))
+    out = list(filter_frames(frames, MODEL, FilterParams(lookahead=0.0)))
     lengths = [f.markers[0, 1, 0] - f.markers[0, 0, 0] for f in out]
     assert lengths[149] == pytest.approx(0.3, abs=1e-6)
-    assert lengths[179] == pytest.approx(0.4 - 0.1 / math.e, abs=0.002)
+    assert lengths[209] == pytest.approx(0.4 - 0.1 / math.e, abs=0.002)
 
 
 def test_first_lengths_are_the_plain_mean():
@@ -531,7 +531,7 @@ def test_first_lengths_are_the_plain_mean():
 def test_people_who_left_are_forgotten():
     skeletons = _SkeletonFilter(MODEL, FilterParams(), Events())
     for k in range(600):
-        list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,))), [0]))
+        list(skeletons.update(Block.of(frame_at(k / 5, ids=(k // 5,)))))
     assert len(skeletons._people) == len(skeletons._bank.rows) <= 3
     assert len(skeletons._bank.past.ring) == 8
 
@@ -540,7 +540,7 @@ def test_people_who_left_are_forgotten():
     "change",
     [
         {"method": "butterworth"}, {"cutoff": 6.0}, {"lookahead": 0.1}, {"order": 3},
-        {"bridge": 0.0}, {"max_gap": 0.2}, {"keep_lengths": False}, {"length_time": 0.2},
+        {"bridge": 0.0}, {"max_gap": 0.2}, {"keep_lengths": False},
     ],
     ids=lambda change: next(iter(change)),
 )  # fmt: skip

@@ -11,7 +11,7 @@ from builders import Room, room, same
 
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
-from hiros_mcap.frames import by_frame
+from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.kernels import fusing
 from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
@@ -187,6 +187,21 @@ def test_the_prior_leaves_small_movements_of_who_stands_to_them() -> None:
     assert (found - pose).std() < 0.2 * sway.std()
 
 
+def test_the_prior_leaves_alone_a_marker_that_is_absent_for_a_window() -> None:
+    pose = np.random.default_rng(4).normal(0, 0.5, (200, 12, 3))
+    absent = pose.copy()
+    absent[:150, 2] = np.nan
+    found = shrink_noise(absent, np.full((200, 12), 0.02**2))
+    assert (np.isnan(found) == np.isnan(absent)).all()
+    nobody = shrink_noise(np.full((90, 12, 3), np.nan), np.full((90, 12), 0.02**2))
+    assert np.isnan(nobody).all()
+
+
+def test_the_prior_takes_a_pose_that_never_changes() -> None:
+    still = np.ones((90, 12, 3))
+    assert shrink_noise(still, np.full((90, 12), 0.02**2)) == pytest.approx(still)
+
+
 def test_results_wait_for_lengths_that_other_poses_show() -> None:
     """The forearm that a detector shows grows from 0.2 to 0.3 m; the result has one length."""
     model = SkeletonModel.of(["A", "B"], [("forearm", 0, 1)])
@@ -206,6 +221,8 @@ def test_results_wait_for_lengths_that_other_poses_show() -> None:
     late = [(frame.log_time - frame.stamp) * 1e-9 for frame in out]
     assert max(late) <= params.enough + 2 * params.window
     assert max(late[150:]) <= params.window
+    blocks = (join([(Block.of(f), 0) for f in frames[k : k + 35]]) for k in range(0, 240, 35))
+    assert all(map(same, frames_of(constrain_blocks(blocks, model, params)), out))
 
 
 # -- a room ----------------------------------------------------------------------------------------

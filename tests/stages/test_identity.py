@@ -12,12 +12,12 @@ from stick_figures import MODEL, POSE, SECOND, START, at, person, seen
 
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Event, Events
-from hiros_mcap.frames import by_frame
+from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.skeletons import Floats, Frame
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.merge import MergeParams, merge_blocks
 from hiros_mcap.stages.reidentify import Limbs, PersonCues, limb_cue, place_cue, reidentify
 from hiros_mcap.stages.track import track_blocks
-from hiros_mcap.stages.track_params import TrackParams
 from hiros_mcap.stages.unseen import Unseen
 
 track = by_frame(track_blocks)
@@ -125,8 +125,9 @@ def test_people_who_left_are_not_remembered_for_ever() -> None:
     unseen = Unseen(0.1, 1.0, CAMERAS)
     for k in range(50):
         shown = seen([person()], at(30 * k), ids=[k])
-        unseen.see(shown.stamp, "a", shown.people, range(1))
-        unseen.go_on(shown.stamp, {k}, {k: shown.stamp})
+        unseen.show(Block.of(shown), np.array([shown.stamp]), np.zeros(1, np.bool_))
+        unseen.go_on(shown.stamp, 1, [k], {k: shown.stamp})
+        unseen.see_all()
     assert len(unseen._views) == len(unseen._reported) == 1
 
 

@@ -511,7 +511,7 @@ def test_somebody_who_is_not_detected_is_held_for_a_while() -> None:
     ]
     for frame in frames:
         frame.confidences[:], frame.link_confidences[:] = 0.7, 0.6
-    out = list(kalman(frames, MODEL, KalmanParams(hold=0.2)))
+    out = list(kalman(frames, MODEL, KalmanParams()))
     assert [f.n_people for f in out] == [1] * 16 + [0] * 14
     assert out[15].positions[0, 0, 0] == pytest.approx(0.45, abs=0.05)
     assert same(out[15], out[9].replace(**held(out[15])))
@@ -844,20 +844,18 @@ def crossing() -> list[Frame]:
 CHANGES = [
     (associate, AssociateParams, name, value)
     for name, value in {
-        "gate": 1e-3, "position_noise": 1e-3, "acceleration": 1e-3, "max_gap": 0.1,
-        "confirm_detections": 1, "min_distance": 0.0, "reorder": 0.0,
+        "gate": 1e-3, "max_gap": 0.1, "confirm_detections": 1, "reorder": 0.0,
     }.items()
 ] + [
     (kalman, KalmanParams, name, value)
     for name, value in {
         "measurement_noise": 0.1, "process_noise": 1.0, "step": 0.033, "use_confidence": False,
         "min_confidence": 0.1, "history": 3, "outlier_factor": 2.0, "max_outliers": 0,
-        "range_noise": 0.1, "max_gap": 0.5, "hold": 0.0, "rate": 10.0, "consecutive": True,
+        "range_noise": 0.1, "max_gap": 0.5, "rate": 10.0, "consecutive": True,
     }.items()
 ] + [
     (straighten, StraightenParams, "frames", 3), (straighten, StraightenParams, "rate", 0.5),
     (moving_average, MovingAverageParams, "window", 2),
-    (moving_average, MovingAverageParams, "lifetime", 0.02),
 ]  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from skeleton_makers import energies, energy_of, lengths_of, random_model, random_poses, scene_of
 
 from hiros_mcap.body.limb_table import Limb, LimbTable
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.kernels.energy import (
@@ -58,6 +59,7 @@ LIMBS = LimbTable(
     }
 )
 REMOVE = OptimizeParams(outliers="remove")
+PAPER = load_config(preset="paper", system="hiros").optimize
 
 
 def person(points=POSE, ids=(0,)):
@@ -262,7 +264,7 @@ def test_skeletons_that_have_their_lengths_stay(seed, loops):
     model = random_model(rng, loops=loops)
     start, nominal = random_poses(model, 3, rng, sd=0.0)
     frame, limbs = scene_of(model, start, nominal)
-    for params in (OptimizeParams(), OptimizeParams.paper()):
+    for params in (OptimizeParams(), PAPER):
         result = next(optimize([frame], model, params, limbs=limbs)).positions
         np.testing.assert_allclose(result, start, atol=1e-7)
 
@@ -279,7 +281,7 @@ def test_lengths_are_those_of_the_table(seed):
     assert np.nanmax(np.abs(lengths - nominal), initial=0.0) < 1e-3
 
 
-@given(st.integers(0, 10_000), st.sampled_from([OptimizeParams(), OptimizeParams.paper()]))
+@given(st.integers(0, 10_000), st.sampled_from([OptimizeParams(), PAPER]))
 @settings(max_examples=20, deadline=None)
 def test_a_rigid_motion_of_the_input_moves_the_result(seed, params):
     rng = np.random.default_rng(seed)
@@ -313,7 +315,7 @@ def test_steps_solve_the_normal_equations(seed, loops):
 # The stage
 
 
-@pytest.mark.parametrize("params", [OptimizeParams(), OptimizeParams.paper()])
+@pytest.mark.parametrize("params", [OptimizeParams(), PAPER])
 def test_perfect_pose_stays(params):
     np.testing.assert_allclose(optimized(person(), params).positions[0], POSE, atol=1e-9)
 
@@ -415,6 +417,17 @@ def test_links_turn_with_their_directions():
         result.links[0, 4, :3], 0.5 * (result.positions[0, 4] + result.positions[0, 5])
     )
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_link_of_the_right_length_moves_with_its_ends():
+    """Its length has no weight (eq 18), but its neighbour moves an end."""
+    frame = person(displaced(wrist=[0.02, 0.0, 0.0], hand=[0.02, 0.0, 0.0]))
+    frame.links[0, 4, :3] = frame.positions[0, 4:6].mean(axis=0)
+    result = optimized(frame, OptimizeParams(lengths="paper"))
+    assert np.linalg.norm(result.positions[0, 4] - frame.positions[0, 4]) > 1e-4
+    np.testing.assert_allclose(
+        result.links[0, 4, :3], result.positions[0, 4:6].mean(axis=0), rtol=0, atol=1e-9
+    )
 
 
 def test_links_keep_their_measured_orientation_by_default():

@@ -133,7 +133,7 @@ def test_without_it_nothing_changes() -> None:
 
 def test_the_cut_into_blocks_does_not_matter() -> None:
     frames = behind([*noisy(KNOWN), *[squeezed()] * 10, *noisy(10)])
-    whole = join([(block, 0) for block in map(Block.of, frames)])
+    whole = join([*map(Block.of, frames)])
     (at_once,) = drop_implausible_blocks([whole], MODEL, None, None, CAMERAS)
     one_by_one = run(frames)
     for one, other in zip(at_once.frames(), one_by_one, strict=True):

@@ -112,7 +112,7 @@ def test_blocks_change_no_histogram_and_no_result(params: dict[str, float]) -> N
     frames, settings = detections({"b": 2.5})[:600], FuseParams(**params)
     one, other = Events(), Events()
     results = list(fuse(frames, BODY, settings, one))
-    whole = join([(Block.of(frame), 0) for frame in frames])
+    whole = join([Block.of(frame) for frame in frames])
     again = list(frames_of(fuse_blocks([whole], BODY, settings, other)))
     assert all(map(same, results, again))
     assert one.histograms.keys() == other.histograms.keys()

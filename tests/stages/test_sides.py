@@ -12,7 +12,7 @@ from builders import FAULTLESS, moved, same
 from scipy.spatial.transform import Rotation
 
 from hiros_mcap.body.forward_cues import CUES, ForwardCues
-from hiros_mcap.config import PRESETS, load_config
+from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.kernels.body_axes import find_upright, follow_line
@@ -237,7 +237,7 @@ def test_the_first_view_keeps_its_labels() -> None:
 
 
 def test_the_input_is_not_written_into() -> None:
-    block = join([(Block.of(f), 0) for f in views(3, lambda f, c, t: mirror(f) if t > 2 else f)])
+    block = join([Block.of(f) for f in views(3, lambda f, c, t: mirror(f) if t > 2 else f)])
     before = block.people.copy()
     list(decide_sides([block], MODEL))
     assert all(
@@ -246,14 +246,14 @@ def test_the_input_is_not_written_into() -> None:
 
 
 def test_ids_may_come_after_earlier_frames_of_the_same_arrays() -> None:
-    whole = join([(Block.of(f), 0) for f in views(8, lambda f, c, t: mirror(f) if t > 2 else f)])
+    whole = join([Block.of(f) for f in views(8, lambda f, c, t: mirror(f) if t > 2 else f)])
     ids = whole.people.ids.copy()
     whole.people.ids[:] = UNTRACKED
 
     def feed() -> Iterable[Block]:
         for i, (begin, end) in enumerate(whole.rows.tolist()):
             whole.people.ids[begin:end] = ids[begin:end]
-            yield whole.select([i], [int(whole.log_times[i])])
+            yield whole.select([i])
 
     out = list(frames_of(decide_sides(feed(), MODEL)))
     assert all(len(frame.ids) and (frame.ids != UNTRACKED).all() for frame in out)
@@ -262,7 +262,7 @@ def test_ids_may_come_after_earlier_frames_of_the_same_arrays() -> None:
 @pytest.mark.parametrize("params", [SidesParams(lookahead=1.0), LIVE])
 def test_blocks_may_be_cut_anywhere(params: SidesParams) -> None:
     frames = views(5, lambda f, c, t: mirror(f) if c == 0 and t % 2 > 1 else f)
-    whole = join([(Block.of(frame), 0) for frame in frames])
+    whole = join([Block.of(frame) for frame in frames])
     together = frames_of(decide_sides([whole], MODEL, params))
     assert all(map(same, together, decided(frames, params)))
 
@@ -472,4 +472,4 @@ def test_hiros_decides_over_time_and_the_paper_votes() -> None:
     swapped, kept = merged("paper", frames)[-1], merged("default", frames)[-1]
     hips = SLOT["HIP_LEFT"], SLOT["HIP_RIGHT"]
     assert np.linalg.norm(swapped[hips[0]] - kept[hips[1]]) < 0.05
-    assert PRESETS["realtime"]["sides"]["lookahead"] == 0
+    assert load_config(preset="realtime", system="hiros").sides.lookahead == 0

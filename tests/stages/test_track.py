@@ -35,9 +35,9 @@ from hiros_mcap.skeletons import (
     Frame,
     People,
 )
+from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.time_order import in_time_order
 from hiros_mcap.stages.track import track_blocks
-from hiros_mcap.stages.track_params import TrackParams
 
 track = by_frame(track_blocks)
 
@@ -63,8 +63,8 @@ def settings(**changes: float) -> tracking.TrackSettings:
     """Settings of eq 6 to 11 in their plainest form."""
     plain = {"max_distance": 10.0, "orientation_weight": 1.0, "velocity_weight": 0.0}
     plain |= {"velocity_decay": 0.0, "horizon": 1.0, "flip_aware": False}
-    values = TrackParams().model_dump() | plain | changes
-    return tracking.TrackSettings._make(values[name] for name in tracking.TrackSettings._fields)
+    usual = {name: getattr(TrackParams(), name) for name in tracking.TrackSettings._fields}
+    return tracking.TrackSettings(**usual | plain | changes)
 
 
 def compared(
@@ -339,7 +339,7 @@ def test_shuffled_channels_of_a_log_give_the_same_tracks(tmp_path: Path) -> None
 def test_a_frame_too_late_to_sort_is_used_all_the_same() -> None:
     frames = [seen([person()], at(k)) for k in range(30)]
     frames.append(seen([person()], at(2, 1), "b"))
-    assert len(list(in_time_order(frames, 0.1))) == 31
+    assert len(list(by_frame(in_time_order)(frames, 0.1))) == 31
     assert all(i == [0] for i in ids(track(frames, MODEL)))
 
 
@@ -352,7 +352,7 @@ def order_of(arrivals: list[tuple[int, str]], delay: float) -> list[tuple[int, s
             yield seen([person()], stamp * 1_000_000, camera)
 
     now: list[int] = []
-    found = in_time_order(frames(), delay)
+    found = by_frame(in_time_order)(frames(), delay)
     return [(frame.stamp // 1_000_000, frame.source, max(now)) for frame in found]
 
 
@@ -516,13 +516,6 @@ def test_a_swapped_body_keeps_its_id_and_does_not_throw_the_track() -> None:
     tracked = list(track(frames, MODEL))
     assert all(i == [0] for i in ids(tracked))
     assert max(np.nanmax(np.abs(f.velocities)) for f in tracked) < 0.1
-
-
-def test_links_may_be_needed_to_start_a_track() -> None:
-    frames, events = [seen([person()], at(k), turns=k > 4) for k in range(10)], Events()
-    params = AT_ONCE.model_copy(update={"min_links": 7})
-    assert ids(track(frames, MODEL, params, events)) == [[-1]] * 5 + [[0]] * 5
-    assert events.counts["too few links", "a"] == 5
 
 
 def test_no_common_marker_does_not_hang() -> None:
@@ -734,6 +727,16 @@ def test_angular_velocities_of_a_steady_turn() -> None:
     last = list(track(frames, MODEL, AT_ONCE))[-1]
     assert last.links[0, :, 10:13] == pytest.approx(np.tile([0, 0, 3.0], (7, 1)), abs=0.1)
     assert last.orientations == pytest.approx(frames[-1].orientations)
+
+
+def test_a_link_that_was_not_seen_turns_on_for_the_horizon_only() -> None:
+    frames = [seen([person()], at(k), turns=k < 45 or k == 59) for k in range(60)]
+    for k, frame in enumerate(frames[:45]):
+        frame.links[0, :, 3:7] = about_z(3.0 * k / 30)
+    params = AT_ONCE.model_copy(update={"horizon": 0.2})
+    frames[-1].links[0, :, 3:7] = about_z(3.0 * (44 / 30 + params.horizon))  # as predicted
+    last = list(track(frames, MODEL, params))[-1]
+    assert last.links[0, :, 12] == pytest.approx(np.full(7, 3.0), abs=0.1)
 
 
 def test_velocities_of_the_detector_are_kept() -> None:

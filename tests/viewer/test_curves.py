@@ -133,7 +133,7 @@ def curves_in(text: str) -> list[tuple[np.ndarray, np.ndarray]]:
 
     sources = [n for n in objects(json.loads(text)) if n.get("name") == "ColumnDataSource"]
     columns = [dict(n["attributes"]["data"]["entries"]) for n in sources]
-    return [(values(c["x"]), values(c["y"])) for c in columns]
+    return [(values(c["x"]), values(c[y])) for c in columns for y in c if y != "x"]
 
 
 def test_a_page_holds_the_values_of_its_curves(processed: Path) -> None:
@@ -143,6 +143,18 @@ def test_a_page_holds_the_values_of_its_curves(processed: Path) -> None:
     for line in (line for axes in figure.axes for line in axes.lines[1:]):
         drawn = np.asarray(line.get_ydata(), np.float32)
         assert any(np.array_equal(y, drawn, equal_nan=True) for _, y in shown)
+
+
+def test_five_minutes_of_two_people_with_a_truth_stay_below_4_mb() -> None:
+    """Noise, which no compression makes smaller; the times stand there once."""
+    page = Page("two people")
+    seconds = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.04, 9000))
+    for _ in range(2):
+        figure, axes = new_axes(8, 3)
+        for k in range(38):  # 14 angles and 4 limbs of each side, with the truth; two errors
+            axes.plot(seconds, np.random.default_rng(k).normal(size=9000), label=f"{k}")
+        page.figure(figure)
+    assert len(page.html().encode()) < 4_000_000
 
 
 def test_a_long_curve_is_thinned_and_the_page_says_so() -> None:

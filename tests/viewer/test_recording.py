@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import split_side, symmetry_of
 from hiros_mcap.body.transforms import transform_to_fixed
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError, HirosError
 from hiros_mcap.evaluate.logs import evaluate_log, read_channel
 from hiros_mcap.evaluate.truth_files import load_truth
@@ -29,11 +31,12 @@ from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Floats
 from hiros_viewer import poses as drawn_poses
 from hiros_viewer import replay as replaying
-from hiros_viewer.blueprint import Content, cameras
+from hiros_viewer.blueprint import LAYOUTS, Content, cameras
 from hiros_viewer.columns import LOGGED, TIMELINE, CurveRows, Line
 from hiros_viewer.displacement import EarlierPoses
-from hiros_viewer.palette import SIDES, shade
+from hiros_viewer.palette import SIDES, faint, shade
 from hiros_viewer.poses import Poses
+from hiros_viewer.replay import numbered_axis
 from hiros_viewer.scene import Scene
 from hiros_viewer.uncertainties import HALF_SIZE
 
@@ -168,16 +171,21 @@ def test_bones_of_detections_join_joints_of_one_person(recording: Path, processe
 
 
 def test_left_limbs_have_a_darker_shade_of_the_persons_colour(recording: Path) -> None:
-    numbers = [
-        int(look(recording, f"/filtered/person_1/{part}", "LineStrips3D:class_ids")[0])
+    right, left = (
+        next(iter(colours(recording, f"/filtered/person_1/{part}").values()))
         for part in ("bones", "left_bones")
-    ]
-    (context,) = look(recording, "/", "AnnotationContext:context")
-    classes = {row["class_id"]: row["class_description"]["info"] for row in context}
-    right, left = (unpacked(classes[number]["color"]) for number in numbers)
+    )
     assert right == person_colour(1)
     assert left == shade(right)
     assert contrast(right, left) > 2
+
+
+def colours(recording: Path, entity: str) -> dict[int, RGB]:
+    """Time, ns -> colour of bones from then on."""
+    (context,) = look(recording, "/", "AnnotationContext:context")
+    classes = {row["class_id"]: row["class_description"]["info"] for row in context}
+    changes = rows(recording, entity, "LineStrips3D:class_ids")
+    return {t: unpacked(classes[int(c[0])]["color"]) for t, c in sorted(changes.items())}
 
 
 def test_every_colour_of_a_person_has_a_distinct_shade() -> None:
@@ -185,6 +193,8 @@ def test_every_colour_of_a_person_has_a_distinct_shade() -> None:
         room = (24, 27, 31)
         assert contrast(colour, shade(colour)) > 2
         assert contrast(shade(colour), room) > 1.5
+        assert contrast(colour, faint(colour)) > 1.2
+        assert contrast(faint(colour), room) > 1.5
     assert not set(SIDES.values()) & set(PEOPLE)
     assert contrast(SIDES["right"], SIDES["left"]) > 1.2
 
@@ -233,22 +243,27 @@ def test_curves_tell_left_from_right_by_colour_and_width(recording: Path) -> Non
 
 
 def test_people_and_cameras_go_by_their_names(recording: Path) -> None:
-    assert look(recording, "/filtered/person_1/name", "Points3D:labels") == ["person 1"]
-    assert look(recording, "/state/person_1", "StateConfiguration:labels") == ["person 1", "gone"]
+    assert set(texts(recording, "/filtered/person_1/name", "Points3D:labels")) == {"person 1"}
+    assert look(recording, "/result/person_1", "StateConfiguration:labels") == ["person 1", "gone"]
     for camera in ("camera_0", "camera_1", "camera_2"):
         path = f"/world/cameras/{camera}/name"
         assert look(recording, path, "Points3D:labels") == [camera]
 
 
-@pytest.mark.parametrize(("ahead", "target"), [((0, 0, 0, 1), 3.0), ((1, 0, 0, 0), 4.9)])
-def test_a_camera_is_shown_from_its_own_pose(ahead: tuple[float, ...], target: float) -> None:
-    """It looks along its z axis, or at the people if they are behind that."""
+@pytest.mark.parametrize(
+    ("ahead", "height", "target"), [((0, 0, 0, 1), -0.3, 3.0), ((1, 0, 0, 0), 0.0, 5.0)]
+)
+def test_a_camera_is_shown_from_its_own_pose(
+    ahead: tuple[float, ...], height: float, target: float
+) -> None:
+    """From a little behind it along its z axis, or at the people if they are behind that."""
     pose = Rigid(np.array(ahead, float), np.array([1.0, 2.0, 0.0]))
-    centre = np.array([1.0, 2.0, 5.0])
-    content = Content(["filtered"], [0], ["left"], centre, 1.0, {"left": pose})
-    (grid, _) = cameras(content).contents
+    box = np.array([0.0, 1.0, 4.0]), np.array([2.0, 3.0, 6.0])
+    content = Content(["filtered"], [0], ["left"], *box, {"left": pose})
+    layout: Any = cameras(content)
+    grid = layout.contents[0]
     eye = grid.contents[0].properties["EyeControls3D"]
-    assert eye.position.as_arrow_array().to_pylist() == [[1.0, 2.0, 0.0]]
+    assert np.allclose(eye.position.as_arrow_array().to_pylist(), [[1.0, 2.0, height]])
     (looked_at,) = eye.look_target.as_arrow_array().to_pylist()
     assert np.allclose(looked_at, [1.0, 2.0, target])
 
@@ -256,11 +271,115 @@ def test_a_camera_is_shown_from_its_own_pose(ahead: tuple[float, ...], target: f
 def test_a_camera_beside_the_eye_does_not_hide_the_picture() -> None:
     places = {"left": [0.0, 0.0, 0.0], "beside": [0.3, 0.0, 0.0], "far": [3.0, 0.0, 0.0]}
     poses = {name: Rigid(np.array([0, 0, 0, 1.0]), np.array(p)) for name, p in places.items()}
-    content = Content(["filtered"], [0], list(places), np.array([0, 0, 3.0]), 1.0, poses)
-    (grid, _) = cameras(content).contents
+    box = np.array([-1.0, -1.0, 2.0]), np.array([1.0, 1.0, 4.0])
+    content = Content(["filtered"], [0], list(places), *box, poses)
+    layout: Any = cameras(content)
+    grid = layout.contents[0]
     shown = grid.contents[0].contents
     for name, hidden in (("left", "**"), ("beside", "**"), ("far", "name")):
         assert f"- /world/cameras/{name}/{hidden}" in shown
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("layout", ["overview", "stages"])
+def test_everybody_and_every_camera_is_in_the_first_view(layout: str, seed: int) -> None:
+    """From the feet to the head, wherever people walk and cameras stand."""
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-4, 0, 3)
+    high = low + rng.uniform([0.3, 0.3, 0.2], [6, 6, 2])
+    places = [np.array([*rng.uniform(-6, 6, 2), rng.uniform(0, 3)]) for _ in range(seed)]
+    poses = {f"c{k}": Rigid(np.array([0, 0, 0, 1.0]), place) for k, place in enumerate(places)}
+    content = Content(["merged", "filtered"], [0], list(poses), low, high, poses)
+    room = LAYOUTS[layout](content).contents[0]
+    room = room.contents[0] if layout == "overview" else room
+    eye = room.properties["EyeControls3D"]
+    (place,), (target,) = (
+        np.array(each.as_arrow_array().to_pylist()) for each in (eye.position, eye.look_target)
+    )
+    ahead = (target - place) / np.linalg.norm(target - place)
+    right = np.cross(ahead, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    corners = np.array([*itertools.product(*zip(low, high, strict=True)), *places]) - place
+    depth = corners @ ahead
+    assert (depth > 0).all()
+    half = np.tan(np.radians(55 / 2))
+    assert (np.abs(corners @ np.cross(right, ahead)) / depth < half).all()
+    width = {"overview": 832 / 533, "stages": 728 / 733}[layout]  # in a window of 1600 x 900
+    assert (np.abs(corners @ right) / depth < half * width).all()
+
+
+@pytest.mark.parametrize(
+    "high", [0.0, 0.004, 0.31, 1.0, 1.36, 2.0, 3.0, 3.4, 7.0, 18.0, 36.0, 95.0]
+)
+def test_an_axis_has_two_numbers_with_room_between_them(high: float) -> None:
+    """The viewer writes multiples of a power of ten that are 21 pixels apart."""
+    low, top = numbered_axis(high, 3.3)
+    assert low < 0
+    assert top > high
+    pixels = [80 * 10.0**k / (top - low) for k in range(-4, 4) if 10.0**k < top]
+    assert any(each > 21 for each in pixels)
+
+
+def test_somebody_who_is_predicted_is_faint(processed: Path, tmp_path: Path) -> None:
+    from hiros_viewer import destinations
+
+    frames, model, _ = read_channel(processed, "/hiros/filtered")
+    hidden = frames[50:70]
+    for frame in hidden:
+        frame.marker_confidences[frame.ids == 1] = 0.05
+
+    def draw(recording: Any) -> None:
+        scene = Scene(recording, model)
+        scene.begin({})
+        for first in range(0, len(frames), 40):
+            some = [Poses.of(frame) for frame in frames[first : first + 40]]
+            scene.draw({("filtered", ""): Poses.joined(some)})
+        scene.finish()
+
+    target = tmp_path / "hidden.rrd"
+    destinations.save(target, "hidden", draw)
+    own = person_colour(1)
+    for part, tone in (("bones", tuple), ("left_bones", shade)):
+        changes = colours(target, f"/filtered/person_1/{part}")
+        shown = [list(changes.values())[sum(t <= f.stamp for t in changes) - 1] for f in frames]
+        expected = [tone(faint(own) if 50 <= k < 70 else own) for k in range(len(frames))]
+        assert shown == expected
+    assert set(colours(target, "/filtered/person_0/bones").values()) == {person_colour(0)}
+    labels = texts(target, "/filtered/person_1/name", "Points3D:labels")
+    assert set(labels) == {"person 1", "person 1, predicted"}
+
+
+def test_who_is_faint_is_who_counts_as_predicted(processed: Path) -> None:
+    """The summary counts by the person's confidence, the viewer by that of the joints."""
+    frames, _, _ = read_channel(processed, "/hiros/filtered")
+    for k, frame in enumerate(frames):
+        means = np.nanmean(frame.marker_confidences, axis=1)
+        assert np.allclose(frame.confidences, means, atol=1e-6)
+        frame.confidences[:] = LEAST_CONFIDENCE + (0.01 if k % 2 else -0.01)
+        frame.marker_confidences[:] *= (frame.confidences / means)[:, None]
+        assert (Poses.of(frame).is_predicted == (frame.confidences < LEAST_CONFIDENCE)).all()
+
+
+def test_time_without_data_is_named(processed: Path, tmp_path: Path) -> None:
+    """The cameras are silent for 2 s, and for 0.5 s, which is none."""
+    gap, target = tmp_path / "gap.mcap", tmp_path / "gap.rrd"
+    with open_log(CROSSING) as log, McapWriter(gap) as writer:
+        start = log.span[0]
+        topics = [camera.channel.topic for camera in log.cameras]
+        channels = {topic: add_skeleton_channel(writer, topic) for topic in topics}
+        encoder = Encoder(log.model)
+        for frame in log.frames():
+            since = (frame.stamp - start) / 1e9
+            if not (1.0 < since < 3.0 or 4.0 < since < 4.5):
+                channel = channels[f"/{frame.source}/skeletons"]
+                writer.write(channel, frame.log_time, encoder.encode(frame.replace(frame_id="a")))
+        writer.commit()
+    assert run(["view", str(gap), "--save", str(target), "-q"]) == 0
+    (line,) = texts(target, "/log")
+    assert line.startswith("no data: for 2.0")
+    assert texts(target, "/no_data", "StateChange:state") == ["no data", "gone"]
+    shown = [len(rows) for rows in rows(target, "/world/no_data", "Points3D:positions").values()]
+    assert shown == [1, 0]
 
 
 def test_seconds_count_from_the_logs_start(recording: Path, processed: Path) -> None:
@@ -436,7 +555,7 @@ def test_the_tree(recording: Path) -> None:
     for path in (
         "/world/cameras/camera_2/view", "/merged/person_1/left_bones", "/filtered/person_0/trail",
         "/filtered/person_0/name",
-        "/truth/person_0", "/state/person_0", "/log", "/residual/camera_1", "/speed/person_1",
+        "/truth/person_0", "/result/person_0", "/log", "/residual/camera_1", "/speed/person_1",
     ):  # fmt: skip
         assert path in found
 
@@ -473,7 +592,7 @@ def test_a_mirrored_view_is_marked_and_listed(
     wrong = [stamp - start for stamp, strips in bones.items() if len(strips)]
     assert sum(2e9 < since < 3e9 for since in wrong) >= 25
     assert any("view mirrored camera_1: for" in text for text in texts(target, "/log"))
-    assert "/views/camera_1/mirrored" in entities(target)
+    assert "/wrong_view/camera_1/mirrored" in entities(target)
 
 
 def test_a_time_range(processed: Path, tmp_path: Path) -> None:
@@ -527,6 +646,10 @@ def test_two_logs_are_overlaid_with_their_distance(processed: Path, tmp_path: Pa
         for a, b in zip(ours, theirs, strict=True)
     ]
     assert np.allclose(mean, expected)
+    (key,) = texts(target, "/key", "TextDocument:text")[-1:]
+    first, second, *_ = key.splitlines()  # what is cut off is at the end
+    assert first.strip() == f"**A** is {processed.name}: strong colours."
+    assert second.strip() == "**B** is other.mcap: pale colours."
 
 
 @pytest.mark.parametrize("stage", [[], ["--stage", "merged"]])
@@ -547,6 +670,11 @@ def test_a_result_is_overlaid_with_a_truth_and_its_error(tmp_path: Path, stage: 
         mean = np.concatenate([value for person in errors for value in person.values()])
         assert np.mean(mean) == pytest.approx(expected, rel=0.02)
         assert {"/truth/person_0", "/error_lines/person_1"} <= entities(target)
+        name = f"/{stage[1] if stage else 'filtered'}/person_0/name"
+        both = {f"person 0 = truth {k}" for k in (0, 1)}
+        assert both & {*texts(target, name, "Points3D:labels")}
+        own = rows(target, "/truth/person_0/name", "Points3D:positions")
+        assert not any(map(len, own.values()))  # beside the name of the result, or not at all
 
 
 def test_two_results_are_each_compared_with_a_truth(processed: Path, tmp_path: Path) -> None:
@@ -615,7 +743,8 @@ def test_frames_are_drawn_many_at_a_time_and_in_their_own_order(
                 assert poses.stamps[0] >= newest.get(channel, 0)
                 assert (np.diff(poses.stamps) >= 0).all()
                 newest[channel] = int(poses.stamps[-1])
-        assert sum(sizes) == sum(account.used for account in log.accounts.values())
+        whole = log.read()
+        assert sum(1 for _ in whole.frames()) == sum(sizes)
     assert len(sizes) > 2
     assert max(sizes[:-1]) < 1500
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +28,11 @@ _AHEAD = np.array([0.0, 0.0, 3.0])  # z of a camera points where it looks
 _BONES = ("bones", "left_bones")
 _THIN_JOINT_M = 0.012
 _VERTICAL_VIEW_DEG = 55.0  # of the viewer's eye
+_FILLED = 0.95  # of a view
+_CAMERA_M = 0.5  # so far from a camera are its name and frustum
+_LABEL = np.array([0.0, 0.0, 0.3])  # m, above a head
+_HALF = 0.95  # width by height of a room beside as wide a column
+_BEHIND = 0.1  # of _AHEAD: where the eye is, so that feet near the camera are seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +44,9 @@ class Content:
     people: Sequence[int]
     cameras: Sequence[str]
     """As in entity paths."""
-    centre: Floats
-    """(3,) m: where people are."""
-    reach: float
-    """m: how far from it."""
+    low: Floats
+    high: Floats
+    """(3,) m: the box that people are in, from feet to head."""
     camera_poses: Mapping[str, Rigid] = field(default_factory=dict)
     """Of those cameras whose poses are known, in the fixed frame."""
     prefixes: Sequence[str] = ("",)
@@ -54,7 +60,7 @@ class Content:
     has_moves: bool = False
     """Whether the cameras' poses before and after a calibration are shown."""
     has_faults: bool = True
-    """Whether a camera's view was wrong for a while."""
+    """Whether a camera's view was wrong, or nothing was recorded, for a while."""
     longest: int = 0
     """Who of the people is there for longest: whose curves are seen first."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -82,39 +88,46 @@ def overview(content: Content) -> rrb.Container:
     """Show the room with the result, and beside it all curves, who is there, and the events."""
     import rerun.blueprint as rrb
 
+    moves = [_moves()] if content.has_moves else []
     if content.is_raw:
+        lanes = [_lanes(content, "No data")] if content.has_faults else []
         return rrb.Vertical(
             _room(content, "Room", shown=[content.final]),
-            rrb.Horizontal(
-                *([_moves()] if content.has_moves else []),
-                _counts(content),
-            ),
+            rrb.Horizontal(*moves, _counts(content), *lanes),
             row_shares=[3, 1],
         )
     angles = _tabs(content, [_angles(content, person) for person in content.people])
-    speed = _series("Speed, m/s", _all(content, "/speed/**"))
-    side = [angles, speed, _counts(content)]
-    if content.has_moves:
-        side.append(_moves())
+    side = [_error(content)] if content.has_error else []
     if len(content.prefixes) == 2:
-        side.insert(1, _series("Joint distance between the logs, mm", ["/distance/**"]))
-    if content.has_error:
-        side.insert(1, _error(content))
-    lanes = rrb.StateTimelineView(
-        origin="/",
-        contents=[*_all(content, "/state/**"), "/views/**"],
-        name="People in the result, and when a camera's view is wrong",
-        time_view=_whole(),
-    )
+        side.append(_series(content, "distance", "Joint distance between the logs, mm"))
+    side += [_series(content, "speed", "Speed, m/s"), _counts(content)]
+    wide, pairs = side[: len(side) % 2], side[len(side) % 2 :]
+    shares = [1.0 + (len(content.prefixes) == 2), 4, *[2.2] * len(wide), 1.2 * len(pairs)]
+    lanes = _lanes(content, "People in the result; when a camera's view is wrong; no data")
     return rrb.Vertical(
         rrb.Horizontal(
             _room(content, "Room", shown=[content.final]),
-            rrb.Vertical(_key(), *side, row_shares=[0.8, 5, *([2] * (len(side) - 1))]),
+            rrb.Vertical(
+                _key(),
+                angles,
+                *wide,
+                rrb.Grid(*pairs, grid_columns=2),
+                *moves,
+                row_shares=[*shares, *[2] * len(moves)],
+            ),
             column_shares=[4, 3],
         ),
         rrb.Horizontal(lanes, _events(content), column_shares=[2, 3]),
         row_shares=[2.8, 1],
     )
+
+
+def _lanes(content: Content, name: str) -> Any:
+    """Return who is there, when a camera's view is wrong, and when nothing was recorded."""
+    import rerun.blueprint as rrb
+
+    what = [*_all(content, "/result/**"), "/wrong_view/**", "/no_data"]
+    return rrb.StateTimelineView(origin="/", contents=what, name=name, time_view=_whole())
 
 
 def stages(content: Content) -> rrb.Container:
@@ -125,16 +138,16 @@ def stages(content: Content) -> rrb.Container:
     if not before:
         return overview(content)
     name = f"{before.capitalize()} grey, {after} coloured, displacement x {MAGNIFIED:.0f} white"
-    room = _room(content, name, shown=[before, after], cameras=[])
+    room = _room(content, name, shown=[before, after], cameras=[], aspect=_HALF)
     moved = [
-        _series(f"Joints, {stage} to {after}: mean mm", _all(content, f"/moved/{stage}/**"))
+        _series(content, "moved", f"Joints, {stage} to {after}: mean mm", f"/moved/{stage}/**")
         for stage in content.stages
         if stage not in ("tracked", "truth", after)
     ]
-    residual = _series("Detections to the result: mean mm", ["/residual/**"])
-    return rrb.Horizontal(
-        room, rrb.Vertical(*moved, residual, _events(content)), column_shares=[1, 1]
-    )
+    residual = _series(content, "residual", "Detections to the result: mean mm")
+    right = [_key(), *moved, residual, _events(content)]
+    shares = [0.6 + 0.4 * (len(content.prefixes) == 2), *[2] * (len(right) - 1)]
+    return rrb.Horizontal(room, rrb.Vertical(*right, row_shares=shares), column_shares=[1, 1])
 
 
 def person(content: Content) -> rrb.Container:
@@ -146,10 +159,10 @@ def person(content: Content) -> rrb.Container:
             _key(),
             _angles(content, who),
             _sides(content, "limbs", who, LIMBS, "m"),
-            _error(content, who)
+            _error(content, person_part(who))
             if content.has_error
-            else _series("Speed, m/s", _all(content, f"/speed/{person_part(who)}")),
-            row_shares=[0.34, 2, 2, 1],
+            else _series(content, "speed", "Speed, m/s", f"/speed/{person_part(who)}"),
+            row_shares=[0.4 + 0.2 * (len(content.prefixes) == 2), 2, 2, 1],
             name=f"Person {who}",
         )
         for who in content.people
@@ -157,7 +170,9 @@ def person(content: Content) -> rrb.Container:
     if not tabs or content.is_raw:
         return overview(content)
     return rrb.Horizontal(
-        _room(content, "Room", shown=[content.final]), _tabs(content, tabs), column_shares=[1, 1]
+        _room(content, "Room", shown=[content.final], aspect=_HALF),
+        _tabs(content, tabs),
+        column_shares=[1, 1],
     )
 
 
@@ -172,15 +187,12 @@ def cameras(content: Content) -> rrb.Container:
     below = [_counts(content)]
     if not content.is_raw:
         table = rrb.TextDocumentView(origin=CAMERA_TABLE, name="Cameras in numbers")
-        wrong = rrb.StateTimelineView(
-            origin="/",
-            contents=["/views/**"],
-            name="When a camera's view is wrong",
-            time_view=_whole(),
-        )
-        below = [table, _series("Distance to the result, mm", ["/residual/**"])]
-        below += [wrong] if content.has_faults else []  # else the viewer fills it with advice
-    return rrb.Vertical(rrb.Grid(*rooms), rrb.Horizontal(*below), row_shares=[3, 1])
+        below = [table, _series(content, "residual", "Distance to the result, mm")]
+        if content.has_faults:  # else the viewer fills it with advice
+            below.append(_lanes(content, "People; when a camera's view is wrong; no data"))
+    n = len(rooms)
+    grid = rrb.Grid(*rooms, grid_columns=n if n < 4 else math.isqrt(n - 1) + 1)
+    return rrb.Vertical(grid, _key(), rrb.Horizontal(*below), row_shares=[3, 0.25, 1])
 
 
 LAYOUTS: dict[str, Callable[[Content], Any]] = {
@@ -210,11 +222,13 @@ def _room(
     shown: Sequence[str],
     cameras: Sequence[str] | None = None,
     seen_by: str = "",
+    aspect: float = 1.4,
 ) -> Any:
     """Return a 3D view of the stages in ``shown`` and detections of ``cameras`` (None = all).
 
-    It looks from the camera ``seen_by`` if its pose is known, else at the people; the result is
-    thin then, so that the camera's own detections are seen beside it.
+    It looks from the camera ``seen_by`` if its pose is known, else at all people and cameras, in a
+    view of this width by height; the result is thin then, so that the camera's own detections are
+    seen beside it.
     Of two stages the first one is thin and grey, and its displacement to the second one is drawn.
     """
     import rerun as rr
@@ -254,12 +268,13 @@ def _room(
         for stage in shown
         for who in content.people
     }
-    eye, target = _eye(content), content.centre - [0, 0, 0.1]
+    eye, target = _eye(content, aspect)
     if pose := content.camera_poses.get(seen_by):
-        eye = pose.translation
         ahead = rotate(pose.xyzw, _AHEAD)
+        target = (content.low + content.high) / 2
+        eye = pose.translation
         if ahead @ (target - eye) > 0:  # else z is not this frame's optical axis
-            target = eye + ahead
+            target, eye = eye + ahead, eye - _BEHIND * ahead
         for other in content.cameras:  # names hide people, and so does a frustum beside the eye
             place = content.camera_poses.get(other, pose).translation
             near = float(np.linalg.norm(place - pose.translation)) < _BESIDE_M
@@ -301,22 +316,35 @@ def _paths(content: Content, stage: str) -> list[str]:
     return [f"{p}/{stage}/{person_part(who)}" for p in content.prefixes for who in content.people]
 
 
-def _eye(content: Content) -> Floats:
-    """(3,) Where to look from, m: from the cameras' side if they have one, else from a corner.
+def _eye(content: Content, aspect: float) -> tuple[Floats, Floats]:
+    """(3,) Where to look from and at, m: everybody from feet to head and all cameras are seen.
 
-    People fill the view: a standing person's height, or the ground that they walk on.
+    It looks from the cameras' side if they have one, else from a corner. ``aspect`` is the view's
+    width by its height.
     """
-    back, half = np.array([-0.55, -0.85]), np.radians(_VERTICAL_VIEW_DEG / 2)
-    across = max(1.2, 0.7 * (content.reach + 0.4))  # a view is wider than high
-    distance = across / np.tan(half) + 0.3 * content.reach
-    if content.camera_poses:
-        places = [pose.translation for pose in content.camera_poses.values()]
-        offset = (np.mean(places, axis=0) - content.centre)[:2]
+    back, centre = np.array([-0.55, -0.85]), (content.low + content.high) / 2
+    places = [pose.translation for pose in content.camera_poses.values()]
+    if places:
+        offset = (np.mean(places, axis=0) - centre)[:2]
         if np.linalg.norm(offset) > 1.0:
             cosine, sine = np.cos(np.radians(22.0)), np.sin(np.radians(22.0))
             back = np.array([[cosine, -sine], [sine, cosine]]) @ offset
-    direction = np.array([*(back / np.linalg.norm(back)), 0.45])
-    return np.asarray(content.centre + distance * direction / np.linalg.norm(direction))
+    outward = np.array([*(back / np.linalg.norm(back)), 0.45])
+    outward /= np.linalg.norm(outward)
+    right = np.cross([0.0, 0.0, 1.0], outward)
+    right /= np.linalg.norm(right)
+    up = np.cross(outward, right)
+    corners = [*product(*zip(content.low, content.high + _LABEL, strict=True))]
+    beside = [place + _CAMERA_M * way for place in places for way in (right, up, -right, -up)]
+    axes = np.array([right, up, outward])
+    *spans, near = axes @ (np.array([*corners, *beside]) - centre).T
+    slope = _FILLED * np.tan(np.radians(_VERTICAL_VIEW_DEG / 2))
+    target, distance = centre, 0.0
+    for span, axis, most in zip(spans, axes, (aspect * slope, slope), strict=False):
+        high, low = (span / most + near).max(), (-span / most + near).max()
+        target = target + most * (high - low) / 2 * axis
+        distance = max(distance, (high + low) / 2)
+    return target + distance * outward, target
 
 
 def _all(content: Content, pattern: str) -> list[str]:
@@ -334,23 +362,24 @@ def _tabs(content: Content, views: Sequence[Any]) -> Any:
 
 def _counts(content: Content) -> Any:
     """Return the curves of how many people each camera reports."""
-    return _series("People per camera", ["/people/**"], content.ranges.get("people"))
+    return _series(content, "people", "People per camera")
 
 
-def _series(name: str, contents: Sequence[str], values: tuple[float, float] | None = None) -> Any:
-    """Return a view of curves without a legend, which would cover them.
+def _series(content: Content, kind: str, name: str, path: str = "") -> Any:
+    """Return a view of curves of a kind without a legend, which would cover them.
 
     The room and the lanes tell the colours; the viewer names the curve under the pointer.
-    ``values`` is the range of the axis; None = it fits the curves.
+    ``path`` is that of the curves; "" = all of the kind. An axis without a range fits its curves.
     """
     import rerun.blueprint as rrb
 
-    legend = rrb.PlotLegend(visible=False)
+    path = path or f"/{kind}/**"
+    values = content.ranges.get(kind)
     return rrb.TimeSeriesView(
         origin="/",
-        contents=list(contents),
+        contents=list(dict.fromkeys([path, *_all(content, path)])),
         name=name,
-        plot_legend=legend,
+        plot_legend=rrb.PlotLegend(visible=False),
         axis_x=_whole(),
         axis_y=None if values is None else rrb.ScalarAxis(range=values),
     )
@@ -369,10 +398,10 @@ def _whole() -> Any:
 
 
 def _key() -> Any:
-    """Return the line that says how left and right are told apart."""
+    """Return the lines that say what colours mean, and which log is which."""
     import rerun.blueprint as rrb
 
-    return rrb.TextDocumentView(origin=KEY, name="Left and right", titlebar=False)
+    return rrb.TextDocumentView(origin=KEY, name="Colours", titlebar=False)
 
 
 def _angles(content: Content, who: int) -> Any:
@@ -383,12 +412,13 @@ def _sides(content: Content, kind: str, who: int, parts: Sequence[str], unit: st
     """Return a view per joint or limb, in each its left and its right curve."""
     import rerun.blueprint as rrb
 
-    person = person_part(who)
+    parts = [part.replace(" ", "_") for part in parts]
     views = [
         _series(
-            f"{part.capitalize()}, {unit}",
-            _all(content, f"/{kind}/{person}/{part.replace(' ', '_')}"),
-            content.ranges.get(f"{kind}/{part}"),
+            content,
+            f"{kind}/{part}",
+            f"{part.capitalize().replace('_', ' ')}, {unit}",
+            f"/{kind}/{person_part(who)}/{part}",
         )
         for part in parts
     ]
@@ -402,10 +432,9 @@ def _moves() -> Any:
     return rrb.TextDocumentView(origin=CALIBRATION, name="Cameras before and after")
 
 
-def _error(content: Content, who: int | None = None) -> Any:
+def _error(content: Content, part: str = "**") -> Any:
     """Return the curves of the error, of everybody or of one person."""
-    part = "**" if who is None else person_part(who)
-    return _series("Error, mm: mean over joints", _all(content, f"/error/{part}"))
+    return _series(content, "error", "Error, mm: mean over joints", f"/error/{part}")
 
 
 def _events(content: Content) -> Any:

@@ -12,13 +12,13 @@ import numpy as np
 from hiros_mcap._version import __version__
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate.comparison import Entry, Outcome, by_number_of_cameras
-from hiros_mcap.evaluate.comparison_tables import (
+from hiros_mcap.evaluate.score_tables import (
     best_first,
     camera_table,
     differences_of,
     has_truth,
     notes_on,
-    table_of,
+    system_table,
 )
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.observe import DETECTIONS
@@ -47,19 +47,19 @@ def comparison_page(outcomes: Sequence[Outcome], study: str | None) -> Page:
         page.figure(_camera_figure(errors), "Mean joint error by number of cameras")
         return page
     for log in dict.fromkeys(o.log for o in outcomes):
-        own = [o for o in outcomes if o.log == log]
+        group = [o for o in outcomes if o.log == log]
         page.heading(log)
-        if has_truth(own):
-            best = best_first(own)[0]
+        if has_truth(group):
+            best = best_first(group)[0]
             page.text(f"Least error: {best.name}, {number(best.error, 1, ' mm')}.")
-            page.table(*table_of(own), "Least error first; mm, degrees, ms")
-            page.figure(_error_bars(own), "Mean joint error; the line is its standard deviation")
+            page.table(*system_table(group), "Least error first; mm, degrees, ms")
+            page.figure(_error_bars(group), "Mean joint error; the line is its standard deviation")
         else:
-            page.table(*table_of(own), "Distances and jitter in mm")
-            for text in notes_on(own):
+            page.table(*system_table(group), "Distances and jitter in mm")
+            for text in notes_on(group):
                 page.text(text)
-            page.figure(_self_bars(own), "Systems in the order in which they were named")
-        for line in differences_of(own):
+            page.figure(_self_bars(group), "Systems in the order in which they were named")
+        for line in differences_of(group):
             page.text(line)
     return page
 

@@ -30,6 +30,7 @@ from hiros_viewer.palette import (
     TRUTH,
     camera_colour,
     curve_colour,
+    faint,
     label_colour,
     marker_colour,
     pale,
@@ -54,6 +55,7 @@ _FIELD_OF_VIEW_DEG = (75.0, 65.0)  # of the cameras as they are drawn; the log d
 _SECOND_LOG, _LEFT = CLASSES, 2 * CLASSES  # offsets of people's classes
 _FIRST_CAMERA_CLASS = 4 * CLASSES
 _TRUE = 5 * CLASSES
+_FAINT = 10 * CLASSES
 
 
 Counts = npt.NDArray[np.integer[Any]]
@@ -91,8 +93,10 @@ _CAMERA_NOTE = (
 CALIBRATION = "/calibration"
 KEY = "/key"
 _KEY_TEXT = (
-    "**Right**: bright limbs, thick blue curves. **Left**: dark limbs, thin grey curves. "
-    "Point at a curve for its name."
+    "**Right**: bright limbs, blue curves. **Left**: dark limbs, grey curves. **Faint**: nobody "
+    "sees the person, who is predicted. **Magenta**: a camera swaps left and right. **Red**: a "
+    "detection more than 20 cm off, or the way to the truth. **White**: the truth. Point at a "
+    "curve for its name."
 )
 
 
@@ -139,13 +143,25 @@ class Entities:
         """Show what the colours mean, Markdown."""
         import rerun as rr
 
-        text = "\n\n".join([_KEY_TEXT, *more])
+        text = "\n\n".join([*more, _KEY_TEXT])
         self.recording.log(KEY, rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def camera(self, name: str, number: int, pose: Rigid) -> None:
         """Draw a camera as a frustum at its pose in the fixed frame."""
         look = name, camera_colour(number), label_colour(curve_colour(number))
         self._frustum(f"/world/cameras/{path_part(name)}", pose, look)
+
+    def no_data(self, times: Stamps, place: Floats) -> None:
+        """Say "no data" at a place (3,), m, from the first to the second of times (2, 2)."""
+        import rerun as rr
+
+        if self._is_new("/world/no_data"):
+            look = rr.Points3D.from_fields(
+                colors=[TRUTH], radii=0.001, labels=["no data"], show_labels=True
+            )
+            self.recording.log("/world/no_data", look, static=True)
+        parts = {rr.Points3D.descriptor_positions(): rr.components.Position3DBatch([place])}
+        self._send("/world/no_data", times, parts, np.array([1, 0]))
 
     def moves(self, moves: Sequence[CameraMove]) -> None:
         """Draw where cameras were before a calibration, lines to where they are, and a table."""
@@ -209,11 +225,12 @@ class Entities:
                 rr.ClassDescription(info=(left, name, _packed(shade(colour)))),
             ]
 
-        classes = looks(_TRUE, "truth", TRUTH, _TRUE + 1)
+        classes = looks(_TRUE, "truth", TRUTH, _LEFT + _TRUE)
         for k in range(CLASSES):
-            second = _SECOND_LOG + k
-            classes += looks(k, f"person {k}", person_colour(k), _LEFT + k)
-            classes += looks(second, f"person {k}", pale(person_colour(k)), _LEFT + second)
+            hue, second, hidden = person_colour(k), _SECOND_LOG + k, _FAINT + k
+            classes += looks(k, f"person {k}", hue, _LEFT + k)
+            classes += looks(second, f"person {k}", pale(hue), _LEFT + second)
+            classes += looks(hidden, f"person {k}", faint(hue), _LEFT + hidden)
         for camera in range(len(CAMERAS)):
             colour = camera_colour(camera) if dim_detections else curve_colour(camera)
             number = _FIRST_CAMERA_CLASS + camera
@@ -222,14 +239,10 @@ class Entities:
 
     # -- skeletons -----------------------------------------------------------------------------
 
-    def detections(self, camera: str, number: int, poses: Poses, rows: Rows) -> Floats:
+    def detections(self, camera: str, number: int, poses: Poses, rows: Rows) -> None:
         """Send a camera's detections, thin: everybody's joints and bones in one batch.
 
         ``rows`` are times (R, 2) and counts (R,) of people, whose poses follow each other.
-
-        Returns
-        -------
-        (K, 3) the highest joint of each, m.
         """
         import rerun as rr
 
@@ -238,7 +251,9 @@ class Entities:
             which = _FIRST_CAMERA_CLASS + number % len(CAMERAS)
             look = rr.Points3D.from_fields(class_ids=[which], show_labels=False)
             self.recording.log(path, look, static=True)
-            self._send_bone_looks(path, (which, which + len(CAMERAS)), _THIN)
+            for part, own in zip(self._bones, (which, which + len(CAMERAS)), strict=True):
+                bones = rr.LineStrips3D.from_fields(class_ids=[own], radii=_THIN, show_labels=False)
+                self.recording.log(f"{path}{part}", bones, static=True)
         people = np.arange(len(poses.ids))
         joints, radii = self._joints(poses, people, _DETECTION_M)
         keypoints = np.tile(np.arange(self.model.n_markers, dtype=np.uint16), len(people))
@@ -250,7 +265,6 @@ class Entities:
         times, counts = rows
         self._send(path, times, parts, self.model.n_markers * counts)
         self._send_bones(path, joints, rows)
-        return _highest(poses, people)
 
     def _send_bones(self, path: str, joints: Singles, rows: Rows) -> None:
         """Send the bones of everybody in each row."""
@@ -261,27 +275,49 @@ class Entities:
             self._send(f"{path}{part}", times, batches, per_row)
 
     def person(
-        self, path: str, visit: Visit, poses: Poses, *, is_strong: bool
-    ) -> tuple[Flags, Floats]:
-        """Send joints, bones, label and trail of one person.
+        self, path: str, visit: Visit, poses: Poses, labels: Sequence[str], *, is_strong: bool
+    ) -> None:
+        """Send joints, bones, labels and trail of one person.
 
-        ``is_strong`` is the result; what it was made of is thin beside it.
-
-        Returns
-        -------
-        (R,) which rows show the person; (K, 3) the highest joint in each of these, m.
+        ``labels`` are those of the rows that show the person, "" = none. ``is_strong`` is the
+        result; what it was made of is thin beside it.
         """
         if self._is_new(path):
             self._send_looks(path, is_strong=is_strong)
         shown = visit.people != HIDDEN
         people = visit.people[shown]
         joints, radii = self._joints(poses, people, _JOINT_M if is_strong else _DETECTION_M)
-        highest = _highest(poses, people)
-        for part, batches, per_pose in self._parts(joints, radii, highest, self._above(path)):
+        highest = _highest(poses, people) + np.array([0, 0, self._above()])
+        for part, batches, per_pose in self._parts(joints, radii, highest, np.array(labels) != ""):
             counts = np.zeros(len(shown), np.int32)
             counts[shown] = per_pose
             self._send(f"{path}{part}", visit.times, batches, counts)
-        return shown, highest
+        if len(people):
+            self._send_changes(path, visit.times[shown], labels, poses.is_predicted[people])
+
+    def _send_changes(
+        self, path: str, times: Stamps, labels: Sequence[str], is_predicted: Flags
+    ) -> None:
+        """Send what seldom changes in rows (R, 2): the label, and whether the person is faint."""
+        import rerun as rr
+
+        looks = list(zip(labels, is_predicted.tolist(), strict=True))
+        new = [k for k, look in enumerate(looks) if not k or look != looks[k - 1]]
+        own, when = self._class_of(path), time_columns(times[new], self.start)
+        classes = np.where(is_predicted[new], _FAINT + own % CLASSES, own)
+        for part, shift in (("", 0), *zip(self._bones, (0, _LEFT), strict=True)):
+            kind = rr.LineStrips3D if part in self._bones else rr.Points3D
+            column = kind.columns(class_ids=classes + shift)
+            self.recording.send_columns(f"{path}{part}", when, column)
+        column = rr.Points3D.columns(labels=[labels[k] for k in new])
+        self.recording.send_columns(f"{path}/name", when, column)
+
+    def _class_of(self, path: str) -> int:
+        """Return the class of a person's right limbs and trunk."""
+        if path.split("/")[-2] == "truth":
+            return _TRUE
+        which = self._layer.number if self._layer.one_colour else person_of(path)
+        return self._first_class + which % CLASSES
 
     def marks(self, camera: str, kind: str, poses: Poses, rows: Rows) -> None:
         """Send detections of a camera that are wrong, in a colour that warns, and say how."""
@@ -383,7 +419,7 @@ class Entities:
         return joints, radii
 
     def _parts(
-        self, joints: Singles, radii: Singles, highest: Floats, above: float
+        self, joints: Singles, radii: Singles, labels: Floats, has_label: Flags
     ) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield a person's entities: path below theirs, batches, how many of it in each pose."""
         import rerun as rr
@@ -392,15 +428,13 @@ class Entities:
         points = rr.components.Position3DBatch
         yield "", {where: points(joints), size: rr.components.RadiusBatch(radii)}, joints.shape[1]
         yield from self._bone_parts(joints)
-        there = ~np.isnan(highest[:, 0])
-        labels = highest[there] + np.array([0, 0, above])
-        yield "/name", {where: points(labels)}, there
+        there = ~np.isnan(labels[:, 0])
+        yield "/name", {where: points(labels[there & has_label])}, there & has_label
         yield "/trail", {where: points(joints[there, self._root])}, there
 
-    def _above(self, path: str) -> float:
+    def _above(self) -> float:
         """Return how far above the head a name is, m: not on that in another log."""
-        is_truth = path.split("/")[-2] == "truth"
-        return _LABEL_ABOVE_M + _LABEL_STEP_M * (2 if is_truth else self._layer.number)
+        return _LABEL_ABOVE_M + _LABEL_STEP_M * self._layer.number
 
     def _bone_parts(self, joints: Singles) -> Iterator[tuple[str, Mapping[Any, Any], Any]]:
         """Yield bones like :meth:`_parts`: those of left limbs have an entity of their own."""
@@ -412,35 +446,21 @@ class Entities:
             n_bones = draw_bones(joints, ends, bones, per_pose)
             yield part, {rr.LineStrips3D.descriptor_strips(): strips(bones[:n_bones])}, per_pose
 
-    def _send_bone_looks(self, path: str, classes: tuple[int, int], radius: float) -> None:
-        """Say once how bones look: the class of right limbs and trunk, and that of left limbs."""
-        import rerun as rr
-
-        for part, number in zip(self._bones, classes, strict=True):
-            look = rr.LineStrips3D.from_fields(class_ids=[number], radii=radius, show_labels=False)
-            self.recording.log(f"{path}{part}", look, static=True)
-
     def _send_looks(self, path: str, *, is_strong: bool) -> None:
-        """Say once how a person's entities look."""
+        """Say once how a person's entities look; classes and labels change."""
         import rerun as rr
 
-        stage, person = path.split("/")[-2], person_of(path)
-        which = self._layer.number if self._layer.one_colour else person
-        number = self._first_class + which % CLASSES
-        classes, label = (number, _LEFT + number), self._layer.named(f"person {person}")
-        label_like = person_colour(which)
-        if stage == "truth":
-            classes, label, label_like = (_TRUE, _TRUE + 1), f"truth {person}", TRUTH
-        keypoints = list(range(self.model.n_markers))
-        self._send_bone_looks(path, classes, _BONE_M if is_strong else _THIN)
+        which = self._layer.number if self._layer.one_colour else person_of(path)
+        colour = TRUTH if self._class_of(path) == _TRUE else person_colour(which)
+        keypoints, radius = list(range(self.model.n_markers)), _BONE_M if is_strong else _THIN
+        bones = rr.LineStrips3D.from_fields(radii=radius, show_labels=False)
         for part, look in (
-            ("", rr.Points3D.from_fields(
-                class_ids=[classes[0]], keypoint_ids=keypoints, show_labels=False)),
+            ("", rr.Points3D.from_fields(keypoint_ids=keypoints, show_labels=False)),
             ("/name", rr.Points3D.from_fields(
-                colors=[label_colour(label_like)], radii=0.001, labels=[label],
-                show_labels=True)),
+                colors=[label_colour(colour)], radii=0.001, show_labels=True)),
             ("/trail", rr.Points3D.from_fields(
-                class_ids=[classes[0]], radii=0.005, show_labels=False)),
+                class_ids=[self._class_of(path)], radii=0.005, show_labels=False)),
+            *((part, bones) for part in self._bones),
         ):  # fmt: skip
             self.recording.log(f"{path}{part}", look, static=True)
 

@@ -40,10 +40,8 @@ def truth_page(
     page = Page(f"Evaluation of {log}", about)
     scores = {topic: result.scores for topic, result in results.items()}
     page.heading("Scores")
-    page.table(*score_tables.error_table(scores), "Joint error, mm")
-    page.table(*score_tables.motion_table(scores), "Motion: RMSE (SD) of the bending angles")
-    title = "People: missing and false summed over frames and silent instants of the result"
-    page.table(*score_tables.people_table(scores), title)
+    for title, table in score_tables.truth_tables(scores).items():
+        page.table(*table, title)
     for text in remarks:
         page.text(text)
     page.figure(_pck(scores), "Share of true joints within a distance of the truth")
@@ -97,9 +95,8 @@ def _angle_curves(result: ChannelResult, person: int) -> Figure:
 
 def self_page(log: Path, scores: SelfScores) -> Page:
     """Page of a log without truth."""
-    own = scores.consistency
-    limbs = f"limb lengths vary by {number(100 * own.limb_variation, 1, ' %')}"
-    about = headline(log).lines(limbs, f"jitter {number(own.jitter, 1, ' mm')}")
+    result = scores.consistency
+    about = headline(log).lines(*score_tables.lines_of(result))
     page = Page(f"{log} without truth", about)
     page.heading("Each camera against the result of the others")
     title = "Joint distance, mm, including the camera's own noise"
@@ -118,9 +115,9 @@ def self_page(log: Path, scores: SelfScores) -> Page:
     page.heading("Result of all cameras")
     page.table(
         ["person", "s", "frames"],
-        [[str(p.id), f"{p.seconds:.1f}", str(p.frames)] for p in own.people],
+        [[str(p.id), f"{p.seconds:.1f}", str(p.frames)] for p in result.people],
     )
-    page.text(f"Limb lengths vary by {own.limb_variation:.4f} (CV); jitter {own.jitter:.1f} mm.")
+    page.text("; ".join(score_tables.lines_of(result)))
     page.heading("Left and right of this result")
     page.table(*score_tables.side_table(scores.sides))
     return page

@@ -19,6 +19,7 @@ MOST_POINTS = 5000
 """Of a curve: five minutes at 15 Hz, finer than a screen shows and small enough to send."""
 _PIXELS = 84
 """Per inch of a figure."""
+_LEGEND_PX = 24
 
 
 def library() -> str:
@@ -42,8 +43,8 @@ def thinned(figure: Figure) -> int:
 def curves_json(figure: Figure, target: str) -> str:
     """Return the figure's plots for ``Bokeh.embed.embed_item``, into the element ``target``.
 
-    All plots of a figure share their zoom along x and the cursor; the first has the legend. The
-    same figure gives the same text.
+    All plots of a figure share their zoom along x and the cursor; those of the first row have the
+    legend. The same figure gives the same text.
     """
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
@@ -53,15 +54,16 @@ def curves_json(figure: Figure, target: str) -> str:
     width, height = figure.get_size_inches() * _PIXELS
     rows: dict[int, list[Any]] = {}
     cursor = Span(dimension="height", line_color="#57606a")
-    first = None
+    table, first = _Table(step), None
     for axes in figure.axes:
         if axes.get_visible():
             spec = axes.get_subplotspec()
             row = 0 if spec is None else spec.rowspan.start
             n_rows = 1 if spec is None else spec.get_gridspec().nrows
-            plot = _plot(axes, step, int(height / n_rows), first)
+            taller = _LEGEND_PX * (row == 0)
+            plot = _plot(axes, table, int(height / n_rows) + taller, first)
             plot.add_tools(CrosshairTool(overlay=cursor, dimensions="height", visible=False))
-            plot.legend.visible = first is None
+            plot.legend.visible = row == 0
             first = first or plot.x_range
             rows.setdefault(row, []).append(plot)
     grid = gridplot(
@@ -72,7 +74,27 @@ def curves_json(figure: Figure, target: str) -> str:
     return _renumbered(json.dumps(json_item(grid, target), separators=(",", ":")))
 
 
-def _plot(axes: Axes, step: int, height: int, shared: Any) -> Any:
+class _Table:
+    """The numbers of a figure's curves: those at the same times have these once."""
+
+    def __init__(self, step: int) -> None:
+        self._step = step
+        self._sources: dict[bytes, Any] = {}
+
+    def add(self, line: Line2D) -> dict[str, Any]:
+        """Return source and columns of a curve; single precision, which halves the page."""
+        from bokeh.models import ColumnDataSource
+
+        data = (line.get_xdata(), line.get_ydata())
+        x, y = (np.asarray(values, np.float32)[:: self._step] for values in data)
+        source = self._sources.setdefault(x.tobytes(), ColumnDataSource())
+        source.data.setdefault("x", x)
+        name = f"y{len(source.data)}"
+        source.add(y, name)
+        return {"x": "x", "y": name, "source": source}
+
+
+def _plot(axes: Axes, table: _Table, height: int, shared: Any) -> Any:
     """Return one plot with the curves, the ranges and the titles of matplotlib's."""
     from bokeh.models import HoverTool, Range1d, Span
     from bokeh.plotting import figure as new_plot
@@ -90,18 +112,22 @@ def _plot(axes: Axes, step: int, height: int, shared: Any) -> Any:
         )
     unit = axes.get_xlabel() or "s"
     for line in _named(axes):
+        data, colour = table.add(line), _colour(line)
         drawn = plot.line(
-            *_points(line, step), color=_colour(line), line_width=line.get_linewidth(),
+            **data, color=colour, line_width=line.get_linewidth(),
             legend_label=str(line.get_label()),
         )  # fmt: skip
         if line.get_marker() not in ("None", None, ""):
-            plot.scatter(*_points(line, step), color=_colour(line), size=6)
-        tips = [(str(line.get_label()), "@y{0.[00]}"), (unit, "@x{0.[00]}")]
+            plot.scatter(**data, color=colour, size=6)
+        tips = [(str(line.get_label()), f"@{data['y']}{{0.[00]}}"), (unit, "@x{0.[00]}")]
         plot.add_tools(HoverTool(renderers=[drawn], tooltips=tips, mode="vline", visible=False))
     if plot.legend:
         legend = plot.legend[0]
-        legend.orientation, legend.location, legend.click_policy = "horizontal", "top_right", "hide"
-        legend.padding, legend.label_text_font_size, legend.background_fill_alpha = 2, "11px", 0.6
+        plot.center.remove(legend)  # where it would cover curves
+        plot.add_layout(legend, "above")
+        legend.orientation, legend.location, legend.click_policy = "horizontal", "right", "hide"
+        legend.padding = legend.margin = 2
+        legend.label_text_font_size, legend.border_line_alpha = "11px", 0.0
     return plot
 
 
@@ -114,12 +140,6 @@ def _colour(line: Line2D) -> str:
     from matplotlib.colors import to_hex
 
     return to_hex(line.get_color())
-
-
-def _points(line: Line2D, step: int) -> list[Any]:
-    """Return x and y; single precision, which halves the page."""
-    data = (line.get_xdata(), line.get_ydata())
-    return [np.asarray(values, np.float32)[::step] for values in data]
 
 
 def _renumbered(text: str) -> str:

@@ -36,7 +36,7 @@ caption, figcaption { text-align: left; color: #57606a; font-size: .9rem; paddin
 figure { margin: 1rem 0; } figure svg { max-width: 100%; height: auto; }
 .wide { overflow-x: auto; }
 @media (prefers-color-scheme: dark) {
-  body { color: #dde3ea; background: #14171a; }
+  body { color: #dde3ea; background: #141414; } /* as white inverted, below */
   .about, caption, figcaption { color: #9aa4af; }
   th, td { border-color: #2c333b; } th { border-color: #57606a; }
   figure > svg, .curves { filter: invert(.92) hue-rotate(180deg); }

@@ -29,12 +29,15 @@ TRUTH: RGB = (235, 240, 235)
 """Of true people, beside a result in hues."""
 FAULTY: dict[str, RGB] = {"mirrored": (255, 0, 255), "far off": (255, 60, 60)}
 """Of a camera's view while it is wrong, in the room and in its lane."""
+SILENCE: RGB = (110, 110, 110)
+"""Of the lane while no camera sends anything."""
 ERROR: RGB = (255, 70, 70)
 """Of lines from a result's joints to the true ones."""
 BEFORE: RGB = (150, 150, 150)
 """Of a stage that is compared with the result."""
 _LEFT = 0.55
 """Brightness of left limbs to that of right ones; hue alone would fail the colour-blind."""
+_GREY: RGB = (92, 98, 106)
 CLASSES = 100
 """People have the classes 0..99, by id; greater ids begin anew."""
 
@@ -43,6 +46,12 @@ def pale(colour: RGB) -> RGB:
     """Return a colour halfway to white: the second of two logs."""
     red, green, blue = colour
     return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2)
+
+
+def faint(colour: RGB) -> RGB:
+    """Return a colour near the room's grey: of somebody whom no camera sees."""
+    red, green, blue = ((part + 2 * grey) // 3 for part, grey in zip(colour, _GREY, strict=True))
+    return red, green, blue
 
 
 def shade(colour: RGB) -> RGB:

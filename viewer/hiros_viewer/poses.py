@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.frames import Block
 from hiros_mcap.kernels.drawing import pick
 from hiros_mcap.skeletons import Flags, Floats, Frame, Stamps
@@ -80,6 +81,13 @@ class Poses:
     def stamps(self) -> Stamps:
         """(N,) ns."""
         return self.times[:, 0]
+
+    @property
+    def is_predicted(self) -> Flags:
+        """(P,) whether no camera saw the person, as the summary counts it."""
+        known = ~np.isnan(self.confidences)
+        total = np.where(known, self.confidences, 0.0).sum(axis=1)
+        return np.asarray(known.any(axis=1) & (total < LEAST_CONFIDENCE * known.sum(axis=1)))
 
     @property
     def rows(self) -> Stamps:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +29,7 @@ from hiros_viewer.camera_moves import camera_moves
 from hiros_viewer.entities import Layer, path_part
 from hiros_viewer.overlay import draw_distances
 from hiros_viewer.poses import HORIZON_NS, Channel, Gatherer, Poses, Thinner
-from hiros_viewer.scene import STAGES, Scene
+from hiros_viewer.scene import SIDED, STAGES, Scene
 from hiros_viewer.uncertainties import Uncertainties
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ LIMB_AXIS_M = 0.25
 """Least length of an axis of limbs: millimetres look small."""
 ANGLE_AXIS_DEG = (0.0, 100.0)
 """What every axis of angles shows: two numbers stand beside it then."""
+EMPTY_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 1.8]])
+"""m; what is looked at before anybody is seen."""
+MOST_NUMBERS = {"moved": 6.0, "residual": 6.0}
+"""There is room for on axes that are higher than those of the overview."""
 Spans = Sequence[tuple[int, int]]
 _EVER = (0, 2**63 - 2)
 _NAMES = "AB"
@@ -120,7 +125,7 @@ def replay(
             f"**{layer.name}** is {path.name}: {look}."
             for layer, path, look in zip(layers, logs, looks, strict=True)
         ]
-        scenes[0].explain(" ".join(names))
+        scenes[0].explain("  \n".join(names))
     content = content_of(scenes)
     recording.send_blueprint(blueprint(content, options.layout))
     return content
@@ -167,7 +172,7 @@ class _Replay:
             if self.options.calibration is not None and not only_stages:
                 scene.moves(camera_moves(self.path, self.options.calibration, source.cameras))
             self._thin((log.span[1] - log.span[0]) / 1e9)
-            log.only(self._topics(source, scene.final))
+            log = log.only(self._topics(source, scene.final))
             left_out = {DETECTIONS, "truth"} if only_stages else {"truth"}
             drawn = self._draw_frames(scene, log, left_out, is_open)
         self._finish(scene, source, drawn)
@@ -357,12 +362,13 @@ def in_time_order(
     kinds = {camera.channel.topic: kind_of(camera.channel.topic) for camera in log.cameras}
     names, waiting, thinner = describe(log).names, Gatherer(), Thinner(step)
     for topics, block in log.read(spans=spans, step=step):
-        shown = thinner.chosen(list(zip(topics, block.sources, strict=True)), block.stamps)
+        sources = [source for _, source, _ in block.messages()]
+        shown = thinner.chosen(list(zip(topics, sources, strict=True)), block.stamps)
         channels = [
             (kinds[topic], names.get(source, source) if kinds[topic] == DETECTIONS else "")
             if is_shown and kinds[topic] not in left_out
             else None
-            for topic, source, is_shown in zip(topics, block.sources, shown, strict=True)
+            for topic, source, is_shown in zip(topics, sources, shown, strict=True)
         ]
         waiting.add(channels, block)
         if waiting.is_due and (ready := waiting.ready()):
@@ -373,21 +379,15 @@ def in_time_order(
 
 def content_of(scenes: list[Scene]) -> Content:
     """Sum up what was drawn, for the layout."""
-    spots = [spot for scene in scenes for spot in scene.bounds]
-    if spots:
-        table = np.stack(spots)
-        low, high = np.percentile(table, [3, 97], axis=0)
-        centre = np.array([*((low + high) / 2)[:2], 1.0])
-        reach = float(np.linalg.norm(high[:2] - low[:2]) / 2)
-    else:
-        centre, reach = np.array([0.0, 0.0, 1.0]), 3.0
+    boxes = np.array([box for scene in scenes for box in scene.bounds] or [EMPTY_ROOM])
+    low, high = np.percentile(boxes[:, 0], 2, axis=0), np.percentile(boxes[:, 1], 98, axis=0)
     stages = [stage for stage in STAGES if any(stage in scene.stages for scene in scenes)]
     return Content(
         stages=stages,
         people=sorted({person for scene in scenes for person in scene.people}),
         cameras=[path_part(name) for name in scenes[0].cameras],
-        centre=centre,
-        reach=reach,
+        low=low,
+        high=high,
         camera_poses={path_part(name): pose for name, pose in scenes[0].camera_poses.items()},
         prefixes=[scene.prefix for scene in scenes],
         shows_truth=any(scene.shows_truth for scene in scenes),
@@ -405,15 +405,28 @@ def axis_ranges(scenes: Sequence[Scene]) -> dict[str, tuple[float, float]]:
 
     Everybody's axis is the same, and never so narrow that millimetres look large.
     """
-    axes = {"people": (-0.2, max(scene.most_people for scene in scenes) + 0.4)}
+    axes = {}
     for kind in {kind for scene in scenes for kind in scene.ranges}:
         found = [scene.ranges[kind] for scene in scenes if kind in scene.ranges]
         low, high = min(low for low, _ in found), max(high for _, high in found)
+        if not kind.startswith(SIDED):
+            axes[kind] = numbered_axis(high, MOST_NUMBERS.get(kind, 3.3))
+            continue
         if kind.startswith("angles/"):
             low, high = min(low, ANGLE_AXIS_DEG[0]), max(high, ANGLE_AXIS_DEG[1])
-        margin = max(0.05 * (high - low), (LIMB_AXIS_M - (high - low)) / 2)
+        margin = max(0.08 * (high - low), (LIMB_AXIS_M - (high - low)) / 2)
         axes[kind] = low - margin, high + margin
     return axes
+
+
+def numbered_axis(high: float, most: float) -> tuple[float, float]:
+    """Return an axis from 0 to ``high`` or more, on which the viewer writes two numbers at least.
+
+    It writes the multiples of a power of ten, if there is room for them: for ``most``.
+    """
+    step = 10.0 ** math.floor(math.log10(high)) if high > 0 else 1.0
+    top = 1.1 * max(step, high) if high < most * step else 10.5 * step
+    return -0.04 * top, top
 
 
 def recording_name(logs: list[Path | str]) -> str:

@@ -13,8 +13,9 @@
     /people/<camera>, /residual/<camera>   skeletons that it reports, distance to the last stage
     /error_lines/<person>, /error/<person>   from the result to the truth; their length, mm
     /uncertainty/<person>       ellipsoids that hold the true joints with 68 %
-    /state/<person>             while somebody is tracked;  /log   events
-    /marked/<camera>/<fault>    detections that are mirrored or far off;  /views/...   when
+    /result/<person>            while somebody is tracked;  /log   events
+    /marked/<camera>/<fault>    detections that are mirrored or far off;  /wrong_view/...   when
+    /no_data                    while no camera sends anything;  /world/no_data   so in the room
     /cameras                    numbers of each camera
 
 A person's part of a path is person_<id>. Time is in seconds from the start, as a date, and as the
@@ -58,7 +59,7 @@ from hiros_viewer.entities import (
     person_hue,
     person_part,
 )
-from hiros_viewer.palette import FAULTY, SIDES, curve_colour, pale
+from hiros_viewer.palette import FAULTY, SIDES, SILENCE, curve_colour, pale
 from hiros_viewer.poses import Channel, Poses
 from hiros_viewer.presence import HIDDEN, Crowd, Visit, Visits
 from hiros_viewer.uncertainties import HALF_SIZE, UNCERTAIN_STAGE, Uncertainties
@@ -71,6 +72,10 @@ if TYPE_CHECKING:
 STAGES = ("tracked", "merged", "optimized", "filtered", "truth")
 _ALONE = Layer()
 _MOST_BOUNDS = 2000
+SILENCE_S = 1.0
+"""Without any message for longer, there is no data; detectors send several messages a second."""
+SIDED = ("angles", "limbs")
+"""Curves of left and right, whose path ends in a joint or limb."""
 _ROOTS = ("pelvis", "spinebase", "midhip", "hips", "spine_base", "spinemid")
 _LIMBS = {
     "upper arm": ("shoulder", "elbow"),
@@ -104,6 +109,7 @@ class Scene:
         self.start: int | None = None
         """ns; what seconds count from. None = the first frame."""
         self.bounds: list[Floats] = []
+        """(2, 3) m each: the box around somebody, from feet to head."""
         self.camera_poses: Mapping[str, Rigid] = {}
         """By name, in the fixed frame."""
         self.truth: Truth | None = None
@@ -112,12 +118,10 @@ class Scene:
         """Whether the truth is to be seen in the room; its error is plotted in any case."""
         self.uncertainties: Uncertainties | None = None
         """How well joints are known, to be drawn as ellipsoids."""
-        self.most_people = 0
-        """In one detection message."""
         self.has_moves = False
         """Whether poses before and after a calibration were drawn."""
         self.ranges: dict[str, tuple[float, float]] = {}
-        """Kind of curve, as "limbs/thigh" -> where most of its values are."""
+        """Kind of curve, as "speed" or "limbs/thigh" -> where its values are."""
         self.n_true = 0
         """Frames of the last stage whose instant the truth covers."""
         self._layer, self._prefix = layer, layer.prefix
@@ -135,6 +139,10 @@ class Scene:
         """By stage and person."""
         self._pasts = defaultdict[int, _Past](_Past)
         """By person."""
+        self._true_ids = defaultdict[int, dict[int, int]](dict)
+        """By person: stamp -> the true person who is nearest."""
+        self._newest: Stamps | None = None
+        """(2,) times of the last message."""
         self._waiting = Waiting()
         mirror = symmetry_of(model).mirror
         self._checks = defaultdict[str, ViewCheck](lambda: ViewCheck(mirror))
@@ -157,8 +165,8 @@ class Scene:
 
     @property
     def has_faults(self) -> bool:
-        """Whether a camera's view was wrong for a while."""
-        return any(path.startswith("/views/") for path in self._lane_looks)
+        """Whether a camera's view was wrong, or nothing was recorded, for a while."""
+        return any(path.startswith(("/wrong_view/", "/no_data")) for path in self._lane_looks)
 
     @property
     def longest(self) -> int:
@@ -205,26 +213,48 @@ class Scene:
         """Draw frames of all channels that have the same time: detections, then stages."""
         if self.start is None and frames:
             self.start = min(int(poses.stamps[0]) for poses in frames.values())
+        self._entities.start = self.start or 0
         for (kind, source), poses in frames.items():
             if kind == DETECTIONS:
                 self.detections(source, poses)
         for kind, _ in sorted(frames, key=lambda channel: channel[0] == self.final):
             if kind != DETECTIONS:
                 self.stage(kind, frames[kind, ""])
+        self._tell_silence([p for (kind, _), p in frames.items() if kind == DETECTIONS])
         self._send_texts()
+
+    def _tell_silence(self, some: Sequence[Poses]) -> None:
+        """Say where nothing was recorded: in the room, in a lane and in the list of events."""
+        if not some:
+            return
+        times = np.concatenate([poses.times for poses in some])
+        times = times[np.argsort(times[:, 0], kind="stable")]
+        places, before = after_pauses(times, self._newest)
+        if self._newest is None or times[-1, 0] > self._newest[0]:
+            self._newest = times[-1]
+        for start, end in zip(before, times[places], strict=True):
+            seconds = float(end[0] - start[0]) / 1e9
+            if seconds < SILENCE_S:
+                continue
+            self._lane_looks["/no_data"] = Line("no data", SILENCE)
+            self._texts["/no_data"].add(start, "no data")
+            self._texts["/no_data"].add(end, "gone")
+            told = Event(int(start[0]), "no data", UNTRACKED, "", f"for {seconds:.2f} s")
+            self.event(told, int(start[1]))
+            if self.bounds:
+                place = np.mean(self.bounds, axis=(0, 1))
+                self._entities.no_data(np.stack([start + GONE_NS, end]), place)
 
     def detections(self, camera: str, poses: Poses) -> None:
         """Draw what a camera reports; it is in the fixed frame."""
-        self._entities.start = self.start or 0
         number = list(self._crowds).index(camera) if camera in self._crowds else len(self._crowds)
         rows = self._crowds[camera].rows(poses)
-        highest = self._entities.detections(camera, number, poses, rows)
+        self._entities.detections(camera, number, poses, rows)
         self._extend_camera("/people", camera, poses.times, poses.counts.astype(float))
-        self.most_people = max(self.most_people, int(poses.counts.max(initial=0)))
         if self.final:
             self._waiting.add(camera, poses)
         else:
-            self._extend_bounds(highest)
+            self._extend_bounds(poses.positions)
 
     def _compare(self, some: Iterable[Compared]) -> None:
         """Draw how far detections are from the nearest person each, and mark wrong ones."""
@@ -249,7 +279,7 @@ class Scene:
     def _tell(self, camera: str, spans: Iterable[FaultySpan]) -> None:
         """Show when a camera's view was wrong: a lane, and a line in the list of events."""
         for span in spans:
-            path = f"/views/{path_part(camera)}/{fault_part(span.kind)}"
+            path = f"/wrong_view/{path_part(camera)}/{fault_part(span.kind)}"
             self._lane_looks[path] = Line(f"{camera} {span.kind}", FAULTY[span.kind])
             self._texts[path].add(span.start, span.kind)
             self._texts[path].add(span.end, "gone")
@@ -270,7 +300,6 @@ class Scene:
 
     def stage(self, name: str, poses: Poses) -> None:
         """Draw a stage's people."""
-        self._entities.start = self.start or 0
         visits = self._stages.get(name)
         if visits is None:
             # The tracker's frames are of one camera each, which does not see everybody.
@@ -287,6 +316,7 @@ class Scene:
     def _match(self, poses: Poses, truth: Truth) -> None:
         """Note the true pose of everybody in a frame who is near a true person."""
         found = defaultdict[int, list[tuple[int, Floats]]](list)
+        self._true_ids.clear()
         frames = zip(poses.stamps.tolist(), poses.rows.tolist(), strict=True)
         for stamp, (begin, end) in frames:
             if not truth.covers(stamp):
@@ -297,7 +327,9 @@ class Scene:
             distances[:, poses.ids[begin:end] == UNTRACKED] = np.inf
             near = np.where(distances < MATCH_DISTANCE, distances, np.inf)
             for row, column in best_pairs(near):
-                found[int(poses.ids[begin + column])].append((stamp, true[row]))
+                person = int(poses.ids[begin + column])
+                found[person].append((stamp, true[row]))
+                self._true_ids[person][stamp] = truth.people[row] if truth.people else row
         for person, noted in found.items():
             stamps, true_poses = zip(*noted, strict=True)
             self._earlier["truth", person].add(np.array(stamps), np.stack(true_poses))
@@ -305,10 +337,14 @@ class Scene:
     def _send_visit(self, stage: str, visit: Visit, poses: Poses) -> None:
         """Send what is drawn of one person of a stage."""
         path = f"{self._prefix}/{stage}/{person_part(visit.person)}"
+        shown = visit.people != HIDDEN
+        people = visit.people[shown]
         is_strong = stage == (self.final or "truth")
-        shown, highest = self._entities.person(path, visit, poses, is_strong=is_strong)
-        self._extend_bounds(highest)
-        own = poses.positions[visit.people[shown]]
+        seen = zip(visit.times[shown, 0].tolist(), poses.is_predicted[people], strict=True)
+        labels = [self._label(stage, visit.person, stamp, gone) for stamp, gone in seen]
+        self._entities.person(path, visit, poses, labels, is_strong=is_strong)
+        own = poses.positions[people]
+        self._extend_bounds(own)
         if stage == UNCERTAIN_STAGE:
             self._show_uncertainty(visit, shown, own)
         if stage == self.final:
@@ -319,6 +355,17 @@ class Scene:
                 self._derive_curves(visit.person, visit.times[shown], own)
         elif stage in self._before():
             self._earlier[stage, visit.person].add(visit.times[shown, 0], own)
+
+    def _label(self, stage: str, person: int, stamp: int, is_predicted: bool) -> str:
+        """Return what is written above somebody; the true person beside the one of the result."""
+        if stage == "truth":
+            return "" if self.final else f"truth {person}"
+        name = self._layer.named(f"person {person}")
+        if stage != self.final:
+            return name
+        true = self._true_ids[person].get(stamp) if self.shows_truth else None
+        known = "" if true is None else f" = truth {true}"
+        return f"{name}{known}{', predicted' if is_predicted else ''}"
 
     def _show_uncertainty(self, visit: Visit, shown: Flags, poses: Floats) -> None:
         """Draw how well the joints ``poses`` (K, M, 3) of the rows shown are known."""
@@ -331,7 +378,7 @@ class Scene:
 
     def _states(self, visit: Visit) -> None:
         """Note when somebody comes and goes."""
-        path = f"{self._prefix}/state/{person_part(visit.person)}"
+        path = f"{self._prefix}/result/{person_part(visit.person)}"
         self._lane_looks[path] = self._person_line(visit.person)
         for row in np.flatnonzero(visit.begins | (visit.people == HIDDEN)).tolist():
             self._texts[path].add(visit.times[row], "tracked" if visit.begins[row] else "gone")
@@ -386,10 +433,13 @@ class Scene:
 
     # -- what is derived of the last stage -------------------------------------------------------
 
-    def _extend_bounds(self, highest: Floats) -> None:
-        """Note where people are, for the eye that is to look at them."""
-        if len(self.bounds) < _MOST_BOUNDS:
-            self.bounds += list(highest[~np.isnan(highest[:, 0])][::10])
+    def _extend_bounds(self, positions: Floats) -> None:
+        """Note where people (P, M, 3), m, are, for the eye that is to look at them."""
+        some = positions[::10]
+        boxes = np.stack([np.fmin.reduce(some, axis=1), np.fmax.reduce(some, axis=1)], axis=1)
+        self.bounds += list(boxes[~np.isnan(boxes).any(axis=(1, 2))])
+        if len(self.bounds) > _MOST_BOUNDS:
+            self.bounds = self.bounds[::2]
 
     def _before(self) -> tuple[str, ...]:
         """Return the stages whose frames have the result's times: those between both ends."""
@@ -442,7 +492,6 @@ class Scene:
         for part in dict.fromkeys(parts):
             columns = [k for k, own in enumerate(parts) if own == part]
             lines = self._side_lines([names[k] for k in columns])
-            self._widen(f"{kind}/{part}", values[:, columns])
             self._extend(f"{path}/{part.replace(' ', '_')}", lines, times, values[:, columns])
 
     def _derive_curves(self, person: int, times: Stamps, poses: Floats) -> None:
@@ -462,19 +511,20 @@ class Scene:
         path = f"{self._prefix}/speed/{person_part(person)}"
         self._extend(path, [self._person_line(person)], moments[1:][steady], speeds)
 
-    def _widen(self, kind: str, values: Floats) -> None:
-        """Note where curves are, all but their outliers."""
-        known = values[~np.isnan(values)]
-        if known.size:
-            low, high = np.percentile(known, [0.5, 99.5])
-            past = self.ranges.get(kind, (low, high))
-            self.ranges[kind] = min(past[0], float(low)), max(past[1], float(high))
-
     def _extend(self, path: str, lines: Sequence[Line], times: Stamps, values: Floats) -> None:
         """Add rows (T, 2) and (T,) or (T, len(lines)) to the curves of an entity."""
         if len(times):
             curves = self._curves.setdefault(path, CurveRows(lines))
             self._entities.curves(path, lines, *curves.ended(times, values))
+        known = values[~np.isnan(values)]
+        if known.size:
+            parts = path.removeprefix(self._prefix).split("/")[1:]
+            kind = "/".join(parts[::2]) if parts[0] in SIDED else parts[0]
+            # Outliers of angles and lengths are the detectors' and not to be seen; errors are.
+            spread = [0.5, 99.5] if parts[0] in SIDED else [0.0, 100.0]
+            low, high = np.percentile(known, spread)
+            past = self.ranges.get(kind, (low, high))
+            self.ranges[kind] = min(past[0], float(low)), max(past[1], float(high))
 
 
 @dataclass(slots=True)

@@ -14,10 +14,12 @@ from hiros_cli.commands import (
     check,
     compare,
     completion,
+    demo,
     evaluate,
     export,
     import_joints,
     info,
+    plan,
     plot,
     process,
     recover,
@@ -37,6 +39,7 @@ CLICK_ERROR = cast("type[Exception]", typer.BadParameter.__mro__[2])
 app = typer.Typer(
     name="hiros",
     help="Turn a log of several cameras' 3D skeletons into one clean, smooth skeleton per person.",
+    epilog="`hiros help COMMAND` shows a command's options.",
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -59,12 +62,28 @@ def hiros(
             "--version", "-V", callback=_show_version, is_eager=True, help="Print the version."
         ),
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="With any command: show its steps on stderr.")
+    ] = False,
+    log_file: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE", help="With any command: append warnings, steps and events to a file."
+        ),
+    ] = "",
+    color: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|always|never",
+            help="With any command: colours and bold type; auto: on a terminal, without NO_COLOR.",
+        ),
+    ] = "auto",
     debug: Annotated[
         bool,
         typer.Option("--debug", help="With any command: show tracebacks of errors."),
     ] = False,
 ) -> None:
-    """Options that stand before a command."""
+    """Options of all commands; their values are read before (:mod:`hiros_cli.common_options`)."""
     if context.invoked_subcommand is None:
         print(context.get_help())
         raise typer.Exit(2)
@@ -80,7 +99,9 @@ app.command(cls=HelpfulCommand)(compare.compare)
 app.command(cls=HelpfulCommand)(info.info)
 app.command("import", cls=HelpfulCommand)(import_joints.import_)
 app.command(cls=HelpfulCommand)(recover.recover)
+app.command(cls=HelpfulCommand)(demo.demo)
 app.command(cls=HelpfulCommand)(simulate.simulate)
+app.command(cls=HelpfulCommand)(plan.plan)
 app.command(cls=HelpfulCommand)(systems.systems)
 app.add_typer(calibrate.app, name="calibrate")
 app.command(cls=HelpfulCommand)(show_config.config)

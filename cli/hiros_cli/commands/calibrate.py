@@ -68,8 +68,9 @@ def people(
     from hiros_mcap.calibrate.corrected_log import write_corrected_log
     from hiros_mcap.calibrate.people import calibrate_people
     from hiros_mcap.io.log import open_log
+    from hiros_mcap.running.progress_bar import bar
 
-    with open_log(log, topics=topic) as opened:
+    with bar(f"calibrating on {log.name}", quiet=False), open_log(log, topics=topic) as opened:
         found = calibrate_people(opened)
         if write_log is not None and found.verdict != "impossible":
             write_corrected_log(opened, found, write_log)
@@ -125,8 +126,11 @@ def ball(
     from hiros_mcap.calibrate.ball import BallOptions, calibrate_ball
     from hiros_mcap.calibrate.ball_image import ColorRange
     from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.running.progress_bar import bar
 
-    report = calibrate_ball(log, BallOptions(radius, ColorRange.parse(color), tuple(topic or ())))
+    options = BallOptions(radius, ColorRange.parse(color), tuple(topic or ()))
+    with bar(f"calibrating on {log.name}", quiet=False):
+        report = calibrate_ball(log, options)
     if output is not None:
         save_cameras(output, report.found)
     _tell("calibrate.ball", log, report, None if json else show_ball)
@@ -164,10 +168,12 @@ def board(
     check_outputs((output, "camera file"), inputs=(log, extrinsics), force=force)
     from hiros_mcap.calibrate.board import calibrate_board
     from hiros_mcap.calibrate.cameras_file import save_cameras
+    from hiros_mcap.running.progress_bar import bar
 
-    report = calibrate_board(
-        log, dictionary=dictionary, extrinsics=extrinsics, topics=tuple(topic or ())
-    )
+    with bar(f"calibrating on {log.name}", quiet=False):
+        report = calibrate_board(
+            log, dictionary=dictionary, extrinsics=extrinsics, topics=tuple(topic or ())
+        )
     if output is not None:
         save_cameras(output, report)
     _tell("calibrate.board", log, report, None if json else show_board)
@@ -211,10 +217,11 @@ def noise(
     prepare(quiet=json)
     from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.io.log import open_log
+    from hiros_mcap.running.progress_bar import bar
     from hiros_mcap.stages.associate import associate
     from hiros_mcap.summary import number
 
-    with open_log(log) as opened:
+    with bar(f"calibrating on {log.name}", quiet=False), open_log(log) as opened:
         start = opened.span[0]
         detections = opened.detections()
         frames = [

@@ -229,18 +229,17 @@ def _show(results: list[CaseResult], *, json: bool, quiet: bool) -> None:
     from rich.text import Text
 
     from hiros_cli.printable import printable
-    from hiros_cli.run_report import console, say
+    from hiros_cli.run_report import page
     from hiros_mcap.regression import check_report
 
-    out = console()
     styles = {"equal": "green", "different": "red", "error": "yellow"}
+    lines: list[str | Text] = []
     for result in results:
         head = Text(f"{result.status:9} ", style=styles[result.status])
-        out.print(head + Text(printable(result.name, 500)), soft_wrap=True)
-        for line in (*check_report.lines(result), *result.notes):
-            say(out, line, before="  ")
-    if len(results) > 1:
-        say(out, check_report.totals(results), "bold")
+        lines.append(head + Text(printable(result.name, 500)))
+        lines += [f"  {line}" for line in (*check_report.lines(result), *result.notes)]
+    totals = [Text(check_report.totals(results), style="bold")] if len(results) > 1 else None
+    page((), lines, totals)
 
 
 def _show_errors(results: list[CaseResult]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -107,7 +108,7 @@ def compare(
         comparison_page(outcomes, study).write(html)
     if json:
         from hiros_cli.output import print_json
-        from hiros_mcap.evaluate.comparison_tables import notes_on
+        from hiros_mcap.evaluate.score_tables import notes_on
         from hiros_mcap.summary import plain
 
         data = {"outcomes": [plain(o) for o in outcomes], "notes": notes_on(outcomes)}
@@ -143,28 +144,21 @@ def _simulated(folder: Path) -> list[Path]:
 
 
 def _show(outcomes: list[Outcome], study: str | None) -> None:
-    from hiros_cli.run_report import console, note, say, show_table
+    from hiros_cli.run_report import page
     from hiros_mcap.evaluate.comparison import by_number_of_cameras
-    from hiros_mcap.evaluate.comparison_tables import (
+    from hiros_mcap.evaluate.score_tables import (
         camera_table,
         differences_of,
         notes_on,
-        table_of,
+        system_table,
     )
 
     if study == "cameras":
         title = "Mean joint error (SD), mm, by number of cameras, over all subsets"
-        tables = {title: camera_table(by_number_of_cameras(outcomes))}
-        lines: dict[str, list[str]] = {title: []}
-    else:
-        logs = dict.fromkeys(o.log for o in outcomes)
-        groups = {log: [o for o in outcomes if o.log == log] for log in logs}
-        tables = {log: table_of(group) for log, group in groups.items()}
-        lines = {log: differences_of(group) for log, group in groups.items()}
-    out = console()
-    for title, content in tables.items():
-        show_table(out, title, content)
-        for line in lines[title]:
-            say(out, line)
-    for text in notes_on(outcomes):
-        note(out, text)
+        page((), (title, camera_table(by_number_of_cameras(outcomes))), notes=notes_on(outcomes))
+        return
+    groups: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(outcome.log, []).append(outcome)
+    parts = [((log, system_table(g)), differences_of(g) or None) for log, g in groups.items()]
+    page((), *chain.from_iterable(parts), notes=notes_on(outcomes))

@@ -24,6 +24,9 @@ from hiros_cli.options import (
     SystemName,
     Table,
     chosen_system,
+    config_file,
+    flag,
+    option,
 )
 from hiros_mcap.errors import ConfigError
 
@@ -47,54 +50,50 @@ def evaluate(
     ],
     truth: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE|TOPIC",
-            help="MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With "
+        option(
+            "FILE|TOPIC",
+            "MCAP, TRC or CSV file, or a channel of LOG. Default: LOG's /truth channel. With "
             "many logs: a channel, or a folder of files with the logs' names.",
         ),
     ] = None,
     channel: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Output channels to score; may be repeated. Default: all.",
+        option(
+            "GLOB",
+            "Output channels to score; may be repeated. Default: all.",
             autocompletion=topics,
         ),
     ] = None,
     leave_one_out: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--leave-one-out",
-            help="Score each camera against the result of the others. Default if LOG has no truth.",
+            "Score each camera against the result of the others. Default if LOG has no truth.",
         ),
     ] = False,
     truth_covers: Annotated[
         str,
-        typer.Option(
-            metavar="all|partial|auto",
-            help="Whether the truth has everybody: skeletons of nobody in a partial truth don't "
+        option(
+            "all|partial|auto",
+            "Whether the truth has everybody: skeletons of nobody in a partial truth don't "
             "count. auto: partial only if the result shows people walking whom it lacks.",
         ),
     ] = "auto",
     match_distance: Annotated[
         float,
-        typer.Option(
+        option(
+            "M",
+            "Largest mean joint distance, m, at which a skeleton matches a true person.",
             min=0.01,
-            metavar="M",
-            help="Largest mean joint distance, m, at which a skeleton matches a true person.",
         ),
     ] = 1.0,
     shift: Annotated[
         float,
-        typer.Option(
-            min=-4e9, max=4e9, metavar="S", help="Seconds to add to the times of the truth."
-        ),
+        option("S", "Seconds to add to the times of the truth.", min=-4e9, max=4e9),
     ] = 0.0,
-    up: Annotated[
-        str, typer.Option(metavar="AXIS", help="Axis of the truth that points up: z or y.")
-    ] = "z",
+    up: Annotated[str, option("AXIS", "Axis of the truth that points up: z or y.")] = "z",
     joints: Annotated[
-        bool, typer.Option("--joints", help="Also show every joint and the signed angles.")
+        bool, flag("--joints", "Also show every joint and the signed angles.")
     ] = False,
     system: SystemName = None,
     preset: Preset = "default",
@@ -103,12 +102,12 @@ def evaluate(
     html: Html = None,
     output: Annotated[
         str,
-        typer.Option(
+        option(
+            "FOLDER",
+            "Keep the scores of many logs there; the same command goes on where it stopped.",
             "--output",
             "-o",
-            metavar="FOLDER",
-            help="Keep the scores of many logs there; the same command goes on where it stopped.",
-            rich_help_panel=MANY,
+            panel=MANY,
         ),
     ] = "",
     jobs: Jobs = None,
@@ -150,7 +149,7 @@ def evaluate(
     from hiros_mcap.io.log import open_reader
 
     asked = config is not None or assignments or system is not None or preset != "default"
-    effective = load_config(config, list(assignments or ()), preset, default)
+    effective = load_config(config_file(config, logs), list(assignments or ()), preset, default)
     if is_many:
         from hiros_mcap.many.jobs import EvalJob
 
@@ -234,9 +233,11 @@ def _show_self(
     output: _Output, reader: McapReader, settings: tuple[Config, ProcessOptions]
 ) -> None:
     from hiros_mcap.evaluate.leave_one_out import leave_one_out
+    from hiros_mcap.running.progress_bar import bar
 
     config, options = settings
-    scores = leave_one_out(reader, config=config, options=options)
+    with bar(f"leaving each camera of {output.log.name} out", quiet=output.quiet) as progress:
+        scores = leave_one_out(reader, config=config, options=options, progress=progress)
     if output.html is not None:
         from hiros_viewer.evaluation_page import self_page
 

@@ -9,7 +9,7 @@ import typer
 
 from hiros_cli.completing import topics
 from hiros_cli.many_logs import ManyLogs, one_log, run
-from hiros_cli.options import MANY, Cluster, Force, Jobs, Json, Quiet, Table
+from hiros_cli.options import MANY, Cluster, Force, Jobs, Json, Quiet, Table, option
 from hiros_mcap.defaults import LEAST_CONFIDENCE
 from hiros_mcap.errors import ConfigError
 
@@ -24,73 +24,54 @@ def export(
     ],
     output: Annotated[
         str,
-        typer.Option(
+        option(
+            "FILE",
+            "Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh; with many "
+            "logs, the folder for all.",
             "-o",
             "--output",
-            metavar="FILE",
-            help="Output file: .csv, .parquet, .jsonl, .npz, .trc, .mot, .c3d or .bvh; with many "
-            "logs, the folder for all.",
         ),
     ],
     file_format: Annotated[
         str,
-        typer.Option(
-            "--format",
-            metavar="SUFFIX",
-            help="Format of the files of many logs.",
-            rich_help_panel=MANY,
-        ),
+        option("SUFFIX", "Format of the files of many logs.", "--format", panel=MANY),
     ] = "csv",
     what: Annotated[
         str,
-        typer.Option(
-            metavar="PART", help="joints, angles or both. Default: all that fits the format."
-        ),
+        option("PART", "joints, angles or both. Default: all that fits the format."),
     ] = "",
-    person: Annotated[
-        int | None, typer.Option(metavar="ID", help="One person. Default: everybody.")
-    ] = None,
+    person: Annotated[int | None, option("ID", "One person. Default: everybody.")] = None,
     channel: Annotated[
         str,
-        typer.Option(
-            metavar="TOPIC",
-            help="Channel to export. Default: the last stage.",
-            autocompletion=topics,
-        ),
+        option("TOPIC", "Channel to export. Default: the last stage.", autocompletion=topics),
     ] = "",
     rate: Annotated[
         float | None,
-        typer.Option(
-            metavar="HZ", help="Resample to this rate. Default: only if the format needs it."
-        ),
+        option("HZ", "Resample to this rate. Default: only if the format needs it."),
     ] = None,
     start: Annotated[
         float,
-        typer.Option(
-            metavar="S", show_default=False, help="Start, s from the log's start. Default: all."
-        ),
+        option("S", "Start, s from the log's start. Default: all.", show_default=False),
     ] = float("-inf"),
     end: Annotated[
         float,
-        typer.Option(
-            metavar="S", show_default=False, help="End, s from the log's start. Default: all."
-        ),
+        option("S", "End, s from the log's start. Default: all.", show_default=False),
     ] = float("inf"),
     marker_set: Annotated[
         str,
-        typer.Option(
-            metavar="FILE",
-            help="For .trc and .c3d: TOML file of marker names, ours = theirs, or rajagopal for "
+        option(
+            "FILE",
+            "For .trc and .c3d: TOML file of marker names, ours = theirs, or rajagopal for "
             "the joint centres of that OpenSim model. Default: our names.",
         ),
     ] = "",
     least_confidence: Annotated[
         float,
-        typer.Option(
-            metavar="0..1",
+        option(
+            "0..1",
+            "Markers below this confidence are gaps: nobody saw them. 0 writes them all.",
             min=0,
             max=1,
-            help="Markers below this confidence are gaps: nobody saw them. 0 writes them all.",
         ),
     ] = LEAST_CONFIDENCE,
     jobs: Jobs = None,
@@ -125,13 +106,15 @@ def export(
     log = one_log(context, logs[0])
     prepare(quiet=quiet)
     from hiros_mcap.io.result import open_result
+    from hiros_mcap.running.progress_bar import bar
 
-    result = open_result(log, channel).select(person, start, end, rate)
-    if marker_set:
-        result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
-    targets = files_of(target, result.people)
-    check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
-    written = write(result, target, what, least_confidence)
+    with bar(f"exporting {log.name}", quiet=quiet):
+        result = open_result(log, channel).select(person, start, end, rate)
+        if marker_set:
+            result, what = renamed(result, load_marker_set(marker_set, result.model)), "joints"
+        targets = files_of(target, result.people)
+        check_outputs(*((path, "export") for path in targets), inputs=(log,), force=force)
+        written = write(result, target, what, least_confidence)
     if json:
         print_json("export", {"log": logs[0], "files": list(map(str, written))})
     for path in () if quiet or json else written:

@@ -13,7 +13,10 @@ from hiros_cli.options import Force, Quiet
 def import_(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE", help="CSV, TRC or JSON files, one for each camera."),
+        typer.Argument(
+            metavar="FILE",
+            help="CSV, TRC or JSON files, or folders of JSON files, one for each camera.",
+        ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="LOG", help="MCAP log to write.")
@@ -21,7 +24,9 @@ def import_(
     mapping: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="TOML file with names, units, axes, cameras and clock of FILE."
+            metavar="FILE",
+            help="TOML file with names, units, axes, cameras and clock of FILE; or openpose, "
+            "mediapipe, freemocap, pose2sim, opencap.",
         ),
     ] = None,
     force: Force = False,
@@ -34,7 +39,7 @@ def import_(
     from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs, warn
 
-    for path in (*sources, *([mapping] if mapping else [])):
+    for path in sources:
         path.stat()
     check_outputs((output, "log"), inputs=(*sources, mapping), force=force)
     prepare(quiet=quiet)

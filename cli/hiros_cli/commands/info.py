@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -143,6 +144,8 @@ def _frame(row: CameraRow) -> str:
 
 
 def _facts(overview: Overview) -> list[str]:
+    from hiros_mcap.io.log import STALE
+
     lines = []
     if overview.markers:
         lines.append(f"skeleton: {len(overview.markers)} markers, {len(overview.links)} links")
@@ -152,12 +155,14 @@ def _facts(overview: Overview) -> list[str]:
     elif overview.cameras:
         lines.append(f"fixed frame: none; {overview.fault}")
     else:
-        fault, _, _ = overview.fault.partition("; its channels:")  # the table has them
+        fault = re.split("; its channels:|; it has ", overview.fault)[0]  # the table has them
         lines.append(f"nothing to process: {fault}")
     if not overview.has_checksums:
         lines.append("no checksums: nobody would notice a damaged message")
     lines += overview.remarks
     lines += overview.clocks
     for topic, reasons in overview.skipped.items():
-        lines += [f"{topic}: {n} messages skipped: {reason}" for reason, n in reasons.items()]
+        for reason, n in reasons.items():
+            repeat = " (people of the message before, with the old time)" if reason == STALE else ""
+            lines.append(f"{topic}: {n} messages skipped: {reason}{repeat}")
     return lines

@@ -62,22 +62,24 @@ def plot(
     check_outputs((target, kind), inputs=(log, truth), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.evaluate.logs import find_truth, output_channels, read_channel
+    from hiros_mcap.running.progress_bar import bar
     from hiros_viewer import curves
     from hiros_viewer.headline import headline
 
     if what not in curves.KINDS:
         raise ConfigError(f"--what: {what!r} is none of {', '.join(curves.KINDS)}")
     topic = output_channels(log, [channel] if channel else [])[-1]
-    frames, model, _ = read_channel(log, topic)
-    found = find_truth(log, truth)
-    start = frames[0].stamp if frames else 0
-    true = None if found is None else found.moved(start=start)
-    collected = curves.collect(f"{log}: {topic}", frames, model, true)
-    about = headline(log).lines(curves.verdict(collected), curves.summary_row(frames, model))
-    collected = replace(collected, about=about)
-    if target.suffix == ".html":
-        curves.page_of(collected).write(target)
-    else:
-        curves.save_png(curves.figure_of(collected, what, person), target)
+    with bar(f"plotting {log.name}", quiet=quiet):
+        frames, model, _ = read_channel(log, topic)
+        its_truth = find_truth(log, truth)
+        start = frames[0].stamp if frames else 0
+        true = None if its_truth is None else its_truth.moved(start=start)
+        collected = curves.collect(f"{log}: {topic}", frames, model, true)
+        about = headline(log).lines(curves.verdict(collected), curves.summary_row(frames, model))
+        collected = replace(collected, about=about)
+        if target.suffix == ".html":
+            curves.page_of(collected).write(target)
+        else:
+            curves.save_png(curves.figure_of(collected, what, person), target)
     if not quiet:
         print(f"wrote {target}")

@@ -37,6 +37,9 @@ from hiros_cli.options import (
     SystemName,
     Table,
     chosen_system,
+    config_file,
+    flag,
+    option,
     seconds_range,
 )
 from hiros_mcap.errors import ConfigError, HirosError
@@ -64,34 +67,34 @@ def process(
     ],
     output: Annotated[
         str | None,
-        typer.Option(
+        option(
+            "OUT",
+            f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
+            f"all. Default: LOG's name with {SUFFIX}.",
             "--output",
             "-o",
-            metavar="OUT",
-            help=f"Output file, DIR/ for a ROS 2 bag, - for a pipe; with many logs, the folder for "
-            f"all. Default: LOG's name with {SUFFIX}.",
-            rich_help_panel=OUTPUT,
+            panel=OUTPUT,
         ),
     ] = None,
     system: SystemName = None,
     stages: Annotated[
         str,
-        typer.Option(
-            metavar="CHAIN",
-            help="Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or "
+        option(
+            "CHAIN",
+            "Stages to run (track, merge, optimize, filter): T, TM, TO, TF, TMF, TMO or "
             "TMOF. Default: all stages of the system.",
-            rich_help_panel=PARAMETERS,
+            panel=PARAMETERS,
         ),
     ] = "",
     topic: Cameras = None,
     keep: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Input channels to copy; may be repeated; '' copies none. Default: the cameras "
+        option(
+            "GLOB",
+            "Input channels to copy; may be repeated; '' copies none. Default: the cameras "
             "read, the transforms and /truth.",
             autocompletion=topics,
-            rich_help_panel=OUTPUT,
+            panel=OUTPUT,
         ),
     ] = None,
     preset: Preset = "default",
@@ -100,130 +103,97 @@ def process(
     extrinsics: Extrinsics = None,
     fixed_frame: Annotated[
         str | None,
-        typer.Option(
-            metavar="FRAME",
-            help="Frame of the output. Default: root of the transforms.",
-            rich_help_panel=INPUT,
-        ),
+        option("FRAME", "Frame of the output. Default: root of the transforms.", panel=INPUT),
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
-            rich_help_panel=INPUT,
+        option(
+            "NAME",
+            "Skeleton of the output: union, azure-kinect, zed-38, ..., or a camera's topic.",
+            panel=INPUT,
         ),
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(
-            metavar="UNIT",
-            help="Unit of the positions: m (default), cm or mm.",
-            rich_help_panel=INPUT,
-        ),
+        option("UNIT", "Unit of the positions: m (default), cm or mm.", panel=INPUT),
     ] = None,
     clock: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="CAMERA=SECONDS",
-            help="Add seconds to the stamps of a camera; may be repeated.",
-            rich_help_panel=INPUT,
+        option(
+            "CAMERA=SECONDS", "Add seconds to the stamps of a camera; may be repeated.", panel=INPUT
         ),
     ] = None,
     limbs: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Use these limb lengths of an earlier session.",
-            rich_help_panel="Limb lengths",
-        ),
+        option("FILE", "Use these limb lengths of an earlier session.", panel="Limb lengths"),
     ] = None,
     save_limbs: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the limb lengths to this file.",
-            rich_help_panel="Limb lengths",
-        ),
+        option("FILE", "Write the limb lengths to this file.", panel="Limb lengths"),
     ] = None,
     calibrate: Annotated[
         str,
-        typer.Option(
-            metavar="off|auto|require",
-            help="Camera poses: off keeps the log's, auto takes better ones where the people in "
+        option(
+            "off|auto|require",
+            "Camera poses: off keeps the log's, auto takes better ones where the people in "
             "the log prove them, require also refuses poses that they do not confirm.",
-            rich_help_panel=INPUT,
+            panel=INPUT,
         ),
     ] = "auto",
     limb_window: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="START:END",
-            help="Calibrate limbs in this time range only, s from the log's start; may be "
-            "repeated.",
-            rich_help_panel="Limb lengths",
+        option(
+            "START:END",
+            "Calibrate limbs in this time range only, s from the log's start; may be repeated.",
+            panel="Limb lengths",
         ),
     ] = None,
     two_pass: Annotated[
         bool,
-        typer.Option(
-            "--two-pass",
-            help="Calibrate limbs on the whole log first.",
-            rich_help_panel="Limb lengths",
-        ),
+        flag("--two-pass", "Calibrate limbs on the whole log first.", panel="Limb lengths"),
     ] = False,
     solver: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Optimizer: lm (default) or ceres (slow, for comparison).",
-            rich_help_panel="Limb lengths",
+        option(
+            "NAME", "Optimizer: lm (default) or ceres (slow, for comparison).", panel="Limb lengths"
         ),
     ] = None,
     markers: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--markers",
-            help="Also write MarkerArray, JointState and Log for RViz and Foxglove.",
-            rich_help_panel=OUTPUT,
+            "Also write MarkerArray, JointState and Log for RViz and Foxglove.",
+            panel=OUTPUT,
         ),
     ] = False,
     view: Annotated[
         bool,
-        typer.Option(
-            "--view", help="Show the run live in the Rerun viewer.", rich_help_panel=OUTPUT
-        ),
+        flag("--view", "Show the run live in the Rerun viewer.", panel=OUTPUT),
     ] = False,
     strict: Annotated[
         bool,
-        typer.Option(
-            "--strict", help="Fail if any message would be skipped.", rich_help_panel=INPUT
-        ),
+        flag("--strict", "Fail if any message would be skipped.", panel=INPUT),
     ] = False,
     recover: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--recover",
-            help="Run on what can be read of a damaged log; exit with 3 on losses.",
-            rich_help_panel=INPUT,
+            "Run on what can be read of a damaged log; exit with 3 on losses.",
+            panel=INPUT,
         ),
     ] = False,
     follow: Annotated[
         bool,
-        typer.Option(
-            "--follow",
-            help="Process a log while it is being written; Ctrl-C ends it.",
-            rich_help_panel=INPUT,
-        ),
+        flag("--follow", "Process a log while it is being written; Ctrl-C ends it.", panel=INPUT),
     ] = False,
     memory: Annotated[
         float,
-        typer.Option(
-            metavar="GIB",
-            min=0.25,
-            help="Memory for a log whose chunks overlap in time, GiB; a message of a server may "
+        option(
+            "GIB",
+            "Memory for a log whose chunks overlap in time, GiB; a message of a server may "
             "take a 16th.",
-            rich_help_panel=INPUT,
+            min=0.25,
+            panel=INPUT,
         ),
     ] = 1.0,
     jobs: Jobs = None,
@@ -246,6 +216,7 @@ def process(
     source, wanted = Path(logs[0]), STREAM
     live = is_live(logs, output, follow=follow)
     is_many = not live and many.wanted
+    config = config if live else config_file(config, logs)
     sides = (config, extrinsics, limbs)
     if is_many:
         many.refuse(view=view, save_limbs=save_limbs)
@@ -294,6 +265,7 @@ def process(
     options = ProcessOptions(
         system=system,
         stages=stages,
+        settings=config.absolute() if is_many and config else config,
         topics=tuple(topic or ()),
         keep=None if keep is None else tuple(filter(None, keep)),
         extrinsics=extrinsics.absolute() if is_many and extrinsics else extrinsics,
@@ -375,8 +347,10 @@ def _refuse_other_formats(target: Path) -> None:
             f"{target}: process writes MCAP; for a ROS 2 bag, name a folder: "
             f"-o {target.with_suffix('')}/"
         )
-    if suffix not in ("", ".mcap"):
-        raise ConfigError(f"{target}: process writes MCAP; name it {target.with_suffix('.mcap')}")
+    if suffix != ".mcap" and (suffix or not target.exists()):  # mktemp gives no suffix
+        folder = "" if suffix else f", or {target}/ for a ROS 2 bag in a new folder"
+        named = target.with_suffix(".mcap")
+        raise ConfigError(f"{target}: process writes MCAP; name it {named}{folder}")
 
 
 def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
@@ -388,11 +362,11 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
     from hiros_viewer.destinations import has_display
     from hiros_viewer.live import live_page, live_view
 
-    def tell(text: str) -> None:
+    def say(text: str) -> None:
         print(f"hiros: {text}", file=sys.stderr, flush=True)
 
     def closed() -> None:
-        tell("the viewer was closed; processing goes on")
+        say("the viewer was closed; processing goes on")
 
     later = f"look at the result with: hiros view {target} --web"
     try:
@@ -400,7 +374,7 @@ def _live(source: Path, target: str, stack: ExitStack) -> Watcher | None:
             return stack.enter_context(live_view(source.name, closed))
         if sys.stderr.isatty():
             announce = f"no screen here; open {{}} and stop with Ctrl-C, or {later}"
-            page = live_page(source.name, closed, lambda url: tell(announce.format(url)))
+            page = live_page(source.name, closed, lambda url: say(announce.format(url)))
             return stack.enter_context(page)
         warn(f"--view: there is no screen here; {later}")
     except HirosError:
@@ -491,7 +465,7 @@ def _show(summary: Summary, *, json: bool, quiet: bool) -> None:
     from hiros_cli.output import print_json, warn
 
     for text in summary.warnings:
-        warn(text)
+        warn(text, logged=True)
     if json:
         print_json("process", summary.to_dict())
     elif not quiet:

@@ -44,8 +44,10 @@ def recover(
     check_outputs((target, "log"), inputs=(source,), force=force)
     prepare(quiet=quiet)
     from hiros_mcap.io.recovering import recover as write
+    from hiros_mcap.running.progress_bar import bar
 
-    recovery = write(source, target, force=force)
+    with bar(f"recovering {source.name}", quiet=quiet):
+        recovery = write(source, target, force=force)
     if not recovery.complete:
         warn(f"{source}: {recovery.loss}")
     if json:
@@ -74,13 +76,13 @@ def _show(recovery: Recovery, target: Path) -> None:
             recovery.channels,
             ("Channel", lambda c: c.topic),
             (">Recovered", lambda c: c.recovered),
-            (">Lost", lambda c: _known(c.lost)),
-            (">Bytes lost", lambda c: _known(c.lost_bytes)),
+            (">Lost", lambda c: _count(c.lost)),
+            (">Bytes lost", lambda c: _count(c.lost_bytes)),
             (">Time lost", lambda c: "unknown" if c.lost_s is None else f"{c.lost_s:.2f} s"),
         ),
         [*lines, f"wrote {quantity(recovery.recovered, 'message')} to {target}"],
     )
 
 
-def _known(number: int | None) -> str:
+def _count(number: int | None) -> str:
     return "unknown" if number is None else str(number)

@@ -27,4 +27,5 @@ def config(
 
     system = chosen_system(system, preset)
     effective = load_config(config, assignments or (), preset, system)
-    print(to_toml(effective, sections_of(system), everything=everything), end="")
+    shown = to_toml(effective, sections_of(system), everything=everything, fixed=False)
+    print(shown, end="")

@@ -25,7 +25,14 @@ def _number(what: str, default: str) -> Any:
 def simulate(
     output: Annotated[Path, typer.Argument(metavar="OUT", help="Log to write.")],
     people: Annotated[int | None, _number("Number of people, at most 10.", "1")] = None,
-    cameras: Annotated[int | None, _number("Number of cameras, at most 32.", "5")] = None,
+    cameras: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBER|FILE",
+            help="Number of cameras, at most 32. Or a file with their poses, as of `hiros plan`. "
+            "Default: 5.",
+        ),
+    ] = None,
     action: Annotated[
         str | None,
         typer.Option(
@@ -65,7 +72,6 @@ def simulate(
     """
     given = {
         "people": people,
-        "cameras": cameras,
         "action": action,
         "motion": [str(path) for path in motion] if motion else None,
         "skeleton": [str(path) for path in skeleton] if skeleton else None,
@@ -80,35 +86,44 @@ def simulate(
         "calibration_error": calibration_error,
         "phantoms": phantoms,
     }
-    for path in (*(motion or ()), *(skeleton or ())):
+    file = None if cameras is None or cameras.lstrip("-").isdigit() else Path(cameras)
+    for path in (*(motion or ()), *(skeleton or ()), *([file] if file else [])):
         path.stat()
     if motion and people is None:
         given["people"] = len(motion)
     from hiros_cli.compiling import prepare
     from hiros_cli.output import check_outputs
 
-    check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ())), force=force)
+    check_outputs((output, "log"), inputs=(*(motion or ()), *(skeleton or ()), file), force=force)
     prepare(quiet=quiet)
+    from hiros_mcap.running.progress_bar import bar
+    from hiros_mcap.simulate.rig_file import read_rig
     from hiros_mcap.simulate.write_log import write_log
 
-    written = write_log(
-        output, _params({name: value for name, value in given.items() if value is not None})
-    )
+    if file is not None:
+        given |= read_rig(file).settings
+    elif cameras is not None:
+        given["cameras"] = int(cameras)
+    params = simulate_params({name: value for name, value in given.items() if value is not None})
+    with bar(f"simulating {output.name}", quiet=quiet) as progress:
+        written = write_log(output, params, progress)
     if not quiet:
         print(f"wrote {sum(written.values())} messages on {len(written)} channels to {output}")
 
 
-def _params(given: dict[str, Any]) -> SimulateParams:
+def simulate_params(given: dict[str, Any]) -> SimulateParams:
+    """Return the parameters of a simulation; raises ConfigError naming the option at fault."""
     from pydantic import ValidationError
 
     from hiros_mcap.params import explain
     from hiros_mcap.simulate import SimulateParams
 
     if "rate" in given:
-        given["rig"] = {"rate": given.pop("rate")}
+        given["rig"] = {**given.get("rig", {}), "rate": given.pop("rate")}
     try:
         return SimulateParams.model_validate(given)
     except ValidationError as error:
         where, message = explain(error)
-        option = f"--{where[-1].replace('_', '-')}: " if where else ""
+        names = where[1:] if where[:1] == ["rig"] else where
+        option = f"--{names[0].replace('_', '-')}: " if names else ""
         raise ConfigError(f"{option}{message}") from None

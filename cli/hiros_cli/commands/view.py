@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiros_cli.options import Extrinsics, Force, Quiet
+from hiros_cli.options import Extrinsics, Force, Quiet, flag, option
 from hiros_mcap.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,48 +20,36 @@ def view(
         list[Path],
         typer.Argument(metavar="LOG", help="A recording or a result; a second log is overlaid."),
     ],
-    layout: Annotated[
-        str, typer.Option(metavar="NAME", help="overview, stages, person or cameras.")
-    ] = "overview",
+    layout: Annotated[str, option("NAME", "overview, stages, person or cameras.")] = "overview",
     time_range: Annotated[
         str | None,
-        typer.Option(metavar="START:END", help="Only this part, s from the log's start."),
+        option("START:END", "Only this part, s from the log's start."),
     ] = None,
     stage: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Stage to plot. Default: the last."),
+        option("NAME", "Stage to plot. Default: the last."),
     ] = None,
     truth: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE|TOPIC",
-            help="Truth to overlay, with errors. Default: LOG's /truth channel.",
-        ),
+        option("FILE|TOPIC", "Truth to overlay, with errors. Default: LOG's /truth channel."),
     ] = None,
     extrinsics: Extrinsics = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Camera poses of `hiros calibrate`, compared with the log's."
-        ),
+        option("FILE", "Camera poses of `hiros calibrate`, compared with the log's."),
     ] = None,
     uncertainty: Annotated[
         bool,
-        typer.Option(
-            "--uncertainty",
-            help="Draw 68 % ellipsoids round joints (results of --system fuse).",
-        ),
+        flag("--uncertainty", "Draw 68 % ellipsoids round joints (results of --system fuse)."),
     ] = False,
     save: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write a Rerun recording (.rrd) instead."),
+        option("FILE", "Write a Rerun recording (.rrd) instead."),
     ] = None,
-    web: Annotated[
-        bool, typer.Option("--web", help="Serve the viewer to a browser on this machine.")
-    ] = False,
+    web: Annotated[bool, flag("--web", "Serve the viewer to a browser on this machine.")] = False,
     connect: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Send to a running viewer: rerun+http://HOST:PORT/proxy."),
+        option("URL", "Send to a running viewer: rerun+http://HOST:PORT/proxy."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -95,7 +83,10 @@ def view(
         replay(logs, recording, options, is_open)
 
     if save is not None:
-        destinations.save(save, name, draw)
+        from hiros_mcap.running.progress_bar import bar
+
+        with bar(f"drawing {name}", quiet=quiet):
+            destinations.save(save, name, draw)
         if not quiet:
             print(f"wrote {save}; open it with: rerun {save}")
         return 0

@@ -1,6 +1,6 @@
 """The MCAP container: strict reading, reproducible writing. Knows nothing of skeletons."""
 
-from hiros_mcap.io.container.memory import MemoryWriter
+from hiros_mcap.io.container.memory import MemorySink
 from hiros_mcap.io.container.order import Keys, LogOrder
 from hiros_mcap.io.container.reader import Batch, McapReader, Records
 from hiros_mcap.io.container.records import Channel, Chunk, Message, Schema
@@ -19,7 +19,7 @@ __all__ = [
     "LogOrder",
     "McapReader",
     "McapWriter",
-    "MemoryWriter",
+    "MemorySink",
     "Message",
     "Records",
     "RecoveringReader",

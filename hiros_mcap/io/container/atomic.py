@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from io import FileIO
 from pathlib import Path
@@ -12,7 +13,9 @@ from pathlib import Path
 from isal.isal_zlib import crc32
 
 from hiros_mcap.errors import LogError
+from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.io.container.scan import scan
 from hiros_mcap.outputs import create_locked, temporary_name
 
 _BEGIN = 16 << 20  # bytes
@@ -26,8 +29,40 @@ def _write(file: FileIO, parts: list[memoryview]) -> int:
     return file.write(parts[0])
 
 
-class OutputFile:
-    """A temporary file beside the output, renamed to it by ``publish`` and never left behind.
+class Sink(ABC):
+    """Where bytes go, one after the other.
+
+    Attributes
+    ----------
+    path : what errors name. offset, crc : number and CRC-32 of the bytes so far.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.offset = 0
+        self.crc = 0
+
+    def write(self, *parts: Bytes) -> None:
+        """Append; raises LogError if that is not possible."""
+        views = [memoryview(part) for part in parts if len(part)]
+        for view in views:
+            self.crc = crc32(view, self.crc)
+            self.offset += len(view)
+        self._put(views)
+
+    @abstractmethod
+    def _put(self, parts: list[memoryview]) -> None:
+        """Append parts that are not empty."""
+
+    def commit(self) -> None:  # noqa: B027 - most have nothing to do
+        """Finish: all is written."""
+
+    def discard(self) -> None:  # noqa: B027
+        """Let go of what is not committed."""
+
+
+class OutputFile(Sink):
+    """A temporary file beside the output, renamed to it by ``commit`` and never left behind.
 
     Its name is ``.hiros-*.tmp``, in the output's folder because a rename cannot cross file systems.
     A run that is killed leaves it there and changes nothing else; the next one removes it.
@@ -37,9 +72,7 @@ class OutputFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]):
-        self.path = Path(path)
-        self.offset = 0
-        self.crc = 0
+        super().__init__(path)
         self._begun = 0
         try:
             self._target = Path(os.path.realpath(path))
@@ -55,13 +88,8 @@ class OutputFile:
         except (OSError, ValueError) as error:
             raise self._error(error) from None
 
-    def write(self, *parts: Bytes) -> None:
-        """Append, and update ``offset`` and ``crc``, which cover everything so far."""
+    def _put(self, left: list[memoryview]) -> None:
         try:
-            left = [memoryview(part) for part in parts if len(part)]
-            for part in left:
-                self.crc = crc32(part, self.crc)
-                self.offset += len(part)
             while left:
                 # One system call for all parts: each one releases and takes the GIL.
                 n = _write(self._file, left)
@@ -78,17 +106,20 @@ class OutputFile:
         except (OSError, ValueError, MemoryError) as error:
             raise self._error(error) from None
 
-    def sync(self) -> None:
-        """Write everything to the disk and close."""
+    def commit(self) -> None:
+        """Let the file appear under its name, replacing what was there, in one step.
+
+        It is on the disk then, and its records are in order; the checksum of its data was computed
+        from the bytes that were written.
+        """
         try:
             os.fsync(self._file.fileno())
             self._file.close()
-        except (OSError, ValueError) as error:
-            raise self._error(error) from None
-
-    def publish(self) -> None:
-        """Rename the closed file to its final name, replacing what was there, in one step."""
-        try:
+            check = LogFile(self.temp)
+            try:
+                scan(check, checksum=False)
+            finally:
+                check.close()
             self.temp.replace(self._target)
             if os.name == "posix":
                 folder = os.open(self._target.parent, os.O_RDONLY)
@@ -97,11 +128,11 @@ class OutputFile:
                 finally:
                     os.close(folder)
             self._unlock()
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise self._error(error) from None
 
     def discard(self) -> None:
-        """Remove the temporary file; after ``publish`` there is none."""
+        """Remove the temporary file; after ``commit`` there is none."""
         try:
             self._file.close()
         finally:

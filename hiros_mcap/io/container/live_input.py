@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Protocol
 
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container.chunks import unpack_chunk
-from hiros_mcap.io.container.compression import MAX_CHUNK
 from hiros_mcap.io.container.records import (
+    MAX_CHUNK,
+    Channel,
+    Cursor,
     FormatError,
     McapRecord,
     Message,
     Opcode,
-    parse_channel,
-    parse_schema,
+    Schema,
 )
 
 if TYPE_CHECKING:
@@ -182,6 +183,6 @@ def _unpacked(chunk: Chunk) -> Iterator[McapRecord]:
         chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc
     )
     for opcode, start, stop in definitions.tolist():
-        yield (parse_schema if opcode == Opcode.SCHEMA else parse_channel)(data[start:stop])
+        yield (Schema if opcode == Opcode.SCHEMA else Channel).read(Cursor(data[start:stop]))
     for channel, sequence, log_time, publish_time, start, stop in messages.tolist():
         yield Message(channel, log_time, bytes(data[start:stop]), publish_time, sequence)

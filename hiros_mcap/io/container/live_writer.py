@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 
-from isal.isal_zlib import crc32
-
 from hiros_mcap.errors import LogError
-from hiros_mcap.io.container.atomic import OutputFile
-from hiros_mcap.io.container.records import Bytes
+from hiros_mcap.io.container.atomic import Sink
 from hiros_mcap.io.container.writer import McapWriter
 
 
@@ -23,19 +20,12 @@ class LiveWriter(McapWriter):
     """
 
     def __init__(self, descriptor: int, name: str) -> None:
-        self._descriptor = descriptor
-        super().__init__(name, compression="")
-
-    def _open(self, _: object) -> OutputFile:
-        return _PipeEnd(self._descriptor, str(self.path))
+        super().__init__(_Pipe(descriptor, name), compression="")
 
     def flush(self) -> None:
         """Send everything so far, and wait until the reader, or the pipe, has taken it."""
         self._submit(self._flush)
         self._wait()
-
-    def _publish(self) -> None:
-        """Do nothing: all is sent."""
 
     def _emit_batch(self) -> None:
         batch = self._batch
@@ -44,27 +34,20 @@ class LiveWriter(McapWriter):
         self._out.write(batch.buffer.data[: batch.size])
 
 
-class _PipeEnd(OutputFile):
+class _Pipe(Sink):
     """A pipe in place of a file."""
 
     def __init__(self, descriptor: int, name: str) -> None:
-        self.offset = 0
-        self.crc = 0
+        super().__init__(name)
         self._descriptor = descriptor
-        self._name = name
 
-    def write(self, *parts: Bytes) -> None:
+    def _put(self, parts: list[memoryview]) -> None:
         """Write everything, however long that takes; raises BrokenPipeError or LogError."""
         data = memoryview(b"".join(parts))
-        self.crc = crc32(data, self.crc)
-        self.offset += len(data)
         try:
             while data:
                 data = data[os.write(self._descriptor, data) :]
         except BrokenPipeError:
             raise
         except OSError as error:
-            raise LogError(f"cannot be written: {error.strerror}", path=self._name) from None
-
-    def discard(self) -> None:
-        """Do nothing: what is in the pipe is not ours any more."""
+            raise LogError(f"cannot be written: {error.strerror}", path=self.path) from None

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from isal.isal_zlib import crc32
-
-from hiros_mcap.io.container.atomic import OutputFile
+from hiros_mcap.io.container.atomic import Sink
 from hiros_mcap.io.container.file import LogFile
 from hiros_mcap.io.container.records import Bytes
-from hiros_mcap.io.container.writer import McapWriter
 
 
 class MemoryFile(LogFile):
@@ -36,39 +33,18 @@ class MemoryFile(LogFile):
         return bytes(self._data[offset : offset + n])
 
 
-class MemoryWriter(McapWriter):
-    """Writes an MCAP into memory; after a commit, ``file`` has it."""
+class MemorySink(Sink):
+    """Bytes in place of a file."""
 
     def __init__(self, path: Path) -> None:
-        self._end = _MemoryEnd()
         super().__init__(path)
+        self._data = bytearray()
 
     @property
     def file(self) -> MemoryFile:
         """What was written."""
-        return MemoryFile(Path(self.path), self._end.data)
+        return MemoryFile(self.path, self._data)
 
-    def _open(self, _: object) -> OutputFile:
-        return self._end
-
-    def _publish(self) -> None:
-        """Do nothing: all is there."""
-
-
-class _MemoryEnd(OutputFile):
-    """Bytes in place of a file."""
-
-    def __init__(self) -> None:
-        self.offset = 0
-        self.crc = 0
-        self.data = bytearray()
-
-    def write(self, *parts: Bytes) -> None:
-        """Append."""
+    def _put(self, parts: list[memoryview]) -> None:
         for part in parts:
-            self.crc = crc32(part, self.crc)
-            self.offset += len(part)
-            self.data += part
-
-    def discard(self) -> None:
-        """Do nothing: there is no file."""
+            self._data += part

@@ -13,10 +13,11 @@ import os
 import struct
 import time
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -36,10 +37,12 @@ from hiros_mcap.io.container.records import (
     Message,
     Schema,
 )
-from hiros_mcap.io.container.scan import Contents, remedy, scan
+from hiros_mcap.io.container.recovery import Recovery
+from hiros_mcap.io.container.scan import remedy, scan
+from hiros_mcap.io.container.walk import Contents
 from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 
-_AHEAD = 2
+_AHEAD = 1
 _AHEAD_BYTES = 64 * 2**20
 MEMORY = 2**30
 """Bytes that reading may take unless the user allows more."""
@@ -48,7 +51,7 @@ _KEPT = 64 * 2**20
 _HELD = 4
 """Chunks that overlap in time may take this part of the memory; larger ones are read in slices."""
 _POINTS = 64  # of a chunk, at which a slice of its messages may begin
-_TOGETHER = 4 * 2**20
+_TOGETHER = 8 * 2**20
 """Bytes of chunks that are read together: each batch costs its user as much as some messages.
 Recorders' chunks are of 0.75 to 4 MiB."""
 _COLUMNS = [LOG_TIME, START]
@@ -128,7 +131,19 @@ class McapReader:
     path : the file, which may be open.
     memory : bytes that reading may take, about. Chunks that overlap so much in time that they would
         take more are decompressed several times.
+
+    Attributes
+    ----------
+    recovery : what is lost of a damaged file; None if such a file is refused.
+    left_out : type and number of messages of the topics of a recording that the file lacks.
+    remarks : what was converted for the file.
+    faults : by topic, how many messages could not be converted, and why the first one could not.
     """
+
+    recovery: Recovery | None = None
+    left_out: Mapping[str, tuple[str, int]] = MappingProxyType({})
+    remarks: Sequence[str] = ()
+    faults: Mapping[str, tuple[int, str]] = MappingProxyType({})
 
     def __init__(self, path: str | os.PathLike[str] | LogFile, *, memory: int = MEMORY) -> None:
         self._file = path if isinstance(path, LogFile) else LogFile(path)

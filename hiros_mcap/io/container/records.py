@@ -4,8 +4,7 @@ Format: https://mcap.dev/spec. A record is one byte of opcode, eight bytes of co
 content; integers are little endian, strings carry their length in front. Records may be followed
 by fields of a later version, which are ignored.
 
-The types of records are the library's, and so is the writing of most of them. Its readers take
-what is there for a string that is cut off, so records are parsed here.
+The types of records are the library's, and so are reading and writing of most of them.
 """
 
 from __future__ import annotations
@@ -13,16 +12,20 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 
-from mcap.data_stream import RecordBuilder
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
     ChunkIndex,
+    DataEnd,
+    Header,
     McapRecord,
     Message,
+    Metadata,
     Schema,
     Statistics,
 )
@@ -32,8 +35,11 @@ __all__ = [
     "AttachmentIndex",
     "Channel",
     "ChunkIndex",
+    "DataEnd",
+    "Header",
     "McapRecord",
     "Message",
+    "Metadata",
     "Opcode",
     "Schema",
     "Statistics",
@@ -44,9 +50,15 @@ HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 FOOTER = struct.Struct("<QQI")
 CHUNK_HEAD = struct.Struct("<QQQI")
+MAX_CHUNK_HEAD = 128
+"""Bytes of a chunk's record that hold everything before its data."""
+INDEX_HEAD = struct.Struct("<HI")
+"""Channel and bytes of a message index."""
 
 PRIVATE_OP = 0x80
 """Opcodes from here on belong to applications; a reader skips them."""
+MAX_CHUNK = 256 * 2**20
+"""Largest chunk that is read, bytes uncompressed. Recorders write 0.75 to 4 MiB."""
 
 Bytes = bytes | bytearray | memoryview
 
@@ -98,105 +110,56 @@ class Chunk:
         """Whether any of the channels has a message in here, as far as is known."""
         return self.counts is None or any(i in self.counts for i in channels)
 
+    def indexed(self, index_end: int, counts: Mapping[int, int]) -> Chunk:
+        """Return the chunk with what the message indexes behind it claim."""
+        return replace(self, index_end=index_end, counts=counts)
 
-class Cursor:
-    """Reads fields one after the other and never past the end of the record."""
+
+class Cursor(ReadDataStream):
+    """Reads fields one after the other and never past the end of the record.
+
+    The library's own stream takes what is there for a field that is cut off.
+    """
 
     def __init__(self, data: Bytes) -> None:
-        self.data = memoryview(data)
-        self.at = 0
+        super().__init__(BytesIO(data))
+        self._left = len(data)
 
-    def take(self, n: int) -> memoryview:
-        """Return the next ``n`` bytes; raises FormatError when there are fewer."""
-        if n > len(self.data) - self.at:
-            raise FormatError(f"a field of {n} bytes reaches past the end of the record")
-        self.at += n
-        return self.data[self.at - n : self.at]
+    def read(self, length: int) -> bytes:
+        """Return the next bytes; raises FormatError when there are fewer."""
+        if length > self._left:
+            raise FormatError(f"a field of {length} bytes reaches past the end of the record")
+        self._left -= length
+        return super().read(length)
 
-    def number(self, width: int) -> int:
-        """Return an unsigned integer of 1, 2, 4 or 8 bytes."""
-        return int.from_bytes(self.take(width), "little")
-
-    def string(self) -> str:
+    def read_prefixed_string(self) -> str:
         """Return a string; raises FormatError when it is not UTF-8."""
-        raw = self.take(self.number(4))
         try:
-            return str(raw, "utf-8")
+            return super().read_prefixed_string()
         except UnicodeDecodeError:
             raise FormatError("a string is not UTF-8") from None
 
-    def strings(self) -> dict[str, str]:
-        """Return a map of strings; raises FormatError when a key occurs twice."""
-        inner = Cursor(self.take(self.number(4)))
-        found: dict[str, str] = {}
-        while inner.at < len(inner.data):
-            key, value = inner.string(), inner.string()
-            if key in found:
-                raise FormatError(f"the key {key!r} occurs twice in a map")
-            found[key] = value
-        return found
 
-    def numbers(self, key_width: int, value_width: int) -> list[tuple[int, int]]:
-        """Return an array of pairs of integers."""
-        inner = Cursor(self.take(self.number(4)))
-        pairs = []
-        while inner.at < len(inner.data):
-            pairs.append((inner.number(key_width), inner.number(value_width)))
-        return pairs
+def parse_chunk(head: Bytes, offset: int, begin: int, stop: int) -> Chunk:
+    """Read what a chunk's record claims.
 
-
-def parse_schema(content: Bytes) -> Schema:
-    """Read a schema from the content of its record; fields stand in the order of the bytes."""
-    at = Cursor(content)
-    return Schema(
-        id=at.number(2),
-        name=at.string(),
-        encoding=at.string(),
-        data=bytes(at.take(at.number(4))),
-    )
-
-
-def parse_channel(content: Bytes) -> Channel:
-    """Read a channel from the content of its record."""
-    at = Cursor(content)
-    return Channel(
-        id=at.number(2),
-        schema_id=at.number(2),
-        topic=at.string(),
-        message_encoding=at.string(),
-        metadata=at.strings(),
-    )
-
-
-def parse_chunk_index(content: Bytes) -> ChunkIndex:
-    """Read a chunk index from the content of its record."""
-    at = Cursor(content)
-    return ChunkIndex(
-        message_start_time=at.number(8),
-        message_end_time=at.number(8),
-        chunk_start_offset=at.number(8),
-        chunk_length=at.number(8),
-        message_index_offsets=dict(at.numbers(2, 8)),
-        message_index_length=at.number(8),
-        compression=at.string(),
-        compressed_size=at.number(8),
-        uncompressed_size=at.number(8),
-    )
-
-
-def parse_statistics(content: Bytes) -> Statistics:
-    """Read the statistics from the content of their record."""
-    at = Cursor(content)
-    return Statistics(
-        message_count=at.number(8),
-        schema_count=at.number(2),
-        channel_count=at.number(4),
-        attachment_count=at.number(4),
-        metadata_count=at.number(4),
-        chunk_count=at.number(4),
-        message_start_time=at.number(8),
-        message_end_time=at.number(8),
-        channel_message_counts=dict(at.numbers(2, 8)),
+    Parameters
+    ----------
+    head : its first MAX_CHUNK_HEAD bytes of content, or all. offset : first byte of the record.
+    begin, stop : first and past-the-end byte of the content.
+    """
+    at = Cursor(head)
+    start_time, end_time, size, crc = CHUNK_HEAD.unpack(at.read(CHUNK_HEAD.size))
+    compression, data_size = at.read_prefixed_string(), at.read8()
+    if data_size > stop - begin - at.count:
+        raise FormatError("a chunk's data reach past its record")
+    if start_time > end_time:
+        raise FormatError("a chunk claims to end before it starts")
+    if size > MAX_CHUNK:
+        raise FormatError(f"a chunk claims {size} bytes uncompressed; the limit is {MAX_CHUNK}")
+    data = begin + at.count
+    return Chunk(
+        offset, stop, start_time, end_time, size, crc, compression, data, data_size, stop, None
     )
 
 

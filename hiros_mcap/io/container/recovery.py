@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
+
+from hiros_mcap.io.container.chunks import Table
+from hiros_mcap.io.container.records import Channel, Statistics
+from hiros_mcap.kernels.record_index import CHANNEL, LOG_TIME, START, STOP
 from hiros_mcap.summary import quantity
 
 RECOVERY_METADATA = "hiros.recovery"
 """Name of the metadata record that marks a log with losses."""
 _NAMED = 6
+Number = TypeVar("Number", int, float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +164,7 @@ def merged(channels: Iterable[ChannelLoss]) -> tuple[ChannelLoss, ...]:
             sum(one.recovered for one in same),
             _total(one.lost for one in same),
             _total(one.lost_bytes for one in same),
-            _seconds([one.lost_s for one in same]),
+            _total(one.lost_s for one in same),
         )
         for topic, same in sorted(topics.items())
     )
@@ -179,12 +185,89 @@ def joined(parts: Sequence[tuple[str, Recovery]]) -> Recovery:
     )
 
 
-def _total(numbers: Iterable[int | None]) -> int | None:
-    found = list(numbers)
-    known = [n for n in found if n is not None]
-    return sum(known) if len(known) == len(found) else None
+def _total(numbers: Iterable[Number | None]) -> Number | int | None:
+    """Return the sum of numbers; None if one of them is unknown."""
+    numbers = list(numbers)
+    known = [n for n in numbers if n is not None]
+    return sum(known) if len(known) == len(numbers) else None
 
 
-def _seconds(times: Sequence[float | None]) -> float | None:
-    known = [time for time in times if time is not None]
-    return sum(known) if len(known) == len(times) else None
+class SeenMessages(NamedTuple):
+    """Messages of one channel in one chunk."""
+
+    number: int
+    size: int
+    """Bytes of their data."""
+    first: int
+    """Earliest log time, ns."""
+    last: int
+    """Latest log time, ns."""
+
+
+def seen_in(messages: Table) -> dict[int, SeenMessages]:
+    """Return what a chunk holds of each of its channels."""
+    return dict(_by_channel(messages))
+
+
+def _by_channel(messages: Table) -> Iterator[tuple[int, SeenMessages]]:
+    for channel in np.unique(messages[:, CHANNEL]).tolist():
+        rows = messages[messages[:, CHANNEL] == channel]
+        size = int((rows[:, STOP] - rows[:, START]).sum())
+        times = rows[:, LOG_TIME]
+        yield channel, SeenMessages(len(rows), size, int(times.min()), int(times.max()))
+
+
+class Remains(NamedTuple):
+    """What the walk through a damaged file found."""
+
+    channels: Mapping[int, Channel]
+    """Those that are defined."""
+    seen: Mapping[int, Mapping[int, SeenMessages]]
+    """By offset of the chunk, by channel."""
+    damages: Sequence[Damage]
+    claimed: Statistics | None
+    """What the summary says that there was."""
+
+    def losses(self) -> tuple[ChannelLoss, ...]:
+        """Return what is left of every channel that has, or may have had, messages."""
+        ids = set(self.channels).union(*self.seen.values())
+        ids = ids.union(*(damage.counts or () for damage in self.damages))
+        return merged(self._loss(i) for i in sorted(ids))
+
+    def _loss(self, channel: int) -> ChannelLoss:
+        seen = [chunk[channel] for chunk in self.seen.values() if channel in chunk]
+        kept = sum(s.number for s in seen)
+        if channel not in self.channels:
+            topic, size = f"channel {channel} without a definition", sum(s.size for s in seen)
+            span = max(s.last for s in seen) - min(s.first for s in seen) if seen else None
+            return ChannelLoss(topic, 0, kept, size, None if span is None else span * 1e-9)
+        topic = self.channels[channel].topic
+        suspects = [d for d in self.damages if d.counts is None or d.counts.get(channel)]
+        lost = self._lost(channel, kept, suspects)
+        if lost == 0:
+            return ChannelLoss(topic, kept, 0, 0, 0.0)
+        sizes = (None if d.sizes is None else d.sizes.get(channel, 0) for d in suspects)
+        gaps = (self._gap(channel, d) for d in suspects)
+        return ChannelLoss(topic, kept, lost, _total(sizes), _total(gaps))
+
+    def _lost(self, channel: int, kept: int, suspects: Iterable[Damage]) -> int | None:
+        """Messages of a channel that are lost, by the statistics or the message indexes."""
+        if self.claimed is not None:
+            counts = self.claimed.channel_message_counts
+            if sum(counts.values()) == self.claimed.message_count:
+                return max(0, counts.get(channel, 0) - kept)
+        return _total(None if d.counts is None else d.counts[channel] for d in suspects)
+
+    def _gap(self, channel: int, damage: Damage) -> float | None:
+        """Time, s, without messages about some damage, of any channel that it may concern."""
+        every = damage.counts is None
+        before, after = [], []
+        for offset, chunk in self.seen.items():
+            some = [s for i, s in chunk.items() if every or i == channel]
+            if offset < damage.offset:
+                before += [s.last for s in some]
+            elif offset >= damage.end:
+                after += [s.first for s in some]
+        start = max(before, default=damage.span and damage.span[0])
+        end = min(after, default=damage.span and damage.span[1])
+        return None if start is None or end is None else max(0, end - start) * 1e-9

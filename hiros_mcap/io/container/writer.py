@@ -13,7 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,12 +22,10 @@ from isal.isal_zlib import crc32
 from hiros_mcap._version import __version__
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.container import records as r
-from hiros_mcap.io.container.atomic import OutputFile
-from hiros_mcap.io.container.compression import COMPRESSIONS, compress
-from hiros_mcap.io.container.file import LogFile
+from hiros_mcap.io.container.atomic import OutputFile, Sink
+from hiros_mcap.io.container.chunks import COMPRESSIONS, compress
 from hiros_mcap.io.container.reader import McapReader
 from hiros_mcap.io.container.records import Opcode
-from hiros_mcap.io.container.scan import scan
 
 CHUNK_SIZE = 2 << 20
 """A chunk is closed when its records reach this many bytes. 2 and 4 MiB take 5 % less than 1 MiB,
@@ -42,16 +40,6 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 Buffer = npt.NDArray[np.uint8]
 Fill = Callable[[Buffer, int, int, int], list[int] | int]
 """See :meth:`McapWriter.write_into`."""
-
-
-class _Single(NamedTuple):
-    """A message that is added on its own."""
-
-    channel_id: int
-    log_time: int
-    publish_time: int
-    sequence: int
-    data: bytes
 
 
 class _Batch:
@@ -76,14 +64,14 @@ class _Batch:
 
 
 class McapWriter:
-    """An MCAP file in the making; nothing appears at ``path`` before ``commit``.
+    """An MCAP file in the making; nothing appears at its path before ``commit``.
 
     Use it as a context manager: leaving it without a commit, by an error or not, removes every
     trace and leaves a former file untouched.
 
     Parameters
     ----------
-    path : the output.
+    out : the output, a file or where else the bytes go.
     inputs : files that must not be the output.
     compression : zstd, lz4 or "" for none.
     chunk_size : bytes of records per chunk.
@@ -91,7 +79,7 @@ class McapWriter:
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        out: str | os.PathLike[str] | Sink,
         *,
         inputs: Iterable[str | os.PathLike[str]] = (),
         compression: str = "zstd",
@@ -99,7 +87,6 @@ class McapWriter:
     ) -> None:
         if compression not in COMPRESSIONS:
             raise ValueError(f"compression is one of {COMPRESSIONS}, not {compression!r}")
-        self.path = path
         self.schemas: dict[int, r.Schema] = {}
         self.channels: dict[int, r.Channel] = {}
         self.counts: Counter[int] = Counter()
@@ -110,18 +97,16 @@ class McapWriter:
         self._times: list[int] = []
         self._reserved: tuple[set[int], set[int]] = (set(), set())  # schemas and channels
         self._batch = _Batch(chunk_size + _SPARE)
-        self._singles: list[_Single] = []
+        self._singles: list[r.Message] = []
         self._gathered = 0
         self._indexes: list[r.ChunkIndex] = []
         self._extras: list[tuple[int, bytes]] = []
         self._waiting: deque[Future[None]] = deque()
-        self._out = self._open(inputs)
+        self._out = out if isinstance(out, Sink) else OutputFile(out, inputs)
+        self.path = self._out.path
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="hiros-write")
         header = r.record(Opcode.HEADER, r.text("ros2"), r.text(f"hiros {__version__}"))
         self._submit(self._out.write, r.MAGIC, header)
-
-    def _open(self, inputs: Iterable[str | os.PathLike[str]]) -> OutputFile:
-        return OutputFile(self.path, inputs)
 
     def __enter__(self) -> Self:
         return self
@@ -149,7 +134,7 @@ class McapWriter:
         """Add a definition of ROS 2 messages and return its id."""
         ident = self._free(self.schemas, self._reserved[0])
         schema = r.Schema(id=ident, name=name, encoding="ros2msg", data=data)
-        self._define(self.schemas, schema, r.build)
+        self._define(self.schemas, schema)
         return schema.id
 
     def add_channel(
@@ -171,20 +156,20 @@ class McapWriter:
             schema_id=schema_id,
             metadata=dict(metadata or {}),
         )
-        self._define(self.channels, channel, r.build)
+        self._define(self.channels, channel)
         return ident
 
     def define(self, new: r.Schema | r.Channel) -> None:
         """Add a definition with its id; raises ValueError if another one has it."""
-        self._define(self.schemas if isinstance(new, r.Schema) else self.channels, new, r.build)
+        self._define(self.schemas if isinstance(new, r.Schema) else self.channels, new)
 
-    def _define(self, table: dict[int, Any], new: Any, build: Callable[[Any], bytes]) -> None:
+    def _define(self, table: dict[int, Any], new: Any) -> None:
         known = table.setdefault(new.id, new)
         if known is not new:
             if known != new:
                 raise ValueError(f"id {new.id} is taken by another definition")
             return
-        self._submit(self._out.write, build(new))
+        self._submit(self._out.write, r.build(new))
 
     def _free(self, table: Mapping[int, object], reserved: set[int]) -> int:
         """Return the id above all others, or the smallest free one if there is none above."""
@@ -220,7 +205,7 @@ class McapWriter:
             raise ValueError(f"a message has no such times or number: {times}, {sequence}")
         counted = self._number(channel_id, 1)
         number = counted if sequence is None else sequence
-        self._singles.append(_Single(channel_id, log_time, published, number, bytes(data)))
+        self._singles.append(r.Message(channel_id, log_time, bytes(data), published, number))
         self._gathered += _MESSAGE.size + len(data)
         if self._gathered >= _GATHERED:
             self._hand_over()
@@ -361,17 +346,7 @@ class McapWriter:
         self._submit(self._flush)
         self._wait()
         self._summary()
-        self._publish()
-
-    def _publish(self) -> None:
-        self._out.sync()
-        check = LogFile(self._out.temp)
-        try:
-            # The checksum was computed from the bytes written; the order of records is checked.
-            scan(check, checksum=False)
-        finally:
-            check.close()
-        self._out.publish()
+        self._out.commit()
 
     # -- in the background ---------------------------------------------------------------------
 
@@ -398,7 +373,7 @@ class McapWriter:
         finally:
             self.cpu_s += time.thread_time() - start
 
-    def _add(self, singles: list[_Single]) -> None:
+    def _add(self, singles: list[r.Message]) -> None:
         """Add messages that are complete."""
         batch = self._batch
         for single in singles:
@@ -452,59 +427,60 @@ class McapWriter:
 
     def _emit_batch(self) -> None:
         batch = self._batch
-        self._times += (batch.start_time, batch.end_time)
-        data = batch.buffer.data[: batch.size]
+        times, data = (batch.start_time, batch.end_time), batch.buffer.data[: batch.size]
         packed = compress(data, self._compression)
-        head = r.CHUNK_HEAD.pack(batch.start_time, batch.end_time, len(data), crc32(data))
-        fixed = head + r.text(self._compression) + struct.pack("<Q", len(packed))
-        start = self._out.offset
-        length = len(fixed) + len(packed)
-        end = at = start + r.HEAD.size + length
-        parts = [r.HEAD.pack(Opcode.CHUNK, length), fixed, packed]
-        offsets = {}
+        head = r.CHUNK_HEAD.pack(*times, len(data), crc32(data)) + r.text(self._compression)
+        fixed = head + struct.pack("<Q", len(packed))
+        indexes = {}
         for channel, entries in sorted(batch.index.items()):
-            offsets[channel] = at
             flat = struct.pack(f"<{2 * len(entries)}Q", *(n for pair in entries for n in pair))
-            fixed = struct.pack("<HI", channel, len(flat))
-            parts.append(r.record(Opcode.MESSAGE_INDEX, fixed, flat))
-            at += len(parts[-1])
-        self._out.write(*parts)
-        self._indexes.append(
-            r.ChunkIndex(
-                message_start_time=batch.start_time,
-                message_end_time=batch.end_time,
-                chunk_start_offset=start,
-                chunk_length=end - start,
-                message_index_offsets=offsets,
-                message_index_length=self._out.offset - end,
-                compression=self._compression,
-                compressed_size=len(packed),
-                uncompressed_size=batch.size,
-            )
-        )
+            head = r.INDEX_HEAD.pack(channel, len(flat))
+            indexes[channel] = r.record(Opcode.MESSAGE_INDEX, head, flat)
+        record = r.HEAD.pack(Opcode.CHUNK, len(fixed) + len(packed)), fixed, packed
+        self._emit(record, indexes, times, self._compression, (len(packed), len(data)))
 
     def _emit_copy(self, chunk: r.Chunk, reader: McapReader) -> None:
-        self._times += (chunk.start_time, chunk.end_time)
-        raw = reader.raw(chunk)
-        start, length = self._out.offset, chunk.end - chunk.offset
-        offsets, at = {}, length
+        raw = memoryview(reader.raw(chunk))
+        at = length = chunk.end - chunk.offset
+        indexes = {}
         while at < len(raw):
             _, size = r.HEAD.unpack_from(raw, at)
-            (channel,) = struct.unpack_from("<H", raw, at + r.HEAD.size)
-            offsets[channel] = start + at
-            at += r.HEAD.size + size
-        self._out.write(raw)
+            channel, _ = r.INDEX_HEAD.unpack_from(raw, at + r.HEAD.size)
+            indexes[channel] = raw[at : at + r.HEAD.size + size]
+            at += len(indexes[channel])
+        times, sizes = (chunk.start_time, chunk.end_time), (chunk.data_size, chunk.size)
+        self._emit([raw[:length]], indexes, times, chunk.compression, sizes)
+
+    def _emit(
+        self,
+        record: Sequence[r.Bytes],
+        indexes: Mapping[int, r.Bytes],
+        times: tuple[int, int],
+        compression: str,
+        sizes: tuple[int, int],
+    ) -> None:
+        """Write a chunk and its message indexes, by channel.
+
+        ``times`` are log times, ns, and ``sizes`` the bytes of its messages, packed and plain.
+        """
+        start, length = self._out.offset, sum(map(len, record))
+        at, offsets = start + length, {}
+        for channel, data in indexes.items():
+            offsets[channel] = at
+            at += len(data)
+        self._out.write(*record, *indexes.values())
+        self._times += times
         self._indexes.append(
             r.ChunkIndex(
-                message_start_time=chunk.start_time,
-                message_end_time=chunk.end_time,
+                message_start_time=times[0],
+                message_end_time=times[1],
                 chunk_start_offset=start,
                 chunk_length=length,
                 message_index_offsets=offsets,
-                message_index_length=len(raw) - length,
-                compression=chunk.compression,
-                compressed_size=chunk.data_size,
-                uncompressed_size=chunk.size,
+                message_index_length=at - start - length,
+                compression=compression,
+                compressed_size=sizes[0],
+                uncompressed_size=sizes[1],
             )
         )
 

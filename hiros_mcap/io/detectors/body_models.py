@@ -85,6 +85,22 @@ _HUMAN = """
     body torso head l_shoulder l_elbow l_wrist r_shoulder r_elbow r_wrist
     l_hip l_knee l_ankle r_hip r_knee r_ankle"""
 _HUMAN_TREE = "body-torso-head  torso-*_shoulder-*_elbow-*_wrist  body-*_hip-*_knee-*_ankle"
+_OPENPOSE = """
+    Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle
+    LHip LKnee LAnkle REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"""
+_OPENPOSE_TREE = """
+    MidHip-Neck-Nose-*Eye-*Ear  Neck-*Shoulder-*Elbow-*Wrist
+    MidHip-*Hip-*Knee-*Ankle-*BigToe  *Ankle-*SmallToe  *Ankle-*Heel"""
+_MEDIAPIPE = """
+    nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer
+    left_ear right_ear mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow
+    left_wrist right_wrist left_pinky right_pinky left_index right_index left_thumb right_thumb
+    left_hip right_hip left_knee right_knee left_ankle right_ankle
+    left_heel right_heel left_foot_index right_foot_index"""
+_MEDIAPIPE_TREE = """
+    nose-*_eye_inner-*_eye-*_eye_outer-*_ear  nose-mouth_*
+    left_hip-right_hip  *_hip-*_shoulder-*_elbow-*_wrist-*_index  *_wrist-*_pinky  *_wrist-*_thumb
+    *_hip-*_knee-*_ankle-*_foot_index  *_ankle-*_heel"""
 
 _TABLE: Mapping[str, _Skeleton] = {
     "azure-kinect": _Skeleton("Azure Kinect Body Tracking SDK 1.1", _AZURE, _AZURE_TREE),
@@ -96,6 +112,8 @@ _TABLE: Mapping[str, _Skeleton] = {
     "ros4hri": _Skeleton(
         "ROS REP 155, links of the package human_description", _HUMAN, _HUMAN_TREE
     ),
+    "openpose-25": _Skeleton("OpenPose 1.7, BODY_25", _OPENPOSE, _OPENPOSE_TREE),
+    "mediapipe-33": _Skeleton("MediaPipe 0.10, PoseLandmark", _MEDIAPIPE, _MEDIAPIPE_TREE),
 }
 BODY_MODELS = tuple(_TABLE)
 """Names of the models."""
@@ -131,22 +149,22 @@ def _edges(tree: str, names: Mapping[str, int]) -> Iterator[tuple[str, str]]:
     for chain in tree.split():
         steps = chain.split("-")
         for parent, child in pairwise(steps):
-            for sides in (("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r")):
-                for side in sides:
-                    pair = parent.replace("*", side), child.replace("*", side)
-                    if pair[0] in names and pair[1] in names:
-                        yield pair
+            sides = ("Left", "Right", "LEFT", "RIGHT", "left", "right", "l", "r", "L", "R")
+            pairs = [(parent.replace("*", s), child.replace("*", s)) for s in sides]
+            yield from (pair for pair in dict.fromkeys(pairs) if names.keys() >= {*pair})
 
 
 def linked(names: Sequence[str]) -> SkeletonModel:
     """Return a model of any markers, linked as the table links joints of these names.
 
-    A joint is linked to the nearest one above it that is there.
+    A joint is linked to the nearest one above it that is there. The skeleton that has most of the
+    names comes first.
     """
     joints = joints_of(names)
     slots = {joint: slot for slot, joint in reversed([*enumerate(joints)])}
     above: dict[Joint, Joint] = {}
-    for model in map(body_model, BODY_MODELS):
+    models = [body_model(name) for name in BODY_MODELS]
+    for model in sorted(models, key=lambda own: -len({*names} & {*own.marker_names})):
         known = joints_of(model.marker_names)
         for parent, child in model.links.tolist():
             above.setdefault(known[child], known[parent])

@@ -26,13 +26,13 @@ from hiros_mcap.io.channels import (
     channels_of,
 )
 from hiros_mcap.io.codec import Encoder
-from hiros_mcap.io.container import McapReader, McapWriter, Message, Recovery, Schema
+from hiros_mcap.io.container import McapReader, McapWriter, Message, Schema
 from hiros_mcap.io.detectors.body_models import name_of
 from hiros_mcap.io.detectors.detector_reader import DetectorMessage, DetectorReader, SeenPeople
 from hiros_mcap.io.detectors.model_fitting import UNION, Fit, chosen_model
 from hiros_mcap.io.detectors.registry import detector_readers
-from hiros_mcap.io.detectors.ros_types import cdr_of, decoder_of, types_of
 from hiros_mcap.io.layout import Layout, check_schema
+from hiros_mcap.io.ros_types import cdr_of, decoder_of, types_of
 from hiros_mcap.skeletons import SkeletonModel
 from hiros_mcap.summary import quantity
 
@@ -120,13 +120,6 @@ def people_finder(reader: McapReader, info: ChannelInfo) -> Callable[[Message], 
     return shows_people
 
 
-class Faults(NamedTuple):
-    """Messages of a topic that cannot be decoded."""
-
-    messages: int
-    first: str
-
-
 def converted(reader: McapReader, selection: Selection) -> McapReader:
     """Return a reader of the same log in SkeletonGroups: itself if it holds nothing else.
 
@@ -147,31 +140,15 @@ def converted(reader: McapReader, selection: Selection) -> McapReader:
 
 
 class ConvertedReader(BagReader):
-    """Reads what a conversion made of a log.
-
-    Attributes
-    ----------
-    remarks : what was converted, and what was left out.
-    faults : by topic.
-    """
+    """Reads what a conversion made of a log."""
 
     def __init__(self, source: McapReader, conversion: _Conversion) -> None:
         self._checksums = source.has_checksums
-        self._recovery = getattr(source, "recovery", None)
+        self.recovery = source.recovery
         self._open_converted(Path(source.path), conversion.write, source.memory)
-        self.left_out = {**getattr(source, "left_out", {}), **conversion.left_out}
+        self.left_out = {**source.left_out, **conversion.left_out}
         self.remarks = tuple(conversion.remarks())
-        self.faults = {t: Faults(n, conversion.first[t]) for t, n in conversion.faulty.items()}
-
-    @property
-    def has_checksums(self) -> bool:
-        """Whether checksums cover every message of the log."""
-        return self._checksums
-
-    @property
-    def recovery(self) -> Recovery | None:
-        """What is lost, None unless damaged files are accepted."""
-        return self._recovery
+        self.faults = {t: (n, conversion.first[t]) for t, n in conversion.faulty.items()}
 
 
 def _short(info: ChannelInfo) -> str:
@@ -299,6 +276,7 @@ class _Conversion:
         self.target = chosen_model(self._choice.model, self._models)
         self._readers = [kind() for kind in detector_readers()]
         self._fits: dict[SkeletonModel, Fit] = {}
+        self._ids: dict[str, int] = {}
         self._missing: dict[str, Counter[str]] = {}
         self._declined: Counter[str] = Counter()
         self.faulty: Counter[str] = Counter()
@@ -311,7 +289,7 @@ class _Conversion:
 
     def write(self, writer: McapWriter) -> None:
         """Write the log; a message that cannot be decoded is counted."""
-        encoder, channels = Encoder(self.target), _Channels(writer)
+        encoder = Encoder(self.target)
         for message in self._reader.messages(self._sources):
             source = self._sources[message.channel_id]
             topic = source.info.topic
@@ -321,7 +299,8 @@ class _Conversion:
                 reads = not stays or (source.selected and source.type == _TRANSFORMS)
                 people = _read(self._readers, given) if reads else None
                 if stays and not (people is not None and _is_of_one_body(given.cdr)):
-                    channels.write(source, message.log_time, given.cdr)
+                    ident = self._channel(writer, topic, source.type)
+                    writer.write(ident, message.log_time, bytes(given.cdr))
                 if not reads:
                     continue
             except LogError as error:
@@ -330,9 +309,19 @@ class _Conversion:
                 continue
             if people is None:
                 self._declined[topic] += source.type != _TRANSFORMS
-            self._add(channels, encoder, people or ())
+            self._add(writer, encoder, people or ())
         for reader in self._readers:
-            self._add(channels, encoder, reader.rest())
+            self._add(writer, encoder, reader.rest())
+
+    def _channel(self, writer: McapWriter, topic: str, kind: str = _SKELETONS) -> int:
+        """Return the channel of a topic, which is added when it is first needed."""
+        if topic not in self._ids:
+            if kind == _SKELETONS:
+                self._ids[topic] = add_skeleton_channel(writer, topic)
+            else:
+                qos = [LATCHED_QOS] if topic == "/tf_static" else []
+                self._ids[topic] = add_ros_channel(writer, topic, hiros_schemas.TF_MESSAGE, *qos)
+        return self._ids[topic]
 
     def _is_read(self, source: _Source) -> bool:
         """Whether a channel's messages change: others are copied."""
@@ -341,7 +330,7 @@ class _Conversion:
         same = self._models.get(source.info.topic) == self.target and self._choice.unit == "m"
         return not (source.type == _SKELETONS and same)
 
-    def _add(self, channels: _Channels, encoder: Encoder, some: Iterable[SeenPeople]) -> None:
+    def _add(self, writer: McapWriter, encoder: Encoder, some: Iterable[SeenPeople]) -> None:
         for topic, model, frame in some:
             if not self._selects(topic):
                 continue
@@ -350,7 +339,7 @@ class _Conversion:
                 fit = self._fits[model] = Fit(model, self.target, METRES[self._choice.unit])
             if names := fit.left_out(frame):
                 self._missing.setdefault(topic, Counter()).update(names)
-            channels.add(topic, frame.log_time, encoder.encode(fit(frame)))
+            writer.write(self._channel(writer, topic), frame.log_time, encoder.encode(fit(frame)))
 
     def remarks(self) -> Iterator[str]:
         """Say what was converted, and what was left out."""
@@ -388,31 +377,6 @@ class _Conversion:
             f"{self.target.n_markers} markers. Orientations are left out, since every detector has "
             "its own axes; --model chooses another skeleton"
         )
-
-
-class _Channels:
-    """The channels of the file that is written, each added when it is first needed."""
-
-    def __init__(self, writer: McapWriter) -> None:
-        self._writer = writer
-        self._ids: dict[str, int] = {}
-
-    def write(self, source: _Source, log_time: int, data: Any) -> None:
-        """Copy a message."""
-        topic = source.info.topic
-        if source.type == _SKELETONS:
-            self.add(topic, log_time, data)
-            return
-        if topic not in self._ids:
-            qos = {"qos": LATCHED_QOS} if topic == "/tf_static" else {}
-            self._ids[topic] = add_ros_channel(self._writer, topic, hiros_schemas.TF_MESSAGE, **qos)
-        self._writer.write(self._ids[topic], log_time, bytes(data))
-
-    def add(self, topic: str, log_time: int, data: Any) -> None:
-        """Write a SkeletonGroup."""
-        if topic not in self._ids:
-            self._ids[topic] = add_skeleton_channel(self._writer, topic)
-        self._writer.write(self._ids[topic], log_time, bytes(data))
 
 
 def _is_of_one_body(transforms: Any) -> bool:

@@ -169,6 +169,7 @@ def steady(result: Result) -> Result:
     steps = np.concatenate([np.diff(m.times) for m in result.motions.values()])
     if not len(steps):
         raise ConfigError(f"{result.path}: a single frame has no rate; choose another format")
-    if np.ptp(steps) < 1e-6:
+    step = float(np.median(steps))
+    if np.ptp(steps) < 1e-6 and step > 0:
         return result
-    return result.select(rate=max(1.0, float(np.round(1.0 / np.median(steps)))))
+    return result.select(rate=max(1.0, float(np.round(1.0 / max(step, 1e-3)))))

@@ -39,9 +39,9 @@ def import_joints(
 
     Parameters
     ----------
-    sources : CSV, TRC or JSON files, one for each camera.
+    sources : CSV, TRC or JSON files, or folders of JSON files, one for each camera.
     target : MCAP log to write.
-    mapping : TOML file that says what the files mean; see :mod:`.mapping`.
+    mapping : TOML file that says what the files mean, or a detector; see :mod:`.mapping`.
     warn : is called with what makes the log doubtful.
 
     Raises
@@ -79,7 +79,8 @@ def import_joints(
 
 def _may_be_cut(path: Path) -> bool:
     """Whether a table does not end with the end of a line. What else is cut off is an error."""
-    return path.suffix.lower() != ".json" and not path.read_bytes().endswith((b"\n", b"\r"))
+    is_table = path.is_file() and path.suffix.lower() != ".json"
+    return is_table and not path.read_bytes().endswith((b"\n", b"\r"))
 
 
 def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonModel, list[Frame]]:
@@ -98,7 +99,7 @@ def _frames(path: Path, camera: str, mapping: FileMapping) -> tuple[SkeletonMode
         slots.setdefault(row.joint, len(slots))
         ids.setdefault(row.person, len(ids))
     if not instants:
-        raise ConfigError(f"{path}: holds no joint")
+        raise ConfigError(f"{path}: holds no joint in 3D")
     model = linked(_names(path, slots, mapping.joints))
     start = _start(path, min(instants), max(instants), mapping.time)
     frames = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +29,7 @@ class JointRow(NamedTuple):
 
 
 def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
-    """Yield what a CSV, TRC or JSON file holds.
+    """Yield what a CSV, TRC or JSON file holds, or a folder of JSON files, one per instant.
 
     Raises ConfigError naming the file and the line, for a file that is not as the mapping says.
     """
@@ -37,7 +38,7 @@ def read_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         ".trc": _trc_rows,
         ".json": _json_rows,
     }
-    reader = readers.get(path.suffix.lower())
+    reader = readers.get(".json" if path.is_dir() else path.suffix.lower())
     if reader is None:
         raise ConfigError(f"{path}: is none of {', '.join(readers)}, which hiros imports")
     yield from reader(path, mapping)
@@ -116,23 +117,41 @@ def _wide(
 
 def _tall(row: dict[str, str], time: float, mapping: FileMapping, where: str) -> Iterator[JointRow]:
     c = mapping.columns
-    x, y, z, sure = (number_of(row.get(name), where) for name in (c.x, c.y, c.z, c.confidence))
+    x, y, z, sure = (number_of(row.get(name), where) for name in c.numbers)
     yield _row(time, row.get(c.person) or "0", row[c.joint] or "", (x, y, z), sure, mapping)
 
 
 def _json_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
-    content = parse(text_of(path), "JSON", path)
     c = mapping.columns
-    frames = content.get(c.frames) if isinstance(content, dict) else content
-    for number, frame in enumerate(_list(frames, c.frames, path)):
-        where = f"{path}: frame {number}"
+    for number, (where, frame) in enumerate(_instants(path, c)):
         given = _object(frame, where).get(mapping.time.column)
         time = _time(None if given is None else str(given), number, mapping, where)
-        for index, person in enumerate(_list(frame.get(c.people), c.people, where)):
-            who = str(_object(person, where).get(c.person, person.get("id", index)))
-            for name, values in _named(person.get(c.joints), mapping, where):
-                x, y, z, sure = _four(values, where)
+        people = _list(frame.get(c.people), c.people, where)
+        if people and isinstance(people[0], dict) and c.x in people[0]:
+            people = [people]  # the joints of the only person
+        for index, person in enumerate(people):
+            own = _object({c.joints: person} if isinstance(person, list) else person, where)
+            who = str(own.get(c.person, own.get("id", index)))
+            for name, values in _named(own.get(c.joints), mapping, where):
+                x, y, z, sure = _four(values, c, where)
                 yield _row(time, who, name, (x, y, z), sure, mapping)
+
+
+def _instants(path: Path, columns: ColumnMapping) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the content of each instant: a file of a folder, or a part of a file."""
+    if path.is_dir():
+        files = path.glob("*.json")
+        for file in sorted(files, key=lambda one: re.sub(r"\d+", _padded, one.name)):
+            yield str(file), parse(text_of(file), "JSON", file)
+        return
+    content = parse(text_of(path), "JSON", path)
+    frames = content.get(columns.frames) if isinstance(content, dict) else content
+    for number, frame in enumerate(_list(frames, columns.frames, path)):
+        yield f"{path}: frame {number}", frame
+
+
+def _padded(digits: re.Match[str]) -> str:
+    return digits[0].zfill(20)
 
 
 def _object(value: Any, where: str) -> dict[str, Any]:
@@ -153,6 +172,11 @@ def _named(joints: Any, mapping: FileMapping, where: str) -> Iterator[tuple[str,
         yield from joints.items()
         return
     values = _list(joints, mapping.columns.joints, where)
+    if not values:
+        return  # the detector has none in 3D
+    if all(isinstance(value, int | float) for value in values):  # x0, y0, z0, c0, x1, ...
+        size = max(len(values) // max(len(mapping.names), 1), 1)
+        values = [values[k : k + size] for k in range(0, len(values), size)]
     if len(values) != len(mapping.names):
         raise ConfigError(
             f"{where}: has {len(values)} joints without names, and names in the mapping file are "
@@ -161,8 +185,10 @@ def _named(joints: Any, mapping: FileMapping, where: str) -> Iterator[tuple[str,
     yield from zip(mapping.names, values, strict=True)
 
 
-def _four(values: Any, where: str) -> list[float]:
+def _four(values: Any, columns: ColumnMapping, where: str) -> list[float]:
     """Return x, y, z and confidence; NaN for null and for a confidence that is not there."""
+    if isinstance(values, dict):
+        values = [values.get(key) for key in columns.numbers]
     numbers = values if isinstance(values, list) else [None] * 3 if values is None else []
     if len(numbers) not in (3, 4):
         raise ConfigError(f"{where}: a joint is no list of x, y, z and perhaps a confidence")
@@ -187,6 +213,8 @@ def _row(
     confidence: float,
     mapping: FileMapping,
 ) -> JointRow:
+    if confidence == 0 and not any(position):  # OpenPose: this joint was not triangulated
+        position = math.nan, math.nan, math.nan
     factor = METRES[mapping.unit]
     x, y, z = position
     return JointRow(time, person, joint, (factor * x, factor * y, factor * z), confidence)

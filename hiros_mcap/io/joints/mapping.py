@@ -2,6 +2,7 @@
 
 ::
 
+    detector = "openpose"       # what the entries below change of this detector's
     unit = "mm"
     axes = ["x", "-z", "y"]     # the file's axes that are x, y, z of the log
     frame = "world"
@@ -32,6 +33,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from hiros_mcap.errors import ConfigError
+from hiros_mcap.io.detectors.body_models import BODY_MODELS, body_model
 from hiros_mcap.outside import read_toml
 from hiros_mcap.params import explain
 from hiros_mcap.skeletons import Floats
@@ -39,6 +41,26 @@ from hiros_mcap.skeletons import Floats
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _AXES = ("x", "y", "z")
+
+
+_Y_UP: dict[str, Any] = {"axes": ["x", "-z", "y"]}
+DETECTOR_FILES: dict[str, dict[str, Any]] = {
+    # OpenPose 1.7 --3d --write_json: a file per instant, 25 times x, y, z and 0 or 1.
+    "openpose": {"names": "openpose-25", "columns": {"joints": "pose_keypoints_3d"}},
+    # MediaPipe 0.10, PoseLandmarkerResult as JSON: x right, y down, z away from the camera.
+    "mediapipe": {
+        "names": "mediapipe-33",
+        "axes": ["x", "z", "-y"],
+        "time": {"column": "timestamp_ms", "unit": "ms"},
+        "columns": {"people": "pose_world_landmarks", "confidence": "visibility"},
+    },
+    # FreeMoCap 1.8, output_data/mediapipe_body_3d_xyz.csv: z up.
+    "freemocap": {"unit": "mm", "columns": {"position": "body_{joint}_{axis}"}},
+    # Pose2Sim 0.10, pose-3d/*.trc; OpenCap, MarkerData/*.trc.
+    "pose2sim": _Y_UP,
+    "opencap": _Y_UP,
+}
+"""What the files of detectors mean: mapping files by name."""
 
 
 class TimeMapping(BaseModel):
@@ -79,6 +101,11 @@ class ColumnMapping(BaseModel):
     people: str = "people"
     joints: str = "joints"
 
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Names of the numbers of a joint: three coordinates and the confidence."""
+        return self.x, self.y, self.z, self.confidence
+
     @field_validator("position")
     @classmethod
     def _is_pattern(cls, position: str) -> str:
@@ -102,7 +129,12 @@ class FileMapping(BaseModel):
     columns: ColumnMapping = ColumnMapping()
     joints: dict[str, str] = {}
     names: list[str] = []
-    """Joints in the order of a JSON list without names."""
+    """Joints in the order of a JSON list without names; or the skeleton of a detector."""
+
+    @field_validator("names", mode="before")
+    @classmethod
+    def _are_names(cls, names: Any) -> Any:
+        return list(body_model(names).marker_names) if names in BODY_MODELS else names
 
     @field_validator("axes")
     @classmethod
@@ -145,13 +177,19 @@ def rotation_of(axes: list[str]) -> Floats:
 
 
 def read_mapping(path: Path | None) -> Mapping:
-    """Read a mapping file; without one everything is as by default.
+    """Read a mapping file, or take that of a detector; without one everything is as by default.
 
     Raises ConfigError naming the file and the key.
     """
     if path is None:
         return Mapping(default=FileMapping(), files={})
-    table = read_toml(path)
+    is_named = path.name in DETECTOR_FILES
+    table: dict[str, Any] = {"detector": path.name} if is_named else read_toml(path)
+    detector = str(table.pop("detector", ""))
+    if detector and detector not in DETECTOR_FILES:
+        known = ", ".join(DETECTOR_FILES)
+        raise ConfigError(f"{path}: detector: {detector!r} is none of {known}")
+    table = _merged(DETECTOR_FILES.get(detector, {}), table)
     try:
         files = table.pop("files", {})
         if not isinstance(files, dict):

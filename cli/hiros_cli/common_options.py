@@ -1,0 +1,135 @@
+"""Options of every command: how much it shows, where that is logged, and whether in colour."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from hiros_cli.printable import error_line, printable
+from hiros_mcap.errors import ConfigError, LogError
+
+LOGGERS = ("hiros_mcap", "hiros_cli")
+LOG_MARK = "# hiros log\n"
+_COLOURS = {
+    "auto": {},
+    "always": {"NO_COLOR": None, "FORCE_COLOR": "1"},
+    "never": {"NO_COLOR": "1", "FORCE_COLOR": None},
+}
+"""What each choice sets in the environment, which rich reads."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommonOptions:
+    """What the user chose for the whole program."""
+
+    verbose: bool = False
+    log_file: Path | None = None
+    color: str = "auto"
+
+    @contextmanager
+    def in_effect(self, arguments: Sequence[str]) -> Iterator[None]:
+        """Run a command so; raises LogError if the log file is somebody else's."""
+        with ExitStack() as stack:
+            stack.enter_context(_environment(_COLOURS[self.color]))
+            if self.verbose:
+                stack.enter_context(_handled_by(_Steps(logging.INFO)))
+            if self.log_file is not None:
+                stack.enter_context(_handled_by(_file_handler(self.log_file)))
+            log = logging.getLogger("hiros_cli")
+            log.debug("hiros %s", printable(" ".join(arguments)))
+            try:
+                yield
+            except Exception as error:
+                log.error("%s", error_line(error), exc_info=log.isEnabledFor(logging.DEBUG))
+                raise
+
+
+def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
+    """Return these options, wherever they stand, and the arguments without them.
+
+    Raises ConfigError for a value that is missing or makes no sense.
+    """
+    rest: list[str] = []
+    given: dict[str, str] = {}
+    waiting = iter(arguments)
+    for argument in waiting:
+        name, equals, value = argument.partition("=")
+        if argument == "--":
+            rest += [argument, *waiting]
+        elif argument == "--verbose":
+            given[name] = ""
+        elif name in ("--log-file", "--color"):
+            given[name] = value if equals else next(waiting, "")
+            if not given[name]:
+                raise ConfigError(f"{name}: its value is missing")
+        else:
+            rest.append(argument)
+    color = given.get("--color", "auto")
+    if color not in _COLOURS:
+        raise ConfigError(f"--color: {color!r} is none of {', '.join(_COLOURS)}")
+    file = given.get("--log-file")
+    return CommonOptions("--verbose" in given, Path(file) if file else None, color), rest
+
+
+class _Steps(logging.Handler):
+    """Prints on stderr what the library does; its warnings are printed anyway."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno < logging.WARNING:
+            print(f"hiros: {printable(record.getMessage())}", file=sys.stderr, flush=True)
+
+
+def _file_handler(path: Path) -> logging.Handler:
+    """Return what appends to a file; a terminal or a pipe may stand for it."""
+    is_new = not path.is_file() or not path.stat().st_size
+    if not is_new:
+        with path.open("rb") as file:
+            if file.read(len(LOG_MARK)) != LOG_MARK.encode():
+                raise LogError("exists and is not a log of hiros; choose another name", path=path)
+    if is_new:
+        with path.open("w", encoding="utf-8") as file:
+            file.write(LOG_MARK)
+    handler = logging.FileHandler(path, encoding="utf-8", errors="backslashreplace")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    return handler
+
+
+@contextmanager
+def _handled_by(handler: logging.Handler) -> Iterator[None]:
+    """Give a handler what the library and the commands log, as long as the block runs."""
+    loggers = [logging.getLogger(name) for name in LOGGERS]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.addHandler(handler)
+        logger.setLevel(min(handler.level or logging.DEBUG, logger.level or logging.WARNING))
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(level)
+        handler.close()
+
+
+@contextmanager
+def _environment(values: dict[str, str | None]) -> Iterator[None]:
+    """Set variables, None = without it, as long as the block runs."""
+    before = {name: os.environ.get(name) for name in values}
+
+    def put(named: dict[str, str | None]) -> None:
+        for name, value in named.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+    put(values)
+    try:
+        yield
+    finally:
+        put(before)

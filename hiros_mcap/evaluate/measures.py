@@ -1,0 +1,228 @@
+"""The measures: what each number is called, its unit, what is better, where it stands.
+
+``hiros eval``, ``compare``, ``check``, many logs, ``--json``, pages and docs read this table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from hiros_mcap.evaluate.parts import PARTS
+from hiros_mcap.summary import number
+
+Rows = list[tuple[str, ...]]
+Table = tuple[tuple[str, ...], Rows]
+"""Header and rows; the first column is text, the others are numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A number that says how good something is."""
+
+    name: str
+    """In golden files, thresholds and tables of many logs."""
+    title: str
+    """Of its column."""
+    unit: str
+    text: str
+    """What it is."""
+    floor: float = 0.0
+    """Changes up to this never count in a check; 0 for counts, which may not get worse at all."""
+    digits: int = 1
+    better: Literal["less", "more", "same", "near 0"] = "less"
+    at: str = ""
+    """Path in the scores, and in JSON below them, of attributes or keys; "" is the name."""
+    sd: str = ""
+    """Path of its standard deviation, if the column shows that beside it."""
+    scale: float = 1.0
+    """Number in the scores -> number in the unit."""
+    is_optional: bool = False
+    """Whether there is no column if no row has it."""
+
+    @property
+    def field(self) -> str:
+        """Path in the scores."""
+        return self.at or self.name
+
+    def of(self, scores: object) -> float:
+        """Return the number; NaN if the scores lack it."""
+        return self.scale * _at(scores, self.field)
+
+    def compared(self, scores: object) -> float:
+        """Return the number that a check compares: less or more of it is better."""
+        return abs(self.of(scores)) if self.better == "near 0" else self.of(scores)
+
+    def cell(self, scores: object) -> str:
+        """Return the number as text."""
+        text = number(self.of(scores), self.digits)
+        sd = self.sd and number(self.scale * _at(scores, self.sd), self.digits)
+        return f"{text} ({sd})" if sd else text
+
+    def shown(self, value: float) -> str:
+        """Return a value of the measure with its unit."""
+        return f"{value:.4g} {self.unit}".rstrip()
+
+    def header(self, stated: str = "") -> str:
+        """Return the title of its column, with the unit unless that is ``stated`` for all."""
+        return self.title if self.unit in ("", stated) else f"{self.title}, {self.unit}"
+
+
+def _at(record: object, path: str) -> float:
+    """Return the number at a path of attributes and keys; NaN if there is none."""
+    value: object = record
+    for part in path.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else getattr(value, part, None)
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _of_parts(floor: float) -> tuple[Measure, ...]:
+    """Return the mean distance by part of the body."""
+    joints = "neither of the limbs", "elbows and beyond", "knees and beyond"
+    text = "mean distance of the joints of this part"
+    return tuple(
+        Measure(
+            *(part.replace(" ", "_"), part.capitalize(), "mm", f"{text}: {which}", floor),
+            at=f"parts.{part}.mean",
+            is_optional=True,
+        )
+        for part, which in zip(PARTS, joints, strict=True)
+    )
+
+
+# fmt: off
+CONSISTENCY = (
+    Measure("people", "People", "", "ids in the result", 0, 0, "same", at="n_people"),
+    Measure("frames", "Frames", "", "frames of the result; against a truth, those that it covers",
+            0, 0, "same"),
+    Measure("limb_cv", "Limb CV", "",
+            "coefficient of variation of a link's length, mean over people and links",
+            1e-3, 4, at="limb_variation"),
+    Measure("jitter", "Jitter", "mm",
+            "mean norm of the second difference of a joint's positions between frames", 0.1),
+)
+"""What needs no truth."""
+_PEOPLE, _FRAMES, _LIMB_CV, _JITTER = CONSISTENCY
+
+ERRORS = (
+    Measure("mpjpe", "Mean", "mm",
+            "distance of a joint from the true one, mean over joints, people and frames",
+            0.1, at="mean"),
+    Measure("mpjpe_sd", "SD", "mm", "its standard deviation", 0.1, at="deviation"),
+    Measure("mpjpe_rms", "RMSE", "mm", "its root mean square", 0.1, at="rmse"),
+    Measure("mpjpe_95", "95 %", "mm", "95 % of the distances are less", 0.2, at="percentile_95"),
+    Measure("mpjpe_99", "99 %", "mm", "99 % of the distances are less", 0.5, at="percentile_99"),
+    *_of_parts(0.1),
+    *(Measure(f"pck_{mm}", f"PCK {mm}", "%", "share of true joints that the result has within "
+              f"{mm} mm; joints of missing people count as not there", 0.1, 1, "more", scale=100)
+      for mm in (50, 100)),
+    Measure("first_frames", "First 5", "mm",
+            "mean distance in the first five frames of an id that appears after the log's start",
+            0.5),
+)
+MOTION = (
+    Measure("angle_rmse", "Bending", "deg", "RMSE (SD) of eight unsigned bending angles: "
+            "shoulders, elbows, hips, knees, from marker positions (Hi-ROS eq. 20)",
+            0.05, 2, sd="angle_deviation"),
+    Measure("link_angle_rmse", "By links", "deg",
+            "the same angles from link orientations (Hi-ROS eq. 21)",
+            0.05, 2, sd="link_angle_deviation"),
+    Measure("orientation_error", "Orientation", "deg",
+            "mean angle between a link's orientation and the true one", 0.05, 2),
+    Measure("limb_error", "Limbs", "mm",
+            "mean difference of a link's length from the true one", 0.1),
+    _LIMB_CV,
+    _JITTER,
+    Measure("lag", "Lag", "ms", "delay of the result: the shift of the truth with the least "
+            "squared error, at most 180 ms either way", 1.0, better="near 0"),
+    Measure("mean_at_lag", "Mean at lag", "mm", "mean distance if all stamps are moved by the lag. "
+            "Where clocks are wrong, no stamp shows the time base that they have in common: read "
+            "this one beside the mean", 0.1),
+)
+PEOPLE = (
+    _FRAMES,
+    Measure("silent", "Silent", "", "instants of the truth without a frame of the result", 0, 0),
+    Measure("missing", "Missing", "",
+            "true people without a skeleton; sum over frames and silent instants", 0, 0),
+    Measure("false", "False", "", "skeletons of nobody, or of somebody twice; sum over frames; "
+            "blank if the truth is partial", 0, 0),
+    Measure("id_switches", "Switches", "",
+            "how often the nearest skeleton of a true person changed its id", 0, 0, at="switches"),
+    *(Measure(name, name.upper(), "", "as TrackEval computes it, with the similarity 1 - distance "
+              "/ `--match-distance`", 1e-3, 3, "more", at=f"tracking.{name}")
+      for name in ("mota", "idf1", "hota")),
+)
+MEASURES: Mapping[str, Measure] = {m.name: m for m in (_PEOPLE, *ERRORS, *MOTION, *PEOPLE)}
+"""By name: what golden files and thresholds may have."""
+BRIEF = ("mpjpe", "jitter", "limb_cv", "id_switches", "idf1")
+"""Those in tables that have little room."""
+
+LEFT_OUT = (
+    Measure("median", "Median", "mm",
+            "distance of the left-out camera's joints from the result of the others, median"),
+    Measure("mean", "Mean", "mm", "its mean", at="distance.mean"),
+    Measure("sd", "SD", "mm", "its standard deviation", at="distance.deviation"),
+    Measure("rms", "RMSE", "mm", "its root mean square", at="distance.rmse"),
+    Measure("p95", "95 %", "mm", "95 % of them are less", at="distance.percentile_95"),
+    Measure("spread", "Spread", "mm", "its mean without what is constant: the median displacement "
+            "of each joint of a person"),
+    *_of_parts(0),
+    Measure("offset", "Offset", "mm", "norm of the mean displacement over all joints: mostly the "
+            "error of the camera's pose"),
+    Measure("detections", "Detections", "", "skeletons that the camera reports", 0, 0),
+    Measure("unmatched", "Of nobody", "", "those that match nobody", 0, 0),
+    Measure("mirrored", "Mirrored", "", "those that fit better with left and right swapped; they "
+            "are in the distances, too", 0, 0),
+)
+"""Of a camera that was left out (``hiros eval`` without a truth)."""
+
+_TIME = Measure("milliseconds", "ms/message", "", "CPU time of the stages per message", 0, 3)
+SELF = (
+    Measure("mean", "Mean", "mm", "distance of a left-out camera from the result of the others, "
+            "mean, on the same detections and joints for all systems, mirrored ones included",
+            at="distance.mean"),
+    Measure("disagreement", "Median", "mm", "its median"),
+    Measure("p95", "95 %", "mm", "95 % of them are less", at="distance.percentile_95"),
+    Measure("spread", "Spread", "mm",
+            "its mean without the median displacement of each joint of a person"),
+    Measure("misses", "Misses", "", "detections at which this system has nobody, but another one "
+            "has. They are in nobody's distances: a system gains nothing by having nobody where it "
+            "is hard", 0, 0),
+    Measure("detections", "Of", "", "detections at which some system has somebody", 0, 0),
+    Measure("coverage", "Coverage", "%", "share of the left-out cameras' skeletons near somebody "
+            "whom the others see", better="more", scale=100),
+    Measure("ids", "Ids", "", "number of different ids in the result", 0, 0),
+    _LIMB_CV,
+    _JITTER,
+    _TIME,
+)
+"""Of a system (``hiros compare``) without a truth."""
+# fmt: on
+_RANKING = (
+    *("mpjpe", "mpjpe_sd", *(part.replace(" ", "_") for part in PARTS), "angle_rmse", "limb_cv"),
+    *("jitter", "lag", "missing", "false", "id_switches", "hota"),
+)
+RANKED = (
+    *(replace(MEASURES[name], at=f"scores.{MEASURES[name].field}", sd="") for name in _RANKING),
+    _TIME,
+)
+"""Of a system with a truth."""
+
+
+def table_of(
+    first: str, rows: Iterable[tuple[str, object]], measures: Sequence[Measure], unit: str = ""
+) -> Table:
+    """Return a row per name and scores: the measures of these.
+
+    ``first`` is the title of the column of names; the title of the table states the ``unit``.
+    """
+    rows = list(rows)
+    columns = [m for m in measures if not (m.is_optional and _has_none(m, rows))]
+    header = (first, *(m.header(unit) for m in columns))
+    return header, [(name, *(m.cell(scores) for m in columns)) for name, scores in rows]
+
+
+def _has_none(measure: Measure, rows: Sequence[tuple[str, object]]) -> bool:
+    return all(math.isnan(measure.of(scores)) for _, scores in rows)

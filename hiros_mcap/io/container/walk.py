@@ -1,0 +1,286 @@
+"""The walk over the records of an MCAP file, in the order in which they lie in it.
+
+There is one walk and two policies, which differ in what a fault means and in how much of a chunk is
+believed: :mod:`.scan` stops at the first fault, :mod:`.salvage` notes it and goes on behind it.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
+
+from hiros_mcap.io.container import records as r
+from hiros_mcap.io.container.file import LogFile
+from hiros_mcap.io.container.records import FormatError, Opcode
+
+MAX_RECORD = 64 * 2**20
+"""Largest definition, metadata or summary record that is read, bytes."""
+_RUN = 1 << 20
+_AHEAD = 1 << 14
+_NAMES = 1 << 18
+_LOOSE = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
+
+Definition = TypeVar("Definition", r.Schema, r.Channel)
+Reader = Callable[[int, int], int | None]
+"""Takes the content of a record, its first and its past-the-end byte. Returns where the record
+ends, None if its length is right."""
+
+
+@dataclass(slots=True)
+class Contents:
+    """What the walk found."""
+
+    profile: str = ""
+    library: str = ""
+    schemas: dict[int, r.Schema] = field(default_factory=dict)
+    channels: dict[int, r.Channel] = field(default_factory=dict)
+    chunks: list[r.Chunk] = field(default_factory=list)
+    attachments: list[r.AttachmentIndex] = field(default_factory=list)
+    metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
+    statistics: r.Statistics | None = None
+    has_data_crc: bool = False
+
+    def define(self, opcode: int, content: r.Bytes) -> int:
+        """Note a schema or channel, return its id; raises FormatError if it had another meaning."""
+        if opcode == Opcode.SCHEMA:
+            schema = r.Schema.read(r.Cursor(content))
+            # The format asks readers to ignore a schema with the id that means "none".
+            return _put(self.schemas, schema, "schema") if schema.id else 0
+        return _put(self.channels, r.Channel.read(r.Cursor(content)), "channel")
+
+
+def _put(table: dict[int, Definition], new: Definition, kind: str) -> int:
+    if table.setdefault(new.id, new) != new:
+        raise FormatError(f"{kind} {new.id} is defined twice, differently")
+    return new.id
+
+
+class CutOffError(FormatError):
+    """The file ends inside a record, or before one that must come."""
+
+
+class Entries(NamedTuple):
+    """Where the entries of a message index lie: log time and place of each message."""
+
+    start: int
+    """First byte."""
+    number: int
+
+
+@dataclass(slots=True)
+class _LooseMessages:
+    """Consecutive messages outside of chunks, to be read as one chunk."""
+
+    offset: int
+    end: int
+    first: int
+    final: int
+    counts: Counter[int] = field(default_factory=Counter)
+
+    def chunk(self) -> r.Chunk:
+        start, size = self.offset, self.end - self.offset
+        return r.Chunk(
+            start, self.end, self.first, self.final, size, 0, "", start, size, self.end,
+            dict(self.counts), loose=True,
+        )  # fmt: skip
+
+
+class Walk(ABC):
+    """Where the walk is, and what it has found so far. A policy overrides what is abstract.
+
+    Methods raise FormatError or struct.error for a fault, and CutOffError where the file ends.
+
+    Parameters
+    ----------
+    file : the file.
+    checksum : compare that of the data section, for which all of it is read.
+    """
+
+    def __init__(self, file: LogFile, *, checksum: bool = True) -> None:
+        self.file = file
+        self.at = 0
+        self.contents = Contents()
+        self._checksum = checksum
+        self._definitions = self.contents  # takes those outside of chunks
+        self._ahead = b""
+        self._ahead_at = 0
+        self._run: _LooseMessages | None = None
+        self._index: dict[int, Entries] | None = None  # by channel, right after a chunk only
+        self._index_end = 0
+
+    # -- the policy ----------------------------------------------------------------------------
+
+    def _goes_on(self) -> bool:
+        """Whether a record must come."""
+        return True
+
+    @abstractmethod
+    def _keep(self, chunk: r.Chunk) -> int:
+        """Add a chunk, or a run of messages outside of chunks; return where it ends."""
+
+    @abstractmethod
+    def _leave_chunk(self, *, whole: bool) -> None:
+        """Use the message indexes behind the last chunk. ``whole``: damage has hidden none."""
+
+    @abstractmethod
+    def _fault(self, fault: Exception, stop: int) -> int:
+        """Return where to go on, or raise an error.
+
+        ``stop`` is where the faulty record ends, 0 if it has no usable head.
+        """
+
+    # -- records -------------------------------------------------------------------------------
+
+    def _section(self, readers: Mapping[int, Reader], last: int | None = None) -> None:
+        """Hand every record to its reader, up to the record that ends the section."""
+        while self._goes_on():
+            stop = 0
+            try:
+                opcode, begin, stop = self._next()
+                reader = self._skip if opcode == last else self._reader(readers, opcode, stop)
+                if self._index is not None and opcode != Opcode.MESSAGE_INDEX:
+                    self._leave_chunk(whole=True)
+                if self._run is not None and opcode not in _LOOSE:
+                    self._end_run()
+                if opcode == last:
+                    return
+                self.at = reader(begin, stop) or stop
+            except (FormatError, struct.error) as fault:
+                self.at = self._fault(fault, stop)
+
+    def _reader(self, readers: Mapping[int, Reader], opcode: int, stop: int) -> Reader:
+        """Return what reads a record that ends at ``stop``; raises FormatError for a wrong one."""
+        if opcode in readers:
+            return readers[opcode]
+        if opcode >= r.PRIVATE_OP:
+            return self._skip
+        raise FormatError(f"a {r.name_of(opcode)} record is not allowed here")
+
+    def _data_readers(self) -> dict[int, Reader]:
+        return {
+            Opcode.SCHEMA: self._loose_definition,
+            Opcode.CHANNEL: self._loose_definition,
+            Opcode.MESSAGE: self._loose_message,
+            Opcode.CHUNK: self._chunk,
+            Opcode.MESSAGE_INDEX: self._message_index,
+            Opcode.ATTACHMENT: self._attachment,
+            Opcode.METADATA: self._metadata,
+        }
+
+    def _next(self) -> tuple[int, int, int]:
+        """Opcode, first content byte and past-the-end byte of the record at ``self.at``."""
+        left = self.file.size - self.at
+        if left < r.HEAD.size:
+            raise CutOffError("the file ends before its footer")
+        opcode, length = self._fields(self.at, r.HEAD)
+        begin = self.at + r.HEAD.size
+        if length > self.file.size - begin:
+            raise CutOffError(f"the file ends inside a {r.name_of(opcode)} record")
+        return opcode, begin, begin + length
+
+    def _peek(self, offset: int, n: int) -> bytes:
+        """Return a few bytes, read ahead in blocks because most records are small."""
+        start = offset - self._ahead_at
+        if start < 0 or start + n > len(self._ahead):
+            self._ahead = self.file.read(offset, min(max(n, _AHEAD), self.file.size - offset))
+            self._ahead_at, start = offset, 0
+        return self._ahead[start : start + n]
+
+    def _fields(self, offset: int, form: struct.Struct) -> tuple[Any, ...]:
+        """Return fixed fields; as :meth:`_peek`, without a copy."""
+        start = offset - self._ahead_at
+        if start < 0 or start + form.size > len(self._ahead):
+            return form.unpack(self._peek(offset, form.size))
+        return form.unpack_from(self._ahead, start)
+
+    def _content(self, begin: int, stop: int) -> bytes:
+        if stop - begin > MAX_RECORD:
+            raise FormatError(f"a record of {stop - begin} bytes; the limit is {MAX_RECORD}")
+        return self._peek(begin, stop - begin)
+
+    def _cursor(self, begin: int, stop: int) -> r.Cursor:
+        return r.Cursor(self._content(begin, stop))
+
+    # -- what the records of the data section hold ---------------------------------------------
+
+    def _skip(self, begin: int, stop: int) -> int:
+        """Pass over a record that hiros has no use for."""
+        return stop
+
+    def _definition(self, begin: int, stop: int) -> None:
+        opcode = self._peek(self.at, 1)[0]
+        self._definitions.define(opcode, self._content(begin, stop))
+
+    def _loose_definition(self, begin: int, stop: int) -> None:
+        self._definition(begin, stop)
+        if self._run is not None:
+            self._run.end = stop
+
+    def _loose_message(self, begin: int, stop: int) -> None:
+        """Add a message outside of chunks to the current run of them."""
+        if stop - begin < r.MESSAGE_HEAD.size:
+            raise FormatError("a message record is shorter than its fixed fields")
+        channel, _, time, _ = self._fields(begin, r.MESSAGE_HEAD)
+        if self._run is not None and stop - self._run.offset > _RUN:
+            self._end_run()
+        if self._run is None:
+            self._run = _LooseMessages(self.at, stop, time, time)
+        run = self._run
+        run.end, run.first, run.final = stop, min(run.first, time), max(run.final, time)
+        run.counts[channel] += 1
+
+    def _end_run(self) -> None:
+        run, self._run = self._run, None
+        if run is not None:
+            self._keep(run.chunk())
+
+    def _chunk(self, begin: int, stop: int) -> int:
+        head = self._peek(begin, min(stop - begin, r.MAX_CHUNK_HEAD))
+        end = self._keep(r.parse_chunk(head, self.at, begin, stop))
+        self._index = {}
+        return end
+
+    def _message_index(self, begin: int, stop: int) -> None:
+        if self._index is None:
+            raise FormatError("a message index does not follow a chunk")
+        if stop - begin < r.INDEX_HEAD.size:
+            raise FormatError("a message index is shorter than its fixed fields")
+        channel, size = self._fields(begin, r.INDEX_HEAD)
+        if size % 16 or size > stop - begin - r.INDEX_HEAD.size:
+            raise FormatError("a message index does not fit its record")
+        if channel in self._index:
+            raise FormatError(f"a chunk has two message indexes of channel {channel}")
+        self._index[channel] = Entries(begin + r.INDEX_HEAD.size, size // 16)
+        self._index_end = stop
+
+    def _attachment(self, begin: int, stop: int) -> None:
+        at = r.Cursor(self._peek(begin, min(stop - begin, _NAMES)))
+        log_time, create_time = at.read8(), at.read8()
+        name, media_type = at.read_prefixed_string(), at.read_prefixed_string()
+        size = at.read8()
+        data = begin + at.count
+        if size > stop - data - 4:
+            raise FormatError("an attachment's data reach past its record")
+        crc = int.from_bytes(self.file.read(data + size, 4), "little")
+        if crc and crc != self.file.crc(begin, data + size):
+            raise FormatError(f"the checksum of the attachment {name!r} is wrong")
+        length = stop - self.at
+        self.contents.attachments.append(
+            r.AttachmentIndex(self.at, length, log_time, create_time, size, name, media_type)
+        )
+
+    def _metadata(self, begin: int, stop: int) -> None:
+        metadata = r.Metadata.read(self._cursor(begin, stop))
+        self.contents.metadata.append((metadata.name, metadata.metadata))
+
+    def _data_end(self, begin: int, stop: int) -> None:
+        """Compare the checksum of the data section, which may cover what has no other one."""
+        crc = r.DataEnd.read(self._cursor(begin, stop)).data_section_crc
+        holds = not (crc and self._checksum) or crc == self.file.crc(0, self.at)
+        self.contents.has_data_crc = crc != 0 and holds
+        if not holds:
+            raise FormatError("the checksum of the data section is wrong")

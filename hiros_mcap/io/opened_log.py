@@ -1,0 +1,383 @@
+"""An open log of skeletons, and one reading of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+import hiros_schemas
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.body.transforms import Mover, TimedPoses, TransformTree
+from hiros_mcap.errors import LogError, naming
+from hiros_mcap.frames import Block, frames_of
+from hiros_mcap.io.camera_clock import CameraTimes
+from hiros_mcap.io.channels import OUTPUT_PREFIX, CameraChannel, ChannelInfo, channels_of
+from hiros_mcap.io.codec import Decoded, Decoder, RestPoses
+from hiros_mcap.io.container import LogOrder, McapReader, Recovery
+from hiros_mcap.io.container.recovery import RECOVERY_METADATA
+from hiros_mcap.io.layout import Layout
+from hiros_mcap.io.log_accounts import DAMAGED, LATEST, Account, CameraInput, Row
+from hiros_mcap.io.log_notes import channel_remarks, input_remarks, pose_warnings
+from hiros_mcap.io.log_times import Spacing, times_in, times_of
+from hiros_mcap.skeletons import Frame, SkeletonModel, Stamps
+
+Spans = Sequence[tuple[int, int]]
+"""Log times, ns: first and last of each part of a log."""
+
+
+class Reading:
+    """One reading of a log: its blocks, and what becomes of the messages.
+
+    Iterate over it once, or take :meth:`blocks` or :meth:`frames`.
+
+    A thread reads and decodes, chunk by chunk. Here the messages are put in order, and what depends
+    on their order is done: repeats are left out, and every message is accounted for.
+
+    Attributes
+    ----------
+    log : what is read.
+    accounts : what became of the messages so far, by topic.
+    """
+
+    def __init__(
+        self, log: Log, *, fixed: bool, spans: Spans | None, step: int, times: list[Stamps] | None
+    ) -> None:
+        self.log = log
+        self.accounts: dict[str, Account] = {}
+        self._fixed, self._spans, self._step, self._times = fixed, spans, step, times
+        self._inputs: dict[int, CameraInput] = {}
+        self._layouts: dict[int, Layout] = {}
+        self._names: dict[str, int] = {}
+        """Of cameras and coordinate frames, to their numbers in blocks."""
+        for camera in sorted(log.cameras, key=lambda camera: camera.channel.topic):
+            self._use(camera)
+        self._account_for_conversion()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the result doubtful, with the remedy; see :attr:`Log.warnings`."""
+        return self.log.warnings
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes about the log."""
+        return self.log.remarks
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames."""
+        return frames_of(self.blocks())
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the frames as blocks, some chunks' messages at once where that can be."""
+        for _, block in self:
+            yield block
+
+    def __iter__(self) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the messages as blocks, with the topic of each frame."""
+        with naming(self.log.path):
+            if not self._fixed:
+                yield from self._blocks(None)
+                return
+            transforms, fixed = self.log.transforms, self.log.fixed_frame
+            mover = Mover(transforms, fixed)
+            poses = RestPoses(fixed, partial(transforms.at_rest, fixed=fixed))
+            for topics, block in self._blocks(poses):
+                yield topics, mover.move_block(block)
+
+    def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the messages, those of cameras at rest moved to ``poses``."""
+        reader, times = self.log.reader, self._times
+        decoder = Decoder(self.log.model, layouts=self._layouts, poses=poses)
+        batches = reader.batches(self._inputs, spans=self._spans if times is None else None)
+        if self._step:
+            spans = None if times is None else self._spans
+            spacing = Spacing(self._step, self.log.cameras, spans)
+            batches = spacing.thinned(batches, decoder, times)
+        decoded = (d for batch in batches for d in decoder.decode(batch))
+        order = LogOrder[Decoded]()
+        for some in reader.ahead(decoded):
+            order.add(some, some.keys)
+            for part, messages in order.before(some.until):
+                yield from self._accounted(part, messages)
+
+    def _use(self, camera: CameraChannel) -> None:
+        """Read the messages of a camera from here on."""
+        topic = camera.channel.topic
+        account = self.accounts.setdefault(topic, Account(topic))
+        self._inputs[camera.channel.id] = CameraInput(camera, account)
+        self._layouts[camera.channel.id] = camera.layout
+
+    def _account_for_conversion(self) -> None:
+        """Account for the messages that could not be converted."""
+        for topic, (n, first) in self.log.reader.faults.items():
+            if topic in self.accounts:
+                account = self.accounts[topic]
+                account.read, account.first_error = n, first
+                account.skipped[DAMAGED] = n
+
+    def _accounted(
+        self, decoded: Decoded, messages: Sequence[int]
+    ) -> Iterator[tuple[Sequence[str], Block]]:
+        """Yield the frames of some messages, in this order, as a block."""
+        rows: list[Row] = []
+        times = decoded.keys[:, 0].tolist(), decoded.people.stamps.tolist()
+        for i in messages:
+            rows += self._inputs[decoded.channels[i]].take(decoded, i, *times)
+        if rows:
+            topics, stamps, log_times, sources, frame_ids, begins, ends = zip(*rows, strict=True)
+            yield (
+                topics,
+                Block(
+                    np.array(stamps, np.int64),
+                    np.array(log_times, np.int64),
+                    np.array([self._names.setdefault(n, len(self._names)) for n in sources]),
+                    np.array([self._names.setdefault(n, len(self._names)) for n in frame_ids]),
+                    tuple(self._names),
+                    np.array([begins, ends], np.int64).T.copy(),
+                    decoded.people,
+                ),
+            )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Log:
+    """An open log; made by :func:`hiros_mcap.io.log.open_log`, used as a context manager.
+
+    It does not change: methods such as :meth:`only` return another one of the same open file.
+    """
+
+    reader: McapReader
+    """Its container."""
+    cameras: Sequence[CameraChannel]
+    """The skeleton channels that are read."""
+    model: SkeletonModel
+    """The skeleton model of all cameras."""
+    transforms: TransformTree
+    """Where the cameras stand."""
+    wanted_frame: str | None = None
+    """The frame that results are to be in, if the user named one."""
+    owns_file: bool = True
+    """Whether :meth:`close` closes the file; otherwise it was open before."""
+
+    is_live: ClassVar[bool] = False
+    """Whether the log is still being written, so that it is read once."""
+    reading: ClassVar[type[Reading]] = Reading
+    """What reads it."""
+
+    def __repr__(self) -> str:
+        return f"<Log {self.path}: {len(self.cameras)} skeleton channels, {self.model!r}>"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file, unless it was open before."""
+        if self.owns_file:
+            self.reader.close()
+
+    # -- what is in it -------------------------------------------------------------------------
+
+    @property
+    def path(self) -> Path | str:
+        """The file."""
+        return self.reader.path
+
+    @cached_property
+    def channels(self) -> tuple[ChannelInfo, ...]:
+        """Every channel of the file."""
+        return channels_of(self.reader)
+
+    @property
+    def left_out(self) -> Mapping[str, tuple[str, int]]:
+        """Topics of a bag that are not in ``channels``, with their type and count."""
+        return self.reader.left_out
+
+    @cached_property
+    def span(self) -> tuple[int, int]:
+        """Log times, ns, between which the skeletons lie; see :func:`span_of`."""
+        return span_of(self.reader)
+
+    @cached_property
+    def fixed_frame(self) -> str:
+        """The frame that results are to be in: the root of the cameras' tree unless named.
+
+        Raises LogError if the cameras' frames are not all joined to it.
+        """
+        frames = [name for camera in self.cameras for name in camera.frames]
+        if not frames:  # no camera sent anything
+            return self.wanted_frame or ""
+        self.check_fixed_frame()
+        with naming(self.path):
+            fixed = self.wanted_frame or self.transforms.common_root(frames)
+            for name in frames:
+                self.transforms.lookup(name, fixed, 0)
+        return fixed
+
+    def check_fixed_frame(self) -> None:
+        """Raise LogError if results are to be in a frame that the log does not have."""
+        frames = {name for camera in self.cameras for name in camera.frames}
+        frames |= set(self.transforms.frames)
+        if self.wanted_frame and self.wanted_frame not in frames and any(frames):
+            names = sorted(filter(None, frames))
+            near = difflib.get_close_matches(self.wanted_frame, names, n=1)
+            guess = f"; did you mean {near[0]!r}?" if near else ""
+            raise LogError(
+                f"has no frame {self.wanted_frame!r} for the results to be in{guess} (there are: "
+                f"{', '.join(names)})",
+                path=self.path,
+            )
+
+    def pose_of(self, camera: CameraChannel) -> Rigid | None:
+        """Pose in the fixed frame at the start; None for no or several frames, or the fixed one."""
+        if len(camera.frames) != 1 or camera.frames[0] == self.fixed_frame:
+            return None
+        return self.transforms.lookup(camera.frames[0], self.fixed_frame, 0)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the cameras' poses doubtful, with the remedy.
+
+        Raises LogError if the cameras' frames are not all joined to the fixed frame.
+        """
+        return tuple(pose_warnings(self.cameras, self.transforms, self.fixed_frame, self.span[0]))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes about the log."""
+        people, transforms = self.model.n_markers > 0, len(self.transforms) > 0
+        return (
+            *self.reader.remarks,
+            *input_remarks(self.cameras, has_people=people, has_transforms=transforms),
+            *channel_remarks(self.channels, self.left_out),
+        )
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """What is lost of a damaged file; None if the log was opened without ``recover``."""
+        return self.reader.recovery
+
+    @property
+    def recovery_mark(self) -> Mapping[str, str]:
+        """What the metadata of a result say of this log's losses, also of earlier ones."""
+        if self.recovery is not None and self.recovery.damages:
+            return self.recovery.metadata()
+        marks = (v for name, v in self.reader.contents.metadata if name == RECOVERY_METADATA)
+        return next(marks, {})
+
+    @property
+    def losses(self) -> str:
+        """What is lost of the recording, in one line; "" if nothing is."""
+        return self.recovery_mark.get("loss", "")
+
+    # -- another log of the same file ----------------------------------------------------------
+
+    def with_poses(self, poses: Mapping[str, TimedPoses], fixed: str) -> Self:
+        """Return the log with other poses of some cameras' frames in the frame ``fixed``."""
+        return self._but(transforms=self.transforms.with_poses(poses, fixed))
+
+    def only(self, topics: Collection[str]) -> Self:
+        """Return the log with these skeleton channels alone."""
+        return self._but(cameras=tuple(c for c in self.cameras if c.channel.topic in topics))
+
+    def _but(self, *, keep: Collection[str] = ("channels", "span"), **changes: object) -> Self:
+        """Return the log with some facts changed; the answers to ``keep`` stay."""
+        other = replace(self, **changes)  # type: ignore[arg-type]
+        other.__dict__.update({k: v for k, v in self.__dict__.items() if k in keep})
+        return other
+
+    # -- reading -------------------------------------------------------------------------------
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the detections of all cameras in the order of their log times.
+
+        They are in the coordinates of the camera; ``frame_id`` names them. ``stamp`` is the
+        latest source time of the people in it, or header.stamp where the detector gives none, or
+        the log time; a time of 0 or before 1970 is none. A skeleton that repeats one of the
+        camera's previous message in every number and in its source time is left out; a message of
+        nothing else gives no frame.
+
+        Raises LogError where the file is damaged. A message that cannot be decoded is skipped and
+        counted in the accounts of the :class:`Reading`, see :meth:`read`.
+        """
+        return self.read(fixed=False).frames()
+
+    def detections(self) -> Iterator[Frame]:
+        """Yield what :meth:`frames` does, in the fixed frame (Hi-ROS 2023, eq 5).
+
+        Raises LogError also for a frame that no transform joins to the fixed frame.
+        """
+        return self.read().frames()
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield what :meth:`detections` does, some chunks' messages at once where that can be."""
+        return self.read().blocks()
+
+    def read(
+        self,
+        *,
+        fixed: bool = True,
+        spans: Spans | None = None,
+        step: int = 0,
+        times: list[Stamps] | None = None,
+    ) -> Reading:
+        """Return a reading of the log, which begins when blocks are taken from it.
+
+        Parameters
+        ----------
+        fixed : in the fixed frame, as :meth:`detections`; otherwise as :meth:`frames`.
+        spans : only the parts of the file in which they lie are read.
+        step : ns; of a channel of one camera, about one message in each such interval is decoded.
+            0 = all.
+        times : gets the times of all messages of the log, for :meth:`times`; the whole file is
+            then read.
+        """
+        return self.reading(self, fixed=fixed, spans=spans, step=step, times=times)
+
+    @property
+    def has_plain_times(self) -> bool:
+        """Whether the beginnings of the messages show the cameras and the times."""
+        return all(len(c.sources) == 1 and c.layout.is_published for c in self.cameras)
+
+    def times(self, tables: Sequence[Stamps] = ()) -> dict[str, CameraTimes]:
+        """Return when the messages of each camera were stamped and logged, in log order.
+
+        A stamp is that of a frame (see :meth:`frames`). Where some messages have people with a
+        source time and others do not, only the kind that is more frequent is in there: detectors
+        may fill in header.stamp when they are done.
+
+        Only the beginning of each message is read, if every channel has one camera. Messages that
+        are damaged are left out, and so are those without a time.
+
+        ``tables`` are what :meth:`read` has put into ``times``, if the log has plain times.
+        """
+        if not self.has_plain_times:
+            return times_of(self.frames())
+        names = {c.channel.id: next(iter(c.sources.values())) for c in self.cameras}
+        decoder = Decoder(self.model)
+        with naming(self.path):
+            return times_in(tables or map(decoder.read_times, self.reader.batches(names)), names)
+
+
+def span_of(reader: McapReader) -> tuple[int, int]:
+    """Return the log times, ns, between which a file's skeletons lie, without results of hiros.
+
+    Not those of all messages: /tf_static and whatever else is kept for late listeners may be
+    logged with a time of 0. In a file with nothing else, all messages count.
+    """
+    skeletons = [i for i in channels_of(reader) if i.has_type(hiros_schemas.SKELETON_GROUP)]
+    inputs = [i.id for i in skeletons if i.count and not i.topic.startswith(f"{OUTPUT_PREFIX}/")]
+    wanted = inputs or list(reader.channels)
+    first = next(reader.messages(wanted), None)
+    if first is None:
+        return 0, 0
+    ends = (chunk.end_time for chunk in reader.contents.chunks if chunk.holds(wanted))
+    return first.log_time, max((end for end in ends if end <= LATEST), default=first.log_time)

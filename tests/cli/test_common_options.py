@@ -1,0 +1,164 @@
+"""Options of every command, and hiros.toml beside a log."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+import hiros_mcap
+from hiros_cli.app import run
+from hiros_mcap.errors import ConfigError
+
+Captured = pytest.CaptureFixture[str]
+LATE = ["--clock", "camera_0=100", "--calibrate", "off"]
+
+
+@pytest.fixture
+def lab(crossing: Path, tmp_path: Path) -> Path:
+    """A log in a folder of its own."""
+    return Path(shutil.copy(crossing, tmp_path / "lab.mcap"))
+
+
+def test_a_warning_is_shown_once_whatever_is_logged(lab: Path, capsys: Captured) -> None:
+    log_file = lab.with_name("run.log")
+    assert run(["process", str(lab), *LATE, "-q", "--verbose", "--log-file", str(log_file)]) == 0
+    told = capsys.readouterr().err
+    assert told.count("camera_1/skeletons: 79 % of 149 messages not used") == 1
+    assert told.count("hiros: warning: /camera_1/") == 1
+    assert f"hiros: {lab}: system fuse: tracked, merged, optimized, filtered\n" in told
+    logged = log_file.read_text()
+    assert logged.startswith("# hiros log\n")
+    assert logged.count("camera_1/skeletons: 79 % of 149 messages not used") == 1
+    assert f"{lab}: 0.073 s: track born person 0" in logged
+
+
+def test_without_the_options_nothing_more_is_told(lab: Path, capsys: Captured) -> None:
+    assert run(["process", str(lab), *LATE, "-q"]) == 0
+    assert all(line.startswith("hiros: warning: ") for line in capsys.readouterr().err.splitlines())
+    assert logging.getLogger("hiros_mcap").level == logging.NOTSET
+
+
+def test_errors_are_logged_and_logs_grow(tmp_path: Path, capsys: Captured) -> None:
+    log_file = tmp_path / "run.log"
+    for _ in range(2):
+        assert run([f"--log-file={log_file}", "info", str(tmp_path / "missing.mcap")]) == 2
+    assert log_file.read_text().count("missing.mcap: No such file or directory\n") == 2
+    assert log_file.read_text().count("# hiros log") == 1
+
+
+def test_a_log_is_never_appended_to_another_file(lab: Path, capsys: Captured) -> None:
+    before = lab.read_bytes()
+    assert run(["info", str(lab), "--log-file", str(lab)]) == 2
+    assert capsys.readouterr().err == (
+        f"hiros: error: {lab}: exists and is not a log of hiros; choose another name\n"
+    )
+    assert lab.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "colored"),
+    [
+        ([], {}, False),
+        (["--color", "always"], {}, True),
+        (["--color", "always"], {"NO_COLOR": "1"}, True),
+        (["--color=auto"], {"FORCE_COLOR": "1"}, True),
+        ([], {"FORCE_COLOR": "1", "NO_COLOR": "1"}, False),
+        (["--color=never"], {"FORCE_COLOR": "1"}, False),
+    ],
+)
+def test_color_is_as_asked(
+    arguments: list[str],
+    environment: dict[str, str],
+    colored: bool,
+    crossing: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Captured,
+) -> None:
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert run(["info", str(crossing), *arguments]) == 0
+    assert ("\x1b[" in capsys.readouterr().out) == colored
+    assert {name: os.environ.get(name) for name in environment} == environment
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["--color", "blue"], "--color: 'blue' is none of auto, always, never"),
+        (["info", "--log-file"], "--log-file: its value is missing"),
+        (["--log-file=", "info"], "--log-file: its value is missing"),
+    ],
+)
+def test_wrong_values_are_one_line(arguments: list[str], fault: str, capsys: Captured) -> None:
+    assert run(arguments) == 2
+    assert capsys.readouterr().err == f"hiros: error: {fault}\n"
+
+
+def test_after_two_dashes_all_is_an_argument(capsys: Captured) -> None:
+    assert run(["info", "--", "--color"]) == 2
+    assert capsys.readouterr().err == "hiros: error: --color: No such file or directory\n"
+
+
+def test_parameters_beside_a_log_count_and_are_named(lab: Path, capsys: Captured) -> None:
+    beside = lab.with_name("hiros.toml")
+    beside.write_text("[filter]\ncutoff = 7.0\n")
+    assert run(["process", str(lab), "--calibrate", "off", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"] == str(beside)
+    assert run(["info", str(lab.with_name("lab.hiros.mcap"))]) == 0
+    assert "changed: filter.cutoff = 7.0" in capsys.readouterr().out
+    summary = hiros_mcap.process(lab, calibrate="off")
+    assert summary.settings == str(beside)
+    own = lab.with_name("own.toml")
+    own.write_text("")
+    assert run(["process", str(lab), "--calibrate", "off", "--config", str(own)]) == 0
+    assert f"; parameters of {own}\n" in capsys.readouterr().out
+
+
+def test_parameters_of_a_folder_count_for_its_logs(lab: Path, capsys: Captured) -> None:
+    logs = lab.parent / "logs"
+    (logs / "bag").mkdir(parents=True)
+    (logs / "bag" / "metadata.yaml").touch()
+    for folder in (lab.parent, logs):
+        (folder / "a.mcap").touch()
+        (folder / "b.mcap").touch()
+        (folder / "hiros.toml").write_text("nonsense")
+        assert run(["process", str(folder), "-o", str(lab.parent / "out")]) == 2
+        assert str(folder / "hiros.toml") in capsys.readouterr().err
+    assert hiros_mcap.config.settings_beside(logs / "bag") == logs / "hiros.toml"
+    (lab.parent / "hiros.toml").unlink()
+    assert hiros_mcap.config.settings_beside(lab) is None
+    assert run(["process", str(lab), str(logs), "-o", str(lab.parent / "out")]) == 2
+    assert "not all logs have the same hiros.toml beside them" in capsys.readouterr().err
+
+
+def test_wrong_parameters_beside_a_log_are_named(lab: Path) -> None:
+    lab.with_name("hiros.toml").write_text("[fuse]\nofset = 1\n")
+    with pytest.raises(ConfigError, match=r"hiros\.toml: no parameter fuse\.ofset; did you mean"):
+        hiros_mcap.process(lab)
+
+
+def test_an_output_without_a_suffix_asks_what_it_is(lab: Path, capsys: Captured) -> None:
+    assert run(["process", str(lab), "-o", str(lab.with_name("new"))]) == 2
+    assert capsys.readouterr().err.endswith("new.mcap, or " + str(lab.with_name("new")) + "/ for a "
+                                            "ROS 2 bag in a new folder\n")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "shown"),
+    [
+        (["help"], "Usage: hiros [OPTIONS] COMMAND"),
+        (["help", "export"], "Usage: hiros export"),
+        (["help", "calibrate", "ball"], "Usage: hiros calibrate ball"),
+        (["calibrate"], "Usage: hiros calibrate [OPTIONS] COMMAND"),
+    ],
+)
+def test_help_of_a_command(arguments: list[str], shown: str, capsys: Captured) -> None:
+    run(arguments)
+    assert shown in capsys.readouterr().out

@@ -1,0 +1,68 @@
+"""Commands that take long show on a terminal how far they are, by one bar."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from hiros_cli.app import run
+
+COMMANDS = {
+    "process": ["process", "LAB", "-o", "OUT.mcap", "--calibrate", "off"],
+    "live": ["process", "LAB", "--follow", "-o", "OUT.mcap"],
+    "eval": ["eval", "LAB", "--leave-one-out", "--system", "average"],
+    "simulate": ["simulate", "OUT.mcap", "--seconds", "1"],
+    "export": ["export", "RESULT", "-o", "OUT.csv"],
+    "plot": ["plot", "RESULT", "-o", "OUT.png"],
+    "view": ["view", "RESULT", "--save", "OUT.rrd", "--time-range", "0:1"],
+    "people": ["calibrate", "people", "LAB"],
+    "recover": ["recover", "LAB", "-o", "OUT.mcap"],
+}
+
+
+class Terminal(io.StringIO):
+    """A stderr that somebody looks at."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """A recording and its result."""
+    folder = tmp_path_factory.mktemp("progress")
+    sample = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
+    lab = shutil.copy(sample, folder / "lab.mcap")
+    result = folder / "result.mcap"
+    assert run(["process", str(lab), "-o", str(result), "--calibrate", "off", "-q"]) == 0
+    return {"LAB": str(lab), "RESULT": str(result)}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_terminal_shows_a_bar_and_a_pipe_nothing(
+    name: str,
+    logs: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+
+    def told(folder: Path) -> str:
+        folder.mkdir()
+        arguments = [
+            logs.get(text, str(folder / text) if text.startswith("OUT") else text)
+            for text in COMMANDS[name]
+        ]
+        monkeypatch.setattr(sys, "stderr", stderr := kind())
+        assert run(arguments) == 0
+        return stderr.getvalue()
+
+    kind: type[io.StringIO] = Terminal
+    assert "━" in told(tmp_path / "terminal")
+    kind = io.StringIO
+    assert "━" not in told(tmp_path / "pipe")

@@ -1,0 +1,124 @@
+"""People as the files that other detectors write: their names, order, units and axes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiros_mcap.io.detectors.body_models import body_model
+from hiros_mcap.io.detectors.joint_names import joints_of
+from hiros_mcap.io.log import open_log
+from hiros_mcap.skeletons import Floats, Frame
+
+CAMERA = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""Rows: x right, y down, z ahead, for somebody who looks along the room's y axis."""
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+POSE2SIM = (
+    *("RHip", "RKnee", "RAnkle", "RBigToe", "LHip", "LKnee", "LAnkle", "LBigToe", "Neck", "Head"),
+    *("Nose", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist"),
+)
+OPENCAP = (
+    *("Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "midHip"),
+    *("RHip", "RKnee", "RAnkle", "LHip", "LKnee", "LAnkle", "LBigToe", "RBigToe"),
+)
+
+
+def truth_of(log: Path) -> tuple[list[Frame], tuple[str, ...]]:
+    """Frames of the true people of a log, and the names of their markers."""
+    with open_log(log, topics=["/truth/*"]) as opened:
+        return list(opened.frames()), opened.model.marker_names
+
+
+def seen(frame: Frame, markers: Sequence[str], names: Sequence[str]) -> Floats:
+    """(P, K, 3) joints of these names, m, z up; NaN for those that the frame lacks."""
+    slots = {joint: slot for slot, joint in enumerate(joints_of(markers))}
+    found = np.full((frame.n_people, len(names), 3), np.nan)
+    for k, (part, side) in enumerate(joints_of(names)):
+        slot = slots.get(("foot" if part == "bigtoe" else part, side))
+        if slot is not None:
+            found[:, k] = frame.positions[:, slot]
+    return found
+
+
+def openpose(folder: Path, frames: Sequence[Frame], markers: Sequence[str]) -> None:
+    """``--3d --write_json``: a file per instant; a joint that was not triangulated is 0 0 0 0."""
+    folder.mkdir()
+    for number, frame in enumerate(frames):
+        people = []
+        for person in seen(frame, markers, body_model("openpose-25").marker_names) @ CAMERA.T:
+            rows = np.column_stack([person, np.ones(len(person))])
+            rows[np.isnan(person).any(axis=1)] = 0.0
+            hands: dict[str, Any] = {
+                f"{part}_keypoints_3d": [] for part in ("face", "hand_left", "hand_right")
+            }
+            flat: dict[str, Any] = {"person_id": [-1], "pose_keypoints_2d": []}
+            people.append(flat | {"pose_keypoints_3d": rows.ravel().tolist()} | hands)
+        path = folder / f"walk_{number:012d}_keypoints.json"
+        path.write_text(json.dumps({"version": 1.3, "people": people}))
+
+
+def mediapipe(path: Path, frames: Sequence[Frame], markers: Sequence[str]) -> None:
+    """``PoseLandmarkerResult`` of each image: 33 landmarks from the middle of the hips."""
+    instants = []
+    for number, frame in enumerate(frames):
+        people = seen(frame, markers, body_model("mediapipe-33").marker_names) @ CAMERA.T
+        people -= people[:, 23:25].mean(axis=1, keepdims=True)
+        marks = [
+            [
+                {"x": x, "y": y, "z": z, "visibility": 0.9, "presence": 0.9, "name": None}
+                for x, y, z in np.nan_to_num(person).tolist()
+            ]
+            for person in people
+        ]
+        image = [[mark | {"x": 0.5, "y": 0.5} for mark in person] for person in marks]
+        instants.append(
+            {
+                "timestamp_ms": round(number * 1000 / 30),
+                "pose_landmarks": image,
+                "pose_world_landmarks": marks,
+            }
+        )
+    path.write_text(json.dumps(instants))
+
+
+def freemocap(path: Path, frames: Sequence[Frame], markers: Sequence[str]) -> None:
+    """``mediapipe_body_3d_xyz.csv``: mm, z up, no times."""
+    names = body_model("mediapipe-33").marker_names
+    lines = [",".join(f"body_{name}_{axis}" for name in names for axis in "xyz")]
+    for frame in frames:
+        row = (1000 * seen(frame, markers, names)[0]).ravel()
+        lines.append(",".join("" if np.isnan(v) else repr(float(v)) for v in row))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def trc(
+    path: Path, frames: Sequence[Frame], markers: Sequence[str], names: Sequence[str], person: int
+) -> None:
+    """A TRC file as Pose2Sim and OpenCap write it: m, y up, one person."""
+    head = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame"
+        "\tOrigNumFrames",
+        f"30\t30\t{len(frames)}\t{len(names)}\tm\t30\t0\t{len(frames)}",
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t\t",
+        "\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(len(names)) for axis in "XYZ"),
+    ]
+    for number, frame in enumerate(frames):
+        row = (seen(frame, markers, names)[person] @ Y_UP.T).ravel().tolist()
+        head.append(f"{number + 1}\t{number / 30!r}\t" + "\t".join(map(repr, row)))
+    path.write_text("\n".join(head) + "\n")
+
+
+def write_all(folder: Path, log: Path) -> None:
+    """Write what docs/detectors.md imports, of the true people of a log of two."""
+    frames, markers = truth_of(log)
+    openpose(folder / "openpose", frames, markers)
+    mediapipe(folder / "mediapipe.json", frames, markers)
+    freemocap(folder / "mediapipe_body_3d_xyz.csv", frames, markers)
+    for person in (0, 1):
+        trc(folder / f"walk_P{person + 1}.trc", frames, markers, POSE2SIM, person)
+    trc(folder / "squat.trc", frames, markers, OPENCAP, 0)

@@ -1,0 +1,306 @@
+"""The planner: its model against cases by hand and a simulation, its search, its files."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiros_cli.app import run
+from hiros_mcap.body.rotations import Rigid, from_matrix, rotate
+from hiros_mcap.body.transforms import read_extrinsics
+from hiros_mcap.evaluate.logs import evaluate_log, find_truth
+from hiros_mcap.plan.expected_error import MEAN_OF_NORMAL, RIGID, ErrorModel, View
+from hiros_mcap.plan.planning import RoomPlan, make_plan
+from hiros_mcap.plan.scenes import FloorGrid, Scenes, make_scenes
+from hiros_mcap.running.pipeline import process
+from hiros_mcap.simulate import SimulateParams
+from hiros_mcap.simulate.body_model import MARKERS, SLOT
+from hiros_mcap.simulate.cameras import aimed
+from hiros_mcap.simulate.detector import REFERENCE_RANGE
+from hiros_mcap.simulate.rig_file import read_rig, save_rig
+from hiros_mcap.simulate.settings import WALL
+from hiros_mcap.simulate.write_log import write_log
+from hiros_mcap.skeletons import Floats
+
+QUIET = {"coloured": 0.0, "white": 0.0, "bias": 0.0, "guess": 0.0}
+AREA = (-2.0, -1.5, 2.0, 1.5)
+
+
+def camera(x: float, y: float, z: float = 1.0) -> Rigid:
+    """A camera that looks at somebody who stands at the origin."""
+    place = np.array([x, y, z])
+    return Rigid(from_matrix(aimed(np.array([0.0, 0.0, 1.0]) - place)), place)
+
+
+def pelvis_error(cameras: list[Rigid], **params: object) -> float:
+    """Expected error, m, of the pelvis of a person in the middle of the room."""
+    settings = SimulateParams.model_validate({"occlusion": 0, "area": (-1, -1, 1, 1), **params})
+    model = ErrorModel(settings, [SLOT["PELVIS"]])
+    scenes = make_scenes(settings, FloorGrid.of(settings.area, 1), 4)
+    view, *others = (model.view(scenes, pose) for pose in cameras)
+    for other in others:
+        view = view.plus(other)
+    return float(model.errors(view).mean())
+
+
+def variance(cameras: list[Rigid], **params: object) -> float:
+    """The part of the squared error that is not motion smoothed away."""
+    still = {"detector": QUIET, "calibration_error": 0}
+    return pelvis_error(cameras, **params) ** 2 - pelvis_error(cameras, **still) ** 2
+
+
+FOUR = [camera(*place) for place in ((2.5, 0), (0, 2.5), (-2.5, 0), (0, -2.5))]
+
+
+def test_a_constant_error_of_poses_is_averaged_over_the_cameras() -> None:
+    rig = {"position_error": 0.02, "orientation_error": 0.0}
+    one, four = (variance(each, detector=QUIET, rig=rig) for each in (FOUR[:1], FOUR))
+    assert np.sqrt(one) == pytest.approx(RIGID * MEAN_OF_NORMAL * np.sqrt(3) * 0.02, rel=0.01)
+    assert four == pytest.approx(one / 4, rel=0.02)
+
+
+def test_an_orientation_error_moves_two_of_three_axes_by_the_distance() -> None:
+    rig = {"position_error": 0.0, "orientation_error": 1.0}
+    length = RIGID * MEAN_OF_NORMAL * np.sqrt(2) * np.radians(1.0) * 2.5
+    assert np.sqrt(variance(FOUR[:1], detector=QUIET, rig=rig)) == pytest.approx(length, rel=0.02)
+
+
+def test_a_lasting_error_stays_and_white_noise_is_smoothed() -> None:
+    lasting, white = (
+        variance(FOUR[:1], calibration_error=0, detector={**QUIET, part: 0.02})
+        for part in ("bias", "white")
+    )
+    assert np.sqrt(lasting) == pytest.approx(RIGID * MEAN_OF_NORMAL * np.sqrt(3) * 0.02, rel=0.03)
+    assert white < 0.5 * lasting * (2.5 / REFERENCE_RANGE) ** 2
+
+
+def test_errors_grow_with_the_noise_and_shrink_with_cameras() -> None:
+    assert pelvis_error(FOUR, noise=2) > 1.5 * pelvis_error(FOUR, noise=1)
+    by_count = [pelvis_error(FOUR[:count]) for count in (1, 2, 3, 4)]
+    assert all(fewer > more for fewer, more in pairwise(by_count))
+
+
+def test_nobody_is_seen_by_a_camera_that_looks_away() -> None:
+    away = Rigid(from_matrix(aimed(np.array([1.0, 0.0, 0.0]))), np.array([2.5, 0.0, 1.0]))
+    assert np.isnan(pelvis_error([away]))
+
+
+def test_others_hide_joints() -> None:
+    def guessed(people: int) -> float:
+        params = SimulateParams(people=people, area=AREA)
+        scenes = make_scenes(params, FloorGrid.of(AREA, 30), 4)
+        model = ErrorModel(params)
+        return float(np.nanmean(model.errors(model.view(scenes, camera(2.0, 1.5, 2.2)))))
+
+    assert guessed(4) > 1.03 * guessed(1)
+
+
+@pytest.mark.parametrize("people", [1, 3])
+def test_scenes_hold_people_in_every_cell_at_a_distance(people: int) -> None:
+    floor = FloorGrid.of((-3, -2, 3, 2), 40)
+    scenes: Scenes = make_scenes(SimulateParams(people=people), floor, 4)
+    assert set(scenes.cells.ravel()) == set(range(len(floor.centres)))
+    places = scenes.markers[:, :, SLOT["PELVIS"], :2]
+    np.testing.assert_allclose(places, floor.centres[scenes.cells], atol=0.05)
+    if people > 1:
+        gaps = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+        assert np.mean(gaps > 0.5) > 0.98
+
+
+@pytest.fixture(scope="module")
+def plan() -> RoomPlan:
+    return make_plan(SimulateParams(cameras=3, area=AREA), 2.2)
+
+
+def test_cameras_hang_on_the_walls_and_look_into_the_room(plan: RoomPlan) -> None:
+    for each in plan.cameras:
+        on_x, on_y = abs(abs(each.x) - 2.0) < 1e-9, abs(abs(each.y) - 1.5) < 1e-9
+        assert on_x or on_y
+        bearing = np.radians(each.bearing_deg)
+        assert -each.x * np.cos(bearing) - each.y * np.sin(bearing) > 0
+        assert each.height == pytest.approx(2.2)
+        assert each.tilt_deg > 0
+
+
+def test_a_plan_is_better_than_cameras_beside_each_other(plan: RoomPlan) -> None:
+    aside = {f"c{k}": camera(2.0, y, 2.2) for k, y in enumerate((-1.0, 0.0, 1.0))}
+    other = make_plan(plan.params, 2.2, aside)
+    assert plan.expected.error_mm < 0.95 * other.expected.error_mm
+    assert [each.name for each in other.cameras] == list(aside)
+    assert [(each.x, each.y) for each in other.cameras] == [(2.0, -1.0), (2.0, 0.0), (2.0, 1.0)]
+
+
+def test_one_more_camera_helps_and_one_less_does_not(plan: RoomPlan) -> None:
+    expected = plan.expected
+    assert plan.further.then.error_mm < expected.error_mm
+    assert plan.further.then.three >= expected.three
+    for each in plan.cameras:
+        assert each.then.error_mm > expected.error_mm
+        assert each.then.two <= expected.two
+    assert 1 >= expected.one >= expected.two >= expected.three > 0
+
+
+def test_means_of_joints_parts_and_cells_agree(plan: RoomPlan) -> None:
+    assert list(plan.joints_mm) == list(MARKERS)
+    assert np.mean(list(plan.joints_mm.values())) == pytest.approx(plan.expected.error_mm)
+    parts = plan.parts_mm
+    assert parts["torso"] < plan.expected.error_mm < parts["lower limbs"]
+    cells: Floats = plan.map.errors_mm
+    assert cells.shape == (len(plan.map.floor.y), len(plan.map.floor.x))
+    assert np.nanmean(cells) == pytest.approx(plan.expected.error_mm, rel=0.02)
+
+
+def test_the_same_room_gives_the_same_plan(plan: RoomPlan) -> None:
+    again = make_plan(SimulateParams(cameras=3, area=AREA), 2.2)
+    assert again.params == plan.params
+    assert again.to_dict() == plan.to_dict()
+
+
+def test_views_add_up_and_take_away(plan: RoomPlan) -> None:
+    scenes = make_scenes(plan.params, FloorGrid.of(AREA, 10), 2)
+    model = ErrorModel(plan.params)
+    first, second = (model.view(scenes, each) for each in FOUR[:2])
+    back: View = first.plus(second).plus(second, -1)
+    np.testing.assert_allclose(back.information, first.information, rtol=1e-9)
+    assert (back.cameras == first.cameras).all()
+
+
+def test_a_planned_room_can_be_simulated(plan: RoomPlan, tmp_path: Path) -> None:
+    path = tmp_path / "cameras.toml"
+    save_rig(path, plan.params)
+    rig = read_rig(path)
+    assert list(rig.poses) == ["camera_0", "camera_1", "camera_2"]
+    assert rig.settings["area"] == AREA
+    params = SimulateParams.model_validate(rig.settings)
+    np.testing.assert_allclose(params.rig.poses, plan.params.rig.poses, atol=1e-4)
+    assert read_extrinsics(path).root("camera_1") == "world"
+
+
+def test_a_log_of_a_planned_room_has_about_the_expected_error(
+    plan: RoomPlan, tmp_path: Path
+) -> None:
+    """Of half a minute; docs/planning.md compares minutes in six rooms."""
+    log, out = tmp_path / "room.mcap", tmp_path / "out.mcap"
+    update = {"action": "roam", "seconds": 30.0, "seed": 7}
+    write_log(log, plan.params.model_copy(update=update))
+    process(log, out)
+    truth = find_truth(log)
+    assert truth is not None
+    scores = evaluate_log(out, truth, ["/hiros/filtered"])["/hiros/filtered"].scores
+    assert scores.mean == pytest.approx(plan.expected.error_mm, rel=0.3)
+
+
+def test_a_file_without_a_room_has_the_rectangle_of_its_cameras(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.toml"
+    path.write_text(
+        "\n".join(
+            f'[[camera]]\nframe = "{name}"\ntranslation = [{x}, {y}, 2.0]\n'
+            "quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]"
+            for name, x, y in (("left", -2.0, 1.0), ("right", 3.0, -1.5))
+        )
+    )
+    rig = read_rig(path)
+    assert rig.settings["area"] == (-2.0, -1.5, 3.0, 1.0)
+    np.testing.assert_allclose(rotate(rig.poses["left"].xyzw, [0, 0, 1]), [0, 0, 1])
+
+
+UNDER = """[[camera]]
+frame = "a"
+translation = [0.0, 0.0, -2.0]
+quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("", "--room: is missing"),
+        ("--room 6", "--room: should be two numbers around an x, is 6"),
+        ("--room 6x0", "--room: should be 1.5 to 40 m wide and deep"),
+        ("--room nanx5", "--room: should be 1.5 to 40 m wide and deep"),
+        ("--room 6x5 --cameras 40", "--cameras: should be less than or equal to 32"),
+        ("--room 6x5 --cameras 0", "--cameras: should be greater than or equal to 1"),
+        ("--room 6x5 --cameras missing.toml", "missing.toml: No such file"),
+        ("--room 6x5 --cameras under.toml", "a stands -2.00 m above the floor; z must point up"),
+        ("--room 6x5 --fov 200x60", "--fov: should be less than 180"),
+        ("--room 6x5 --range 5:1", "--range: "),
+        ("--room 6x5 --people 11", "--people: should be less than or equal to 10"),
+        ("--room 6x5 --picture floor.jpg", "floor.jpg: the name of a picture must end in .png"),
+        ("--room 6x5 -o under.toml", "under.toml: exists and is not a camera file of hiros"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    options: str,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("under.toml").write_text(UNDER)
+    assert run(["plan", *options.split()]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert message in captured.err
+
+
+def test_the_command_writes_a_file_and_a_picture_and_reads_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written = [
+        "plan",
+        "--room",
+        "4x3",
+        "--cameras",
+        "2",
+        "--fov",
+        "80x70",
+        "-o",
+        "cameras.toml",
+        "--picture",
+        "floor.png",
+    ]
+    assert run(written) == 0
+    text = capsys.readouterr().out
+    assert "4.0 m x 3.0 m, 2 cameras, 1 person: expected error" in text
+    assert "one more" in text
+    picture = Path("floor.png").read_bytes()
+    assert run(written) == 0
+    assert Path("floor.png").read_bytes() == picture
+    capsys.readouterr()
+    assert run(["plan", "--cameras", "cameras.toml", "--joints"]) == 0
+    again = capsys.readouterr().out
+    assert again.splitlines()[0] == text.splitlines()[0]
+    assert "WRIST_LEFT" in again
+    simulate = "simulate room.mcap --cameras cameras.toml --action roam --seconds 1 -q"
+    assert run(simulate.split()) == 0
+    assert run(["process", "room.mcap", "--extrinsics", "cameras.toml", "-q"]) == 0
+
+
+def test_people_who_roam_walk_through_the_room_but_not_into_walls() -> None:
+    from hiros_mcap.simulate.actions import ACTIONS
+    from hiros_mcap.simulate.body_model import BodyModel
+
+    area = (1.0, -3.0, 6.0, 1.0)
+    bodies = [BodyModel.of(1.75)] * 2
+    people = ACTIONS["roam"].inside(area).perform(bodies, np.random.default_rng(1))
+    t = np.arange(0.0, 120.0, 0.05)
+    places = np.stack([person.posture(t).pelvis[:, :2] for person in people])
+    inside = (places > np.add(area[:2], WALL - 0.05)) & (
+        places < np.subtract(area[2:], WALL - 0.05)
+    )
+    assert inside.all()
+    counts, _, _ = np.histogram2d(*places.reshape(-1, 2).T, bins=4)
+    assert counts.min() > counts.mean() / 3
+    assert np.linalg.norm(places[0] - places[1], axis=1).min() > 0.5
+    speed = np.linalg.norm(np.diff(places, axis=1), axis=2) / 0.05
+    assert speed.max() < 2.5
+    heading = people[0].posture(t).heading
+    step = np.diff(places[0], axis=0)
+    ahead = step[:, 0] * np.cos(heading[1:]) + step[:, 1] * np.sin(heading[1:])
+    assert np.mean(ahead > 0) > 0.99

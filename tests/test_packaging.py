@@ -1,0 +1,76 @@
+"""What an index, an installation and a release get."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from hiros_cli.app import run
+from readme_links import absolute
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+VIEWER = {"bokeh", "matplotlib", "rerun-sdk"}
+
+
+def test_links_of_the_readme_lead_to_the_repository() -> None:
+    source = PROJECT["urls"]["Source"]
+    text = absolute((ROOT / "README.md").read_text(encoding="utf-8"), source)
+    assert f"![Two people crossing, three cameras, in the Rerun viewer]({source}/raw/main/" in text
+    targets = re.findall(r"\]\(([^)]+)\)", text)
+    assert len(targets) > 20
+    assert [target for target in targets if not target.startswith("https://")] == []
+    assert absolute("[a](https://b.c) [d](#e)", source) == "[a](https://b.c) [d](#e)"
+
+
+def test_the_address_of_the_repository_stands_in_one_place() -> None:
+    texts = [*ROOT.glob("*.md"), *ROOT.glob("*.cff"), *(ROOT / "docs").glob("*.md")]
+    owner = PROJECT["urls"]["Source"].split("/")[3]
+    assert owner in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    named = [p.name for p in texts if f"/{owner}/hiros" in p.read_text(encoding="utf-8")]
+    assert named == []
+
+
+def test_the_small_installation_is_all_but_viewer_and_plots() -> None:
+    lines = (ROOT / "requirements-small.txt").read_text(encoding="utf-8").splitlines()
+    small = [line for line in lines if not line.startswith("#")]
+    left_out = [line for line in PROJECT["dependencies"] if re.split("[><=]", line)[0] in VIEWER]
+    assert len(left_out) == len(VIEWER)
+    assert small == [line for line in PROJECT["dependencies"] if line not in left_out]
+
+
+def test_the_small_installation_names_what_it_lacks(
+    crossing: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in [*sys.modules]:
+        if name.partition(".")[0] in ("rerun", "bokeh", "matplotlib", "hiros_viewer"):
+            monkeypatch.delitem(sys.modules, name)
+    for name in ("rerun", "bokeh", "matplotlib"):
+        monkeypatch.setitem(sys.modules, name, None)
+    out = tmp_path / "out.mcap"
+    assert run(["process", str(crossing), "-o", str(out), "-q"]) == 0
+    assert run(["eval", str(out), "-q"]) == 0
+    assert run(["export", str(out), "-o", str(tmp_path / "out.csv"), "-q"]) == 0
+    assert run(["view", str(out), "--save", str(tmp_path / "out.rrd")]) == 2
+    assert "needs the package rerun-sdk, which this installation lacks" in capsys.readouterr().err
+    assert run(["plot", str(out), "-o", str(tmp_path / "out.png")]) == 2
+    assert capsys.readouterr().err.endswith("lacks: pip install matplotlib\n")
+
+
+def test_a_release_is_built_checked_and_not_published() -> None:
+    path = ROOT / ".github" / "workflows" / "release.yml"
+    workflow = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    assert workflow["permissions"] == {"contents": "read"}
+    (job,) = workflow["jobs"].values()
+    steps = "\n".join(str(step.get("run", step.get("uses"))) for step in job["steps"])
+    assert "python -m build" in steps
+    assert "twine check --strict" in steps
+    assert not re.search("upload .*pypi|gh-action-pypi|twine upload|gh release", steps)
