@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -111,7 +112,9 @@ def split_views(views: Sequence[CameraView], moves: Moves) -> list[CameraView]:
 def stays_of(changes: Sequence[CameraChange]) -> Iterator[tuple[int, float, float]]:
     """Yield which pose a camera had from when to when, s of its own time."""
     ends = [-np.inf, *(change.seconds for change in changes), np.inf]
-    yield from zip([0, *(change.part for change in changes)], ends, ends[1:], strict=True)
+    parts = [0, *(change.part for change in changes)]
+    for part, (begin, end) in zip(parts, pairwise(ends), strict=True):
+        yield part, begin, end
 
 
 def with_times(
