@@ -51,7 +51,7 @@ $(BIN)/python:
 	  rm -rf $(VENV); exit 1; }
 
 $(VENV)/.installed: $(BIN)/python pyproject.toml
-	@echo "1/2 installing hiros and its libraries into $(VENV): 1.3 GB, some minutes; half of it is the viewer"
+	@echo "1/2 installing hiros and its libraries into $(VENV): 1.3 GB, some minutes; half of it is for viewer and plots"
 	$(INSTALL) -e .
 	@echo "2/2 compiling the kernels for this machine, once: a minute or more"
 	$(BIN)/hiros warmup

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parent.parent
 WIDTH = 78
-_ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):<code>~?")
+_ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):(?:(<code>)~?|`~?([^`<]*)`)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -33,7 +33,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_content(html: str, **_: Any) -> str:
     """Show names that docstrings cite (``:class:`Frame```) as code alone."""
-    return _ROLE.sub("<code>", html)
+    return _ROLE.sub(r"\1\2", html)
 
 
 def generated() -> dict[str, str]:

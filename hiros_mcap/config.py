@@ -216,7 +216,11 @@ PRESETS = (NO_PRESET, "realtime", "paper", "upstream")
 _TABLES = Path(__file__).parent / "systems" / "presets"
 """Values of presets, and of systems that are another one with other parameters."""
 
-_REMOVED: Table = {"track": {"min_links": 0}, "optimize": {"symmetric": False}}
+_REMOVED: Table = {
+    "track": {"min_links": 0},
+    "merge": {"ties": "nearest", "pelvis_link": ""},
+    "optimize": {"symmetric": False},
+}
 """Parameters of former versions, and the value whose behaviour every run has now."""
 
 

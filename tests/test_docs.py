@@ -51,8 +51,8 @@ def generated() -> dict[str, str]:
 
 
 def test_names_in_docstrings_are_shown_as_code() -> None:
-    html = "<p>see :func:<code>hiros_mcap.process</code>, :class:<code>~a.Frame</code></p>"
-    shown = "<p>see <code>hiros_mcap.process</code>, <code>a.Frame</code></p>"
+    html = "<p>:func:<code>hiros_mcap.process</code>, :class:<code>~a.Frame</code>, :mod:`~b`</p>"
+    shown = "<p><code>hiros_mcap.process</code>, <code>a.Frame</code>, b</p>"
     assert hook().on_page_content(html, page=None) == shown
 
 

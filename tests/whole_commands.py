@@ -22,6 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import tomli_w
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -53,6 +54,7 @@ class Command:
     """Whether errors stand in a table of logs."""
 
 
+_PROCESS = "process {in}/log.mcap -o {out}/x.mcap"
 COMMANDS = {
     "import CSV": Command("import {in}/joints.csv -o {out}/x.mcap", "joints.csv"),
     "import TRC": Command("import {in}/joints.trc -o {out}/x.mcap", "joints.trc"),
@@ -60,20 +62,11 @@ COMMANDS = {
     "import mapping": Command(
         "import {in}/joints.csv -o {out}/x.mcap --mapping {in}/mapping.toml", "mapping.toml"
     ),
-    "process": Command("process {in}/log.mcap -o {out}/x.mcap --markers", "log.mcap"),
-    "process config": Command(
-        "process {in}/log.mcap -o {out}/x.mcap --preset default --config {in}/settings.toml",
-        "settings.toml",
-    ),
-    "process TOML poses": Command(
-        "process {in}/log.mcap -o {out}/x.mcap --extrinsics {in}/cameras.toml", "cameras.toml"
-    ),
-    "process JSON poses": Command(
-        "process {in}/log.mcap -o {out}/x.mcap --extrinsics {in}/cameras.json", "cameras.json"
-    ),
-    "process limbs": Command(
-        "process {in}/log.mcap -o {out}/x.mcap --system hiros --limbs {in}/limbs.toml", "limbs.toml"
-    ),
+    "process": Command(f"{_PROCESS} --markers", "log.mcap"),
+    "process config": Command(f"{_PROCESS} --config {{in}}/settings.toml", "settings.toml"),
+    "process TOML poses": Command(f"{_PROCESS} --extrinsics {{in}}/cameras.toml", "cameras.toml"),
+    "process JSON poses": Command(f"{_PROCESS} --extrinsics {{in}}/cameras.json", "cameras.json"),
+    "process limbs": Command(f"{_PROCESS} --system hiros --limbs {{in}}/limbs.toml", "limbs.toml"),
     "export CSV": Command("export {in}/result.mcap -o {out}/x.csv", "result.mcap"),
     "export TRC": Command("export {in}/result.mcap -o {out}/x.trc", "result.mcap"),
     "export BVH": Command("export {in}/result.mcap -o {out}/x.bvh", "result.mcap"),
@@ -138,19 +131,11 @@ def _write_joints(folder: Path) -> None:
 
 
 def _write_cameras(folder: Path) -> None:
-    cameras = [
-        {
-            "frame": f"camera_{k}",
-            "parent": "world",
-            "translation": [float(k), -2.0, 2.0],
-            "quaternion_xyzw": [-0.6, 0.0, 0.0, 0.8],
-        }
-        for k in range(3)
-    ]
+    pose = {"translation": [0.0, -2.0, 2.0], "quaternion_xyzw": [-0.6, 0.0, 0.0, 0.8]}
+    cameras = [{"frame": f"camera_{k}", "parent": "world", **pose} for k in range(3)]
     (folder / "cameras.json").write_text(json.dumps({"camera": cameras}))
-    rows = ["\n".join(f"{k} = {json.dumps(v)}" for k, v in camera.items()) for camera in cameras]
-    text = "".join(f"[[camera]]\n{row}\n" for row in rows)
-    (folder / "cameras.toml").write_text(text + "[clock]\ncamera_0 = 0.01\n")
+    clock = {"camera_0": 0.01}
+    (folder / "cameras.toml").write_text(tomli_w.dumps({"camera": cameras, "clock": clock}))
 
 
 # -- alterations ---------------------------------------------------------------------------------
@@ -327,6 +312,7 @@ def faults_of(
     shutil.copytree(files, source)
     out.mkdir()
     here.mkdir()
+    data = data.replace(str(files).encode(), str(source).encode())  # manifests name their logs
     ((out if command.beside else source) / command.altered).write_bytes(data)
     before = _snapshot(source)
     words = [w.format(**{"in": source, "out": out}) for w in command.arguments.split()]

@@ -78,7 +78,6 @@ class MergerSettings(NamedTuple):
     facing_by_sides: bool
     relabel: bool
     past_votes: bool
-    drop_ties: bool
     compensate_motion: bool
     only_orientations: bool
     """Whether positions are of no use: markers are merged only where they have orientations."""
@@ -174,7 +173,7 @@ class _Slots(NamedTuple):
     """(M, 19) and (M,), to be written."""
 
 
-_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 8, types.int64, *[types.boolean] * 6)
+_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 8, types.int64, *[types.boolean] * 5)
 _PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
 _SIDES = named_tuple(Sides, J1, J2)
 _WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5, I1)
@@ -373,17 +372,6 @@ def _votes(distances: Floats, k: int, limit: float) -> int:
     return votes
 
 
-@kernel
-def _is_tied(distances: Floats, best: int, limit: float) -> bool:
-    """Whether a group outside that of ``best`` is as large; the past may lead it."""
-    most = _votes(distances, best, limit)
-    for k in range(distances.shape[0]):
-        outside = not math.isnan(distances[k, k]) and not distances[best, k] < limit
-        if outside and _votes(distances, k, limit) >= most:
-            return True
-    return False
-
-
 # Flips.
 
 
@@ -423,12 +411,6 @@ def _correct_flips(
     confidences, right = work.weights[:n], work.present[:n]
     _sum_confidences(views, confidences)
     best = largest_group(distances, confidences, has_past, limit)
-    if settings.drop_ties and _is_tied(distances, best, limit):
-        for k in range(n):
-            _blank_view(views, k)
-            counts[FLIPS, views.cameras[k]] += 1
-            work.sides_changed[k] = LEFT_OUT
-        return _HELD
     contradicted = has_past and distances[best, n] >= limit
     if contradicted and holds and _votes(distances, n, limit) >= _votes(distances, best, limit):
         best = n
@@ -633,8 +615,7 @@ def _merge_slots(
         centre = _first(present)
         if limit > 0.0 and not _all_agree(values, present, orientations, has_past, half):
             centre, has_past = _reject_outliers(
-                slots.weights, m, orientations, has_past, limit, settings.drop_ties, cameras,
-                counts, work,
+                slots.weights, m, orientations, has_past, limit, cameras, counts, work,
             )  # fmt: skip
         if centre < 0:
             continue
@@ -719,12 +700,11 @@ def _all_agree(
 @kernel
 def _reject_outliers(
     slot_weights: Floats, m: int, orientations: bool, has_past: bool, limit: float,
-    drop_ties: bool, cameras: Stamps, counts: Stamps, work: MergerWork,
+    cameras: Stamps, counts: Stamps, work: MergerWork,
 ) -> tuple[int, bool]:  # fmt: skip
     """Strike the views that are not in the largest group (section 3.2).
 
-    With ``drop_ties``, all of them if another group is as large. Returns the centre of the group,
-    -1 if none is left, and whether the past is in it.
+    Returns the centre of the group, and whether the past is in it.
     """
     n = len(cameras)
     size = n + 1 if has_past else n
@@ -734,12 +714,11 @@ def _reject_outliers(
             distances[a, b] = distances[b, a] = _distance(work.values, a, b, orientations)
     _fill_weights(slot_weights, m, work.present[:n], work.weights[:n])
     best = largest_group(distances, work.weights[:n], has_past, limit)
-    tied = drop_ties and _is_tied(distances, best, limit)
     for k in range(n):
-        if work.present[k] and (tied or not distances[best, k] < limit):
+        if work.present[k] and not distances[best, k] < limit:
             work.present[k] = False
             counts[OUTLIERS, cameras[k]] += 1
-    return (-1 if tied else best), has_past and distances[best, n] < limit
+    return best, has_past and distances[best, n] < limit
 
 
 @kernel

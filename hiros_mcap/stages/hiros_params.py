@@ -218,20 +218,10 @@ class MergeParams(Params):
         "sides: line from the left to the right shoulders and hips. auto: whichever of the two "
         "differs more.",
     )
-    pelvis_link: str = fixed(
-        "",
-        "Link that gives the orientation of the pelvis. Empty: the first link of the root marker.",
-    )
     past_votes: bool = fixed(
         True,
         "The previous merged pose votes like a camera and breaks ties (published code; not in "
         "the paper).",
-    )
-    ties: Literal["nearest", "drop"] = fixed(
-        "nearest",
-        "What happens if two groups of views are equally large. nearest: the group nearest to "
-        "the previous pose wins, then the more confident one. drop: the marker or link is left "
-        "out, or the whole person if views face opposite ways (published code).",
     )
     compensate_motion: bool = fixed(True, "Move views to the merged time with their velocities.")
     confidence_power: float = fixed(

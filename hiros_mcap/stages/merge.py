@@ -18,7 +18,6 @@ the mean is robust; a person between two sightings is bridged.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -67,8 +66,7 @@ def merge_blocks(
         model, kernel, kernel.bank, events or Events(), fixed_frame, ("outlier", "flip"),
         Unseen(params.bridge, params.carry, cameras or {}),
     )  # fmt: skip
-    for block in merger.run(blocks, params.cameras, params.max_delta_time):
-        yield _without_nobody(block) if params.ties == "drop" else block
+    yield from merger.run(blocks, params.cameras, params.max_delta_time)
 
 
 class ViewMerger:
@@ -93,11 +91,10 @@ class ViewMerger:
             offset_time=params.offset_time,
             bridge=params.bridge,
             carry=params.carry,
-            pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model, params.pelvis_link),
+            pelvis_link=-1 if params.facing == "sides" else _pelvis_link(model),
             facing_by_sides=params.facing != "pelvis",
             relabel=params.flips == "relabel" and symmetry.known,
             past_votes=params.past_votes,
-            drop_ties=params.ties == "drop",
             compensate_motion=params.compensate_motion,
             only_orientations=only_orientations,
         )
@@ -127,17 +124,8 @@ class ViewMerger:
         )  # fmt: skip
 
 
-def _without_nobody(block: Block) -> Block:
-    """Leave out people who have no marker left."""
-    there = ~np.isnan(block.people.markers[:, :, 0]).all(axis=1)
-    places = np.concatenate([[0], np.cumsum(there)])
-    return replace(block, rows=places[block.rows], people=block.people.at(there))
-
-
-def _pelvis_link(model: SkeletonModel, name: str) -> int:
-    """Slot of the link that orients the pelvis, -1 if there is none."""
-    if name:
-        return model.link_names.index(name) if name in model.link_names else -1
+def _pelvis_link(model: SkeletonModel) -> int:
+    """Slot of the first link of the root, which orients the pelvis; -1 if there is none."""
     children = set(model.link_children)
     for link, parent in enumerate(model.link_parents):
         if parent >= 0 and parent not in children:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 from mcap.reader import NonSeekingReader
+
+from hiros_cli.app import run as hiros
+from hiros_mcap.io.container import McapReader
 
 HIROS = [sys.executable, "-m", "hiros_cli"]
 
@@ -20,6 +25,13 @@ HIROS = [sys.executable, "-m", "hiros_cli"]
 def topics(data: bytes) -> set[str]:
     reader = NonSeekingReader(io.BytesIO(data), validate_crcs=True)
     return {channel.topic for _, channel, _ in reader.iter_messages(log_time_order=False)}
+
+
+def messages_of(path: Path) -> dict[str, int]:
+    """Messages of each camera."""
+    with McapReader(path) as reader:
+        topics = {i: channel.topic for i, channel in reader.channels.items()}
+        return {topics[i]: n for i, n in reader.counts.items() if "camera" in topics[i]}
 
 
 def test_a_pipe_in_and_a_pipe_out(crossing: Path) -> None:
@@ -54,6 +66,36 @@ def test_a_reader_that_has_seen_enough(crossing: Path) -> None:
         assert run.wait(120) == 128 + signal.SIGPIPE
         assert run.stderr.read() == b""
         run.stderr.close()
+
+
+def is_read(path: Path) -> bool:
+    """Whether this process has read an open file to its end."""
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if link.readlink() == path:
+                place = Path("/proc/self/fdinfo", link.name).read_text().split()[1]
+                return int(place) == path.stat().st_size
+    return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/fdinfo").exists(), reason="no /proc")
+def test_a_file_that_grows_is_read_to_its_end(walking: Path, tmp_path: Path) -> None:
+    growing, out, data = tmp_path / "growing.mcap", tmp_path / "out.mcap", walking.read_bytes()
+    growing.write_bytes(data[:1000])
+    latest = time.monotonic() + 60
+
+    def grow() -> None:
+        while not is_read(growing) and time.monotonic() < latest:
+            time.sleep(0.01)
+        time.sleep(0.2)
+        with growing.open("ab") as file:
+            file.write(data[1000:])
+
+    thread = threading.Thread(target=grow)
+    thread.start()
+    assert hiros(["process", str(growing), "--follow", "-o", str(out), "-q"]) == 0
+    thread.join()
+    assert messages_of(out).items() >= messages_of(walking).items()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -198,6 +198,14 @@ def test_links_that_the_result_lacks_are_counted() -> None:
     assert note == "2 links of the truth join no two joints that the result links"
 
 
+def test_where_nobody_was_seen_everybody_is_missing() -> None:
+    """Frames of nobody have no skeleton model; the truth's counts."""
+    empty = SkeletonModel.of([], [])
+    nobody = [Frame.empty(0, empty, stamp=at(k), log_time=at(k)) for k in range(30)]
+    results = evaluate_channels({"/x": Channel("x", nobody, empty)}, Truth.of(frames(), MODEL))
+    assert (results["/x"].scores.missing, results["/x"].model) == (30, MODEL)
+
+
 def test_nothing_in_common_is_an_error() -> None:
     model = SkeletonModel.of(["Nose"], [])
     truth = Truth(np.array([at(0)]), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 0, 4)), (0,), model)

@@ -167,7 +167,8 @@ def test_a_bag_without_skeletons_says_what_it_has(
     assert run(["info", str(path)]) == 0
     text = capsys.readouterr().out
     assert re.search(r"^/chatter +1 +- +0\.0  String", text, re.MULTILINE)
-    assert text.rstrip().splitlines()[-2] == "nothing to process: has no SkeletonGroup topic"
+    last = text.rstrip().splitlines()[-2]
+    assert last.startswith("nothing to process: has no SkeletonGroup topic; `hiros import`")
 
 
 def test_a_bag_is_a_log_for_every_command(
