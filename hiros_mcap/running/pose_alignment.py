@@ -223,7 +223,8 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
     misfit = any(not one.fits for one in posed.found)
     if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.found))):
-        nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
+        strange = misfit or all(camera.reason == UNLINKED for camera in posed.found)
+        nowhere = strange and any(len(group) == len(posed.cameras) for group in alike)
         error = LogError(_NOWHERE, path=log.path) if nowhere else None
         try:
             return replace(_from_nothing(survey, clocks, error, mode), alike=tuple(alike))
