@@ -1,13 +1,14 @@
-"""When a camera was moved in the middle of a log.
+"""When a camera was moved in the middle of a log, once or more often.
 
-The first and the last third of the log each give a pose of the camera in another one. If both fit,
-and differ, each instant tells by which of them its people are nearer. The change is where the sum
-of the distances, before it by the first pose and after it by the last one, is least.
+Each stretch of some seconds gives a pose of the camera in another one. Each instant tells how far
+its people are apart by each of these poses. The camera stood where the sum of the distances is
+least; it pays for every move, so that it takes another pose only where people are nearer by it for
+some seconds (Viterbi 1967).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -27,14 +28,16 @@ from hiros_mcap.calibrate.joint_refinement import Points, RigResiduals
 from hiros_mcap.calibrate.pair_pose import FIT_M, PairFit, register_pair
 from hiros_mcap.calibrate.sampling import CELL_S, Rig, group, instants_of, placed, sample
 from hiros_mcap.kernels.local_line import Tracklet
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.skeletons import Floats, Ints, Stamps
 
 PAIR_INSTANTS = 100
 CHANGE_INSTANTS = 400
-LEAST_PART_S = 5.0
+LEAST_PART_S = 3.0
 """A shorter part does not tell a pose."""
+STRETCHES = 6
+"""A log is looked at in so many stretches of equal length, and in those between them."""
 LEAST_DEG, LEAST_M = 0.7, 0.03
-"""Poses of the thirds that are nearer to each other than both are the same."""
+"""Poses that are nearer to each other than both are the same."""
 BETTER = 0.85
 """With the change, the sum of distances is at most this share of that without."""
 BIN_S = 1.0
@@ -52,6 +55,8 @@ class CameraChange(NamedTuple):
     late: Rig
     metres: float = 0.0
     """How much nearer people are by the right one of both poses, in the part that gains less."""
+    part: int = 1
+    """Which of its poses it got; a camera that comes back gets a former one."""
 
     @property
     def seconds(self) -> float:
@@ -59,9 +64,13 @@ class CameraChange(NamedTuple):
         return (self.begin + self.end) / 2.0 - float(self.late.clocks[1])
 
 
+Moves = Mapping[str, Sequence[CameraChange]]
+"""Camera -> its moves, by time."""
+
+
 def find_moves(
     views: Sequence[CameraView], misfits: Sequence[int], landmarks: Landmarks | None, mirror: Ints
-) -> dict[str, CameraChange]:
+) -> dict[str, list[CameraChange]]:
     """Return how and when cameras that do not fit the others were moved, by name.
 
     Two cameras show that one of them was moved, but not which: it is then the second.
@@ -70,9 +79,9 @@ def find_moves(
     for c in misfits:
         partner = partner_of(views, c, [k for k in range(len(views)) if k not in misfits] or [0])
         if partner is not None:
-            change = find_change([views[partner], views[c]], landmarks, mirror)
-            if change is not None:
-                moves[views[c].name] = change
+            changes = find_changes([views[partner], views[c]], landmarks, mirror)
+            if changes:
+                moves[views[c].name] = changes
     return moves
 
 
@@ -89,44 +98,62 @@ def _cells(view: CameraView) -> set[int]:
     return {int(s // CELL_S) for some in seconds for s in some.tolist()}
 
 
-def split_views(views: Sequence[CameraView], moves: Mapping[str, CameraChange]) -> list[CameraView]:
-    """Return the views, those of cameras that were moved as two."""
+def split_views(views: Sequence[CameraView], moves: Moves) -> list[CameraView]:
+    """Return the views, those of cameras that were moved as one for each of their poses."""
     parts = []
     for view in views:
-        at = moves[view.name].seconds if view.name in moves else None
-        spans = [(-np.inf, np.inf)] if at is None else [(-np.inf, at), (at, np.inf)]
-        parts += [part_of(view, *span) for span in spans]
+        stays = list(stays_of(moves.get(view.name, ())))
+        for part in dict.fromkeys(part for part, *_ in stays):
+            spans = [span for k, *span in stays if k == part]
+            parts.append(part_of(view, spans) if len(stays) > 1 else view)
     return parts
 
 
+def stays_of(changes: Sequence[CameraChange]) -> Iterator[tuple[int, float, float]]:
+    """Yield which pose a camera had from when to when, s of its own time."""
+    ends = [-np.inf, *(change.seconds for change in changes), np.inf]
+    parts = [0, *(change.part for change in changes)]
+    for part, (begin, end) in zip(parts, pairwise(ends), strict=True):
+        yield part, begin, end
+
+
 def with_times(
-    cameras: Sequence[CalibratedCamera],
-    moves: Mapping[str, CameraChange],
-    span: tuple[int, int],
+    cameras: Sequence[CalibratedCamera], moves: Moves, span: tuple[int, int]
 ) -> list[CalibratedCamera]:
-    """Return the cameras with the times at which they were moved.
+    """Return the cameras, one for each stay, with the times at which they were moved.
 
     Parameters
     ----------
-    cameras : those that were moved twice, one behind the other.
+    cameras : those that were moved once for each pose, one behind the other.
     span : of the log, ns.
     """
-    timed = list(cameras)
-    for c, (one, other) in enumerate(pairwise(cameras)):
-        if one.name == other.name:
-            at = sum(span) // 2 + round(1e9 * moves[one.name].seconds)
-            seconds = (at - span[0]) / 1e9
-            timed[c] = replace(one, until_s=seconds)
-            timed[c + 1] = replace(other, since_s=seconds, since=at)
+    timed = []
+    for name in dict.fromkeys(camera.name for camera in cameras):
+        own = [camera for camera in cameras if camera.name == name]
+        if len(own) == 1:
+            timed += own
+            continue
+        for part, begin, end in stays_of(moves[name]):
+            since, until = (
+                sum(span) // 2 + round(1e9 * at) if np.isfinite(at) else None for at in (begin, end)
+            )
+            timed.append(
+                replace(
+                    own[part],
+                    since=since or 0,
+                    since_s=np.nan if since is None else (since - span[0]) / 1e9,
+                    until_s=np.nan if until is None else (until - span[0]) / 1e9,
+                )
+            )
     return timed
 
 
-def find_change(
+def find_changes(
     pair: Sequence[CameraView], landmarks: Landmarks | None, mirror: Ints
-) -> CameraChange | None:
+) -> list[CameraChange]:
     """Find out whether the second of two cameras was moved against the first, and when.
 
-    None if it was not, or if the log does not tell.
+    Empty if it was not, or if the log does not tell.
 
     Parameters
     ----------
@@ -135,17 +162,78 @@ def find_change(
     """
     one, other = pair
     if not (one.tracks and other.tracks):
-        return None
+        return []
+    rigs = _stretch_poses(one, other, landmarks, mirror)
+    if len(rigs) < 2:
+        return []
+    instants = instants_of(pair[:1], CHANGE_INSTANTS)
+    table = np.stack([_distances(pair, rig, instants, mirror) for rig in rigs], axis=1)
+    known = ~np.isnan(table).any(axis=1)
+    instants, table = instants[known], table[known]
+    step = float(np.median(np.diff(instants))) if len(instants) > 1 else np.inf
+    path = _likeliest(table, LEAST_M * LEAST_PART_S / step)
+    path = _without_short(_joined(table, path), instants, step)
+    parts = {pose: part for part, pose in enumerate(dict.fromkeys(path.tolist()))}
+    changes = []
+    for k in np.flatnonzero(np.diff(path)) + 1:
+        old, new = path[k - 1], path[k]
+        gains = [
+            float((table[some, worse] - table[some, better]).mean())
+            for some, worse, better in ((path == old, new, old), (path == new, old, new))
+        ]
+        ends = float(instants[k - 1]), float(instants[k])
+        changes.append(CameraChange(*ends, rigs[old], rigs[new], min(gains), parts[int(new)]))
+    return changes
+
+
+def _stretch_poses(
+    one: CameraView, other: CameraView, landmarks: Landmarks | None, mirror: Ints
+) -> list[Rig]:
+    """Return the poses that differ of the second camera in the first, from stretches of the log."""
     begin, end = (float(f([t.seconds[k] for t in other.tracks])) for f, k in ((min, 0), (max, -1)))
-    third = (end - begin) / 3.0
-    early = _pose(one, part_of(other, begin, begin + third), landmarks, mirror)
-    late = _pose(one, part_of(other, end - third, end), landmarks, mirror)
-    if early is None or late is None or _same(early.rig, late.rig):
-        return None
-    change = located(pair, early.rig, late.rig, mirror)
-    if change is None or not begin + LEAST_PART_S < change.seconds < end - LEAST_PART_S:
-        return None
-    return change
+    length = max((end - begin) / STRETCHES, LEAST_PART_S)
+    rigs: list[Rig] = []
+    for at in np.arange(begin, end - 0.75 * length, length / 2.0):
+        fit = _pose(one, part_of(other, [(at, at + length)]), landmarks, mirror)
+        if fit is not None and not any(_same(fit.rig, rig) for rig in rigs):
+            rigs.append(fit.rig)
+    return rigs
+
+
+def _likeliest(table: Floats, fine: float) -> Stamps:
+    """(T,) which of K poses a camera had, by (T, K) distances; each move costs ``fine``."""
+    sums, came = np.zeros(table.shape[1]), np.zeros(table.shape, np.int64)
+    for t, distances in enumerate(table):
+        best = int(sums.argmin())
+        stays = sums <= sums[best] + fine
+        came[t] = np.where(stays, np.arange(len(sums)), best)
+        sums = np.where(stays, sums, sums[best] + fine) + distances
+    path = np.zeros(len(table), np.int64)
+    pose = int(sums.argmin())
+    for t in range(len(table) - 1, -1, -1):
+        path[t], pose = pose, int(came[t, pose])
+    return path
+
+
+def _joined(table: Floats, path: Stamps) -> Stamps:
+    """Return the path with as few poses as bring people nearer by :data:`LEAST_M`."""
+    for old in sorted(np.unique(path).tolist(), key=lambda pose: np.count_nonzero(path == pose)):
+        own = path == old
+        rest = np.setdiff1d(path, [old])
+        means = table[own][:, rest].mean(axis=0)
+        if len(rest) and means.min() < table[own, old].mean() + LEAST_M:
+            path = np.where(own, rest[int(means.argmin())], path)
+    return path
+
+
+def _without_short(path: Stamps, instants: Floats, step: float) -> Stamps:
+    """Return the path without poses that the camera had for less than :data:`LEAST_PART_S`."""
+    counts = np.bincount(path)
+    kept = step * counts[path] >= 0.9 * LEAST_PART_S
+    if not kept.any():
+        return path
+    nearest = np.abs(instants[:, None] - instants[None, kept]).argmin(axis=1)
+    return np.asarray(path[kept][nearest])
 
 
 def located(
@@ -224,13 +312,14 @@ def _misfits(moments: Floats) -> Floats:
     return np.asarray(np.maximum(spread - 2.0 * singular.sum(axis=1), 0.0))
 
 
-def part_of(view: CameraView, begin: float, end: float) -> CameraView:
-    """Return what a camera sees from ``begin`` to ``end``, s of its own time."""
+def part_of(view: CameraView, spans: Sequence[Sequence[float]]) -> CameraView:
+    """Return what a camera sees in some spans from begin to end, s of its own time."""
     tracks = []
     for track in view.tracks:
-        kept = (track.seconds >= begin) & (track.seconds < end)
-        if np.count_nonzero(kept) > 1:
-            tracks.append(Tracklet(*(np.ascontiguousarray(array[kept]) for array in track)))
+        for begin, end in spans:
+            kept = (track.seconds >= begin) & (track.seconds < end)
+            if np.count_nonzero(kept) > 1:
+                tracks.append(Tracklet(*(np.ascontiguousarray(array[kept]) for array in track)))
     return replace(view, tracks=tracks)
 
 

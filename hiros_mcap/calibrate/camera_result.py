@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 from hiros_mcap.body.rotations import Rigid
-from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, Verdict
+from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, Evidence, Verdict, remedy
 from hiros_mcap.summary import plain
 
 NAN = float("nan")
@@ -36,7 +37,8 @@ class CameraResult:
     def to_dict(self, parent: str) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None. ``parent`` has the pose."""
         data: dict[str, Any] = plain(replace(self, pose=None))
-        del data["pose"]
+        for name in ("pose", "evidence"):
+            data.pop(name, None)
         if self.pose is not None:
             data |= {
                 "translation": self.pose.translation.tolist(),
@@ -71,8 +73,22 @@ class CalibratedCamera(CameraResult):
     """When it was moved away from this pose; such a camera is listed twice."""
     since: int = 0
     """The first of both as a log time, ns; 0 if it always stood there."""
+    partner: str = ""
+    """The camera with which it has most in common."""
+    evidence: Evidence | None = None
+    """What the verdict is from."""
 
     @property
     def fits(self) -> bool:
         """False if its people are not where the other cameras see them, whatever pose it gets."""
         return self.verdict != "impossible" or self.reason in (NO_VIEW, UNLINKED)
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard error of the orientation, degrees; 0 where nothing tells it."""
+        return 0.0 if math.isnan(self.error_deg) else self.error_deg
+
+    @property
+    def remedy(self) -> str:
+        """What to record for a better pose."""
+        return remedy(self.name, self.partner, self.seconds, self.error_deg)

@@ -24,7 +24,7 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
     rivals : whether the pose by which each camera was found is ambiguous.
     """
     halves = _halves(refined, mirror)
-    bodies = compare_bodies(refined.residuals, refined.points)
+    bodies = compare_bodies(refined.residuals, refined.points, mirror)
     paths = path_distances(refined.residuals, refined.points)
     clocks = refined.rig.clocks
     return [
@@ -35,6 +35,8 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
             size=float(bodies.sizes[c]),
             wander=float(bodies.wander[c]),
             limbs=float(bodies.limbs[c]) if refined.timed[c] else 1.0,
+            postures=float(bodies.postures[c]),
+            mirror=float(bodies.mirrors[c]),
             path=float(paths[c]),
             repetition=closest_repetition(refined.views[c]),
             late=float(np.abs(np.delete(clocks, c) - clocks[c]).min()) * bool(refined.timed[c]),
@@ -44,7 +46,10 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
 
 
 def _halves(refined: Refinement, mirror: Ints) -> Floats:
-    """(C,) angle, degrees, between the orientations that the halves of the log give."""
+    """(C,) angle, degrees, between the orientations that the halves of the log give.
+
+    They are compared with that camera to which the others keep their orientations best.
+    """
     middle = len(refined.instants) // 2
     first, second = (
         refine(refined.views, refined.rig, part, mirror, free=refined.free, gates=GATES_M[2:])[
@@ -52,4 +57,10 @@ def _halves(refined: Refinement, mirror: Ints) -> Floats:
         ].rotations
         for part in (refined.instants[:middle], refined.instants[middle:])
     )
-    return np.degrees(angle(from_matrix(first), from_matrix(second)))
+    angles = np.array(
+        [
+            angle(from_matrix(one.T @ first), from_matrix(other.T @ second))
+            for one, other in zip(first, second, strict=True)
+        ]
+    )
+    return np.asarray(np.degrees(angles[int(angles.sum(axis=1).argmin())]))

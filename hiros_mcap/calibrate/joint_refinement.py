@@ -40,6 +40,8 @@ CAUCHY = 1.5
 """Scale of the robust weights, in median residuals."""
 RIDGE = 1e-9
 """Added to the scaled Hessian, whose diagonal is 1."""
+SOME_JOINTS = 500
+"""Enough for a mean."""
 BLOCK_S, BLOCKS = 2.0, 10
 """Errors that are further apart in time are taken for independent; more in a long log."""
 
@@ -267,8 +269,18 @@ def _scale(hessian: Floats) -> Floats:
     return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-12)))
 
 
-def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Floats:
-    """(C, 8) standard errors of the unknowns; 0 for those that are fixed.
+class RigErrors(NamedTuple):
+    """How sure the unknowns of C cameras are."""
+
+    unknowns: Floats
+    """(C, 8) standard errors. Poses are against the camera to which the others are known best; its
+    own error is the least of them. Clocks are against the first camera; its own is the largest."""
+    people: float
+    """How far the poses' errors move the mean of the cameras' joints, m: root mean square."""
+
+
+def standard_errors(residuals: RigResiduals, points: Points, free: Flags, rig: Rig) -> RigErrors:
+    """Return standard errors of the unknowns.
 
     A cluster jackknife (Bell and McCaffrey 2002, CR3): one Newton step gives the solution without
     each cluster in turn. The errors of a detector are not independent: those of a joint last for
@@ -280,21 +292,50 @@ def standard_errors(residuals: RigResiduals, points: Points, free: Flags) -> Flo
     seconds = points.seconds - points.seconds.min()
     length = max(BLOCK_S, float(seconds.max()) / BLOCKS)
     blocks = np.floor(seconds / length).astype(np.int64)
-    variances = sum(_jackknife(residuals, points, free, each) for each in (blocks, points.joints))
-    errors = np.zeros(free.shape)
-    errors[free] = np.sqrt(variances)
-    return errors
+    tables = [_without_each(residuals, points, free, each) for each in (blocks, points.joints)]
+    errors = np.sqrt(sum(map(jackknife, tables)))
+    errors[0] = errors.max(axis=0)
+    poses = np.sqrt(sum(jackknife(_against_each(table, rig.shifts)) for table in tables))
+    sizes = np.linalg.norm(poses[:, :, :3], axis=2)
+    reference = int(sizes.sum(axis=1).argmin())
+    errors[:, :CLOCK] = poses[reference]
+    others = np.delete(np.arange(len(free)), reference)
+    errors[reference, :CLOCK] = poses[reference, others[sizes[reference, others].argmin()]]
+    shares = (_joint_steps(residuals, table, rig.shifts, reference) for table in tables)
+    people = np.sqrt(sum(jackknife(each).sum(axis=1).mean() for each in shares))
+    return RigErrors(errors, float(people))
 
 
-def _jackknife(residuals: RigResiduals, points: Points, free: Flags, clusters: Stamps) -> Floats:
-    """(F,) variances of the free unknowns, from the solutions without each cluster of points."""
+def _without_each(residuals: RigResiduals, points: Points, free: Flags, clusters: Stamps) -> Floats:
+    """(K, C, 8) how the solutions without each of K clusters of points differ."""
     equations = [
         normal_equations(_part(residuals, rows), points.seconds[rows], free)
         for rows in (np.flatnonzero(clusters == one) for one in np.unique(clusters))
     ]
     hessian = np.sum([part for part, _ in equations], axis=0)
-    steps = np.stack([_solution(hessian - part, slopes[0]) for part, slopes in equations])
-    return jackknife(steps)
+    steps = np.zeros((len(equations), *free.shape))
+    steps[:, free] = [_solution(hessian - part, slopes[0]) for part, slopes in equations]
+    return steps
+
+
+def _against_each(steps: Floats, places: Floats) -> Floats:
+    """(K, C, C, 6) steps of rotation and shift (K, C, 8) of each camera, against each other one."""
+    ones, others = steps[:, :, None], steps[:, None]
+    away = places[None] - places[:, None]
+    shifts = others[..., 3:6] - ones[..., 3:6] - np.cross(ones[..., :3], away)
+    return np.concatenate([others[..., :3] - ones[..., :3], shifts], axis=-1)
+
+
+def _joint_steps(residuals: RigResiduals, steps: Floats, places: Floats, reference: int) -> Floats:
+    """(K, P, 3) how steps of the cameras (K, C, 8) move the joints' means, m, for some joints."""
+    every = slice(None, None, 1 + residuals.weights.shape[1] // SOME_JOINTS)
+    weights = residuals.weights[:, every] / residuals.weights[:, every].sum(axis=0)
+    away = np.concatenate([residuals.turned[:, every], residuals.means[None, every]])
+    away[-1] -= places[reference]
+    rows = [*range(len(places)), reference]
+    turns, shifts = steps[:, rows, None, :3], steps[:, rows, None, 3:6]
+    moves = np.cross(turns, away[None]) + shifts
+    return np.asarray(np.einsum("cp,kcpi->kpi", weights, moves[:, :-1]) - moves[:, -1])
 
 
 def _part(residuals: RigResiduals, rows: Stamps) -> RigResiduals:

@@ -40,7 +40,7 @@ CLEARLY = 1.2
 LEAST_MOTION = 0.3
 """Correlation of the cameras' velocities from which on they tell the clocks."""
 SAME_DEG, SAME_M, SAME_S = 20.0, 0.4, 0.3
-"""Poses that are nearer to each other count as one."""
+"""Poses, and lags, that are nearer to each other count as one."""
 
 
 class PairFit(NamedTuple):
@@ -116,6 +116,9 @@ def best_lag(pair: Sequence[CameraView], rig: Rig, lags: Sequence[float], mirror
 def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
     """Return the fits with their qualities, the best first, without those near to a better one.
 
+    Who repeats a movement fits at several lags in one pose. As in :func:`best_lag`, the lag that is
+    nearest to the stamps counts, unless another one is clearly better.
+
     Of two poses that both "fit", one may be twice as far off. So the nearest of those that explain
     much sets the scale: if it is off by the noise of the detectors only, the others have to be.
     """
@@ -125,9 +128,18 @@ def ranked(fits: Sequence[PairFit]) -> list[PairFit]:
     scale = float(np.clip(SHARP * nearest, SHARPEST_M, FIT_M))
     kept: list[PairFit] = []
     for fit in sorted((_scored(one, scale) for one in scored), key=lambda one: -one.quality):
-        if not any(_alike(fit.rig, other.rig) for other in kept):
+        near = next((k for k, one in enumerate(kept) if _alike(fit.rig, one.rig)), len(kept))
+        if near == len(kept):
             kept.append(fit)
+        elif _is_nearer(fit, kept[near]):
+            kept[near] = fit
     return kept
+
+
+def _is_nearer(fit: PairFit, better: PairFit) -> bool:
+    """Whether a fit counts in place of one of the same pose because of its lag."""
+    one, other = abs(fit.rig.clocks[1]), abs(better.rig.clocks[1])
+    return bool(one < other - SAME_S and CLEARLY * fit.quality > better.quality)
 
 
 def _scored(fit: PairFit, scale: float) -> PairFit:
@@ -223,5 +235,4 @@ def _refined(pair: Sequence[CameraView], start: PairFit, instants: Floats, mirro
 
 def _alike(one: Rig, other: Rig) -> bool:
     metres, degrees = one.pose(1).apart(other.pose(1))
-    lag = abs(one.clocks[1] - other.clocks[1])
-    return bool(degrees < SAME_DEG and metres < SAME_M and lag < SAME_S)
+    return degrees < SAME_DEG and metres < SAME_M

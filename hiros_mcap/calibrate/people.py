@@ -12,10 +12,10 @@ step is a module: ``camera_views`` and ``tracklets``, ``coarse_clock``, ``pair_p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from hiros_mcap.body.transforms import same_place
 from hiros_mcap.calibrate.agreement import camera_distances
 from hiros_mcap.calibrate.camera_change import find_moves, split_views, with_times
 from hiros_mcap.calibrate.camera_graph import Fits, ambiguous, chained, spanning_tree
-from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.camera_result import NAN, CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import lag_candidates, landmarks_of, signatures_of
 from hiros_mcap.calibrate.evidence import full_evidence
@@ -50,7 +50,7 @@ from hiros_mcap.calibrate.survey import (
     fixed_cameras,
     seen_by,
 )
-from hiros_mcap.calibrate.verdict import NO_VIEW, UNLINKED, Verdict, fault, remedy
+from hiros_mcap.calibrate.verdict import GRADES, NO_VIEW, UNLINKED, Verdict, fault
 from hiros_mcap.errors import LogError
 from hiros_mcap.io.camera_clock import CameraTimes, ClockCorrection
 from hiros_mcap.io.log import Log
@@ -78,6 +78,8 @@ class PeopleCalibration:
     """Median distance of each joint to the mean of the other cameras, mm."""
     gauge: str = ""
     """What the fixed frame was taken from: transforms, floor, or the first camera."""
+    people_mm: float = NAN
+    """How far the poses' errors move the mean of the cameras' joints, root mean square."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; numbers that are not known are None."""
@@ -108,28 +110,29 @@ def calibrate_people(
     mirror = symmetry_of(log.model).mirror
     root, given = _given_poses(log, views)
     fits = _register_pairs(views, log.model, mirror, given)  # association, lags, pair poses
-    fit, faults = _solve(views, fits, mirror)  # joint refinement, evidence
-    moves = find_moves(views, sorted(faults), landmarks_of(log.model), mirror)
+    solved = _solve(views, fits, mirror)  # joint refinement, evidence
+    moves = find_moves(views, sorted(solved.faults), landmarks_of(log.model), mirror)
     if moves:
         parts = split_views(views, moves)
         root, placed_parts = _given_poses(log, parts)
         refits = _register_pairs(parts, log.model, mirror, placed_parts)
-        again, others = _solve(parts, refits, mirror)
-        if again is not None and len(others) < len(faults):
-            views, given, fit, faults = parts, placed_parts, again, others
+        again = _solve(parts, refits, mirror)
+        if again.is_fitting and len(again.faults) < len(solved.faults):
+            views, given, solved = parts, placed_parts, again
     cameras = [
-        CalibratedCamera(view.name, view.frame, reason=faults.get(c, ""), pose=given.get(c))
+        CalibratedCamera(view.name, view.frame, reason=solved.faults.get(c, ""), pose=given.get(c))
         for c, view in enumerate(views)
     ]
+    fit = solved.fit
     if fit is None:
         return PeopleCalibration(root, *_whole(cameras), tuple(cameras))
     rig, gauge = _in_fixed_frame(log, fit, given)  # transforms, or the floor
-    poses = [given.get(c) for c in fit.cameras]
-    for c, camera in zip(fit.cameras, cameras_of(fit, rig, poses), strict=True):  # verdict
+    for c, camera in _placed(solved, fit, rig, given):  # verdict
         cameras[c] = camera
     cameras = with_times(cameras, moves, log.span)
     joints = _by_joint(fit.refined, log.model)
-    return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge)
+    people_mm = 1000.0 * fit.refined.errors.people
+    return PeopleCalibration(root, *_whole(cameras), tuple(cameras), joints, gauge, people_mm)
 
 
 def _views(survey: Survey, corrections: Mapping[str, ClockCorrection]) -> list[CameraView]:
@@ -208,13 +211,24 @@ def _register_pairs(
     return fits
 
 
-def _solve(
-    views: Sequence[CameraView], fits: Fits, mirror: Ints
-) -> tuple[FittingRig | None, dict[int, str]]:
-    """Refine all cameras together; while one of them does not fit, leave out the worst.
+class Solution(NamedTuple):
+    """All cameras, and what speaks against some of them."""
 
-    Returns the fit, None if there is none, and why each other camera has no pose.
-    """
+    fit: FittingRig | None
+    """Those that fit each other, or that were refined last; None if no two are linked."""
+    faults: dict[int, str]
+    """Camera -> why its pose cannot be trusted."""
+    last: dict[int, FittingRig]
+    """Camera that does not fit -> the last fit in which it was."""
+
+    @property
+    def is_fitting(self) -> bool:
+        """Whether nothing speaks against some of the cameras."""
+        return self.fit is not None and bool(set(self.fit.cameras) - set(self.faults))
+
+
+def _solve(views: Sequence[CameraView], fits: Fits, mirror: Ints) -> Solution:
+    """Refine all cameras together; while one of them does not fit, leave out the worst."""
 
     def refined(some: list[int]) -> FittingRig | None:
         left = {pair: each for pair, each in fits.items() if set(some) >= set(pair)}
@@ -228,10 +242,38 @@ def _solve(
 
     blind = {c: NO_VIEW for c, view in enumerate(views) if not view.tracks}
     seeing = [c for c in range(len(views)) if c not in blind]
-    fit, faults = fit_together(seeing, refined, fault)
+    fit, left = fit_together(seeing, refined, fault)
     fitting = [] if fit is None else fit.cameras
     rest = {c: UNLINKED for c in range(len(views)) if c not in fitting}
-    return fit, rest | faults | blind
+    faults = rest | {c: out.reason for c, out in left.items()} | blind
+    last = {c: out.fit for c, out in left.items()}
+    return Solution(fit or next(reversed(last.values()), None), faults, last)
+
+
+def _placed(
+    solved: Solution, fit: FittingRig, rig: Rig, given: Mapping[int, Rigid]
+) -> Iterator[tuple[int, CalibratedCamera]]:
+    """Yield the cameras with poses; those that do not fit keep the log's, if it has some.
+
+    A pose that puts people elsewhere than the other cameras do is none.
+
+    ``rig`` is that of the fit in the fixed frame.
+    """
+    for one in (*solved.last.values(), fit):
+        common = next((c for c in one.cameras if c in fit.cameras), None)
+        if common is None:
+            continue
+        own = one.refined.rig
+        k, goal = one.cameras.index(common), fit.cameras.index(common)
+        turn = rig.rotations[goal] @ own.rotations[k].T
+        own = moved(own, (turn, rig.shifts[goal] - turn @ own.shifts[k]))
+        every = cameras_of(one, own, [given.get(c) for c in one.cameras])
+        for c, camera in zip(one.cameras, every, strict=True):
+            if one is fit and c not in solved.faults:
+                yield c, camera
+            is_known = camera.verdict != "impossible" and c not in given
+            if one is solved.last.get(c) and is_known:
+                yield c, replace(camera, verdict="doubtful", reason=solved.faults[c])
 
 
 def _only_ambiguous(c: int, tree: Sequence[Pair], fits: Fits) -> bool:
@@ -263,14 +305,11 @@ def _merged(refined: Refinement, n_markers: int) -> tuple[Floats, Floats]:
 
 def _whole(cameras: Sequence[CalibratedCamera]) -> tuple[Verdict, str]:
     """Return the verdict on all cameras: that of the worst, but one camera can be left out."""
-    impossible = [camera for camera in cameras if camera.verdict == "impossible"]
-    doubtful = [camera for camera in cameras if camera.verdict == "doubtful"]
-    bad = impossible or doubtful
-    if not bad:
-        improved = any(camera.verdict == "improved" for camera in cameras)
-        return ("improved" if improved else "good"), ""
-    reason = f"{bad[0].name}: {bad[0].reason}; {remedy(bad[0].name, len(cameras))}"
-    return ("impossible" if len(impossible) == len(cameras) else "doubtful"), reason
+    worst = max(reversed(cameras), key=lambda one: (GRADES.index(one.verdict), one.uncertainty))
+    verdict = worst.verdict
+    if verdict == "impossible" and any(camera.verdict != verdict for camera in cameras):
+        verdict = "doubtful"
+    return verdict, worst.reason and f"{worst.name}: {worst.reason}; {worst.remedy}"
 
 
 def _by_joint(refined: Refinement, model: SkeletonModel) -> dict[str, float]:

@@ -28,6 +28,7 @@ from hiros_mcap.calibrate.joint_refinement import (
     CAUCHY,
     GATES_M,
     Points,
+    RigErrors,
     RigResiduals,
     common_motion,
     common_points,
@@ -40,9 +41,9 @@ from hiros_mcap.calibrate.joint_refinement import (
 from hiros_mcap.calibrate.pair_pose import LEAST_MOTION
 from hiros_mcap.calibrate.sampling import Rig, instants_of
 from hiros_mcap.calibrate.verdict import (
+    CONFIRMED,
     MOVED,
     NO_VIEW,
-    SURE,
     UNLINKED,
     Evidence,
     judge,
@@ -94,8 +95,8 @@ class Refinement(NamedTuple):
     residuals: RigResiduals
     free: Flags
     """(C, 8) which unknowns were refined."""
-    errors: Floats
-    """(C, 8) standard errors; those of the first camera are the largest of the others."""
+    errors: RigErrors
+    """Infinite where too little is seen."""
     timed: Flags
     """(C,) whether motion tells the camera's clock."""
 
@@ -143,10 +144,9 @@ def refine_together(
         if (timed == before).all():
             break
         known, gates = None, effort.gates[1:]
-    errors = np.full(free.shape, np.inf)
+    errors = RigErrors(np.full(free.shape, np.inf), np.inf)
     if len(points.seconds) >= LEAST_POINTS:
-        errors = standard_errors(residuals, points, free)
-    errors[0] = errors.max(axis=0)
+        errors = standard_errors(residuals, points, free, rig)
     return Refinement(views, start, rig, instants, points, residuals, free, errors, timed)
 
 
@@ -155,6 +155,7 @@ def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
     shared = shared_view(refined.views, refined.rig, refined.instants, mirror)
     distances = camera_distances(refined.residuals)
     evidence = []
+    unknowns = refined.errors.unknowns
     for c in range(len(refined.views)):
         others = np.arange(len(refined.views)) != c
         common = shared.common[c, others].sum()
@@ -166,7 +167,9 @@ def evidence_of(refined: Refinement, mirror: Ints) -> list[Evidence]:
                 seconds=float(shared.seconds[c]),
                 spread=float(shared.spread[c]),
                 people=float(shared.people[c]),
-                error_deg=float(np.degrees(np.linalg.norm(refined.errors[c, :3]))),
+                error_deg=float(np.degrees(np.linalg.norm(unknowns[c, :3]))),
+                error_m=float(np.linalg.norm(unknowns[c, 3:6])),
+                partner=refined.views[int(np.where(others, shared.common[c], -1.0).argmax())].name,
             )
         )
     return evidence
@@ -180,11 +183,19 @@ class FittingRig(NamedTuple):
     evidence: list[Evidence]
 
 
+class LeftOut(NamedTuple):
+    """A camera that does not fit the others."""
+
+    reason: str
+    fit: FittingRig
+    """The last in which it was."""
+
+
 def fit_together(
     cameras: Sequence[int],
     refined: Callable[[list[int]], FittingRig | None],
     fault: Callable[[Evidence], str],
-) -> tuple[FittingRig | None, dict[int, str]]:
+) -> tuple[FittingRig | None, dict[int, LeftOut]]:
     """Refine cameras; while one of them does not fit, leave out the worst.
 
     Parameters
@@ -192,19 +203,26 @@ def fit_together(
     refined : of some cameras, refines those that are linked; None if there are none.
     fault : what speaks against a camera, "" if nothing does.
 
-    Returns the fit, and why cameras were left out.
+    Returns the fit, and the cameras that were left out.
     """
-    faults: dict[int, str] = {}
+    left: dict[int, LeftOut] = {}
     while True:
-        fit = refined([c for c in cameras if c not in faults])
+        fit = refined([c for c in cameras if c not in left])
         if fit is None:
-            return None, faults
+            return None, left
         bad = {k: text for k, one in enumerate(fit.evidence) if (text := fault(one))}
         if not bad:
-            return fit, faults
-        worst = min(bad, key=lambda k: (fit.evidence[k].share, -fit.evidence[k].residual))
+            return fit, left
+        worst = min(bad, key=lambda k: _rank(fit.evidence[k]))
         out = fit.cameras if len(fit.cameras) == 2 else [fit.cameras[worst]]
-        faults |= dict.fromkeys(out, bad[worst])
+        left |= dict.fromkeys(out, LeftOut(bad[worst], fit))
+
+
+def _rank(one: Evidence) -> tuple[bool, float, float]:
+    """Sorts cameras that do not fit: the worst first."""
+    if misfit(one):
+        return False, one.share, -one.residual
+    return True, -one.halves_deg, -one.error_deg
 
 
 def cameras_of(
@@ -221,11 +239,9 @@ def cameras_of(
     drifts = refined.rig.drifts - np.median(refined.rig.drifts)
     cameras = []
     for k, (view, evidence) in enumerate(zip(refined.views, fit.evidence, strict=True)):
-        pose, errors, before = rig.pose(k), refined.errors[k], given[k]
-        error_deg = float(np.degrees(np.linalg.norm(errors[:3])))
-        error_m = float(np.linalg.norm(errors[3:6]))
+        pose, before = rig.pose(k), given[k]
         metres, degrees = (np.nan, np.nan) if before is None else pose.apart(before)
-        significant = degrees > MOVED * error_deg or metres > MOVED * error_m
+        significant = degrees > MOVED * evidence.error_deg or metres > MOVED * evidence.error_m
         verdict, reason = judge(evidence, moved=proven and significant)
         cameras.append(
             CalibratedCamera(
@@ -236,13 +252,15 @@ def cameras_of(
                 pose,
                 clock_s=float(clocks[k]),
                 drift_ppm=1e6 * float(drifts[k]),
-                error_deg=error_deg,
-                error_mm=1000.0 * error_m,
-                error_ms=1000.0 * float(errors[CLOCK]),
+                error_deg=evidence.error_deg,
+                error_mm=1000.0 * evidence.error_m,
+                error_ms=1000.0 * float(refined.errors.unknowns[k, CLOCK]),
                 residual_mm=1000.0 * evidence.residual,
                 seconds=evidence.seconds,
                 moved_deg=degrees,
                 moved_mm=1000.0 * metres,
+                partner=evidence.partner,
+                evidence=evidence,
             )
         )
     return cameras
@@ -295,9 +313,9 @@ def refine_poses(
     points = common_points(views, Rig.of(given), instants, mirror, FROM_GIVEN.gates[0])
     for part in _linked(points):
         # The first camera defines the common frame.
-        fit, faults = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
-        for c, reason in faults.items():
-            cameras[c] = replace(cameras[c], reason=reason)
+        fit, left = fit_together(sorted(part, key=lambda c: movable[c]), refined, misfit)
+        for c, out in left.items():
+            cameras[c] = replace(cameras[c], reason=out.reason)
         if fit is not None:
             kept = [k for k, c in enumerate(fit.cameras) if c == anchor or not movable[c]]
             better = _better(fit, [given[c] for c in fit.cameras], kept, mirror)
@@ -330,9 +348,7 @@ def _better(
     better = _certainty(fit.refined, mirror) > CERTAIN
     cameras = cameras_of(fit, rig, given, proven=better)
     for k, camera in enumerate(cameras):
-        if camera.verdict == "impossible":  # too little is known for a pose: nothing contradicts
-            camera = replace(camera, verdict="doubtful")
-        if not better or camera.verdict not in SURE or k in kept:
+        if not better or camera.verdict not in CONFIRMED or k in kept:
             camera = replace(camera, pose=given[k], moved_deg=np.nan, moved_mm=np.nan)
         cameras[k] = camera
     return cameras

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple, get_args
 
-Verdict = Literal["good", "improved", "doubtful", "impossible"]
-SURE = ("good", "improved")
-"""Verdicts on what can be used."""
+Verdict = Literal["good", "improved", "usable", "doubtful", "impossible"]
+GRADES: tuple[Verdict, ...] = get_args(Verdict)
+"""The best first."""
+CONFIRMED = ("good", "improved")
+SURE = (*CONFIRMED, "usable")
+"""Verdicts on what a run uses by itself."""
 
 LEAST_SHARE = 0.85
 """Of the skeletons that two cameras share, so many fit if their poses are right."""
 WRONG_M = 0.12
 """Median distance of the same person in two cameras: 1 to 7 cm if poses are right, 14 to 21 cm if
 they are not."""
-UNCERTAIN_DEG = 0.7
-"""Largest standard error of a pose that is believed."""
 HALVES_ERRORS, HALVES_DEG = 4.2, 0.3
 """The halves of a log may differ by so many standard errors and degrees."""
-OTHER_SIZE = 0.01
-"""The same person is of the same size to a hundredth, in seven of eight real logs, too."""
-WANDER_M = 0.033
-"""The middle of a body averages over the joints' errors: 1 cm simulated, 1 to 3 cm in reality."""
 OTHER_LIMBS = 0.3
 """0.45 to 0.95 for the same person."""
-REGULAR_M = 2.0 * WANDER_M
+REGULAR_M = 0.066
 """Motion that repeats itself so closely would let a stranger pass the test of the middles."""
 OTHER_PATH = 0.15
 """Paths then may differ by so much of the distance at which the motion repeats itself."""
@@ -32,13 +30,54 @@ COMPANY = 1.5
 """A stranger for each of two people at the same lag would be a coincidence."""
 LATE_S = 0.3
 """Strangers who walk alike are rarely in step; stamps that are right to this show that."""
-SHORT_S = 8.0
-NARROW_M = 0.25
 MOVED = 2.0
 """A pose differs from the log's if it does so by this many standard errors."""
+LEAST_S, MOST_S = 20.0, 60.0
+"""So long a recording is asked for."""
 
 NO_VIEW = "sees nobody"
 UNLINKED = "shares no view of the same people with the other cameras"
+
+
+class Limits(NamedTuple):
+    """What a camera keeps to, if its pose is to be of some grade."""
+
+    error_deg: float
+    error_m: float
+    """Largest standard errors."""
+    seconds: float
+    """Shortest common view."""
+    size: float
+    """By how much people may differ in size."""
+    wander: float
+    """Largest distance of the bodies' middles, m."""
+    spread: float
+    """Of people who move about, m. Others have to keep to what follows, too."""
+    late: float = 0.0
+    """Largest difference of the clocks, s."""
+    postures: float = 1.0
+    """Least correlation of the postures."""
+    mirror: float = math.inf
+    """Least number of standard errors by which a mirror fits worse."""
+
+
+GOOD = Limits(error_deg=0.7, error_m=0.1, seconds=8.0, size=0.01, wander=0.033, spread=0.25)
+"""In seven of eight real logs, too, the same person is of the same size to a hundredth. The middle
+of a body averages over the joints' errors: 1 cm simulated, 1 to 3 cm in reality."""
+USABLE = Limits(
+    error_deg=2.0,
+    error_m=0.1,
+    seconds=5.0,
+    size=0.03,
+    wander=0.045,
+    spread=0.25,
+    late=0.1,
+    postures=0.87,
+    mirror=2.0,
+)
+"""Real detectors differ by more, above all seen from the side. People who pass each other may be
+2 to 7 % apart in size. Whoever stays in place may be a stranger who does the same, though hardly
+at the same time, or his own mirror image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +98,10 @@ class Evidence:
     """Distance of the bodies' middles in this camera and in the others, m."""
     limbs: float = 1.0
     """Correlation of the limbs' motion with that in the other cameras; 1 if nobody moves."""
+    postures: float = 1.0
+    """Correlation of the bodies' postures with those in the other cameras."""
+    mirror: float = float("inf")
+    """By how many standard errors the best mirror fits worse than the pose."""
     path: float = 0.0
     """Distance of the people's paths from those in the others, beyond the joints' errors, m."""
     repetition: float = float("inf")
@@ -71,8 +114,12 @@ class Evidence:
     """Whether a quite different pose explains the data nearly as well."""
     error_deg: float = 0.0
     """Standard error of the orientation, degrees."""
+    error_m: float = 0.0
+    """Standard error of the position."""
     halves_deg: float = 0.0
     """Difference of the orientations found in each half of the log, degrees."""
+    partner: str = ""
+    """The camera with which it has most in common."""
 
 
 def judge(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
@@ -82,12 +129,12 @@ def judge(evidence: Evidence, *, moved: bool) -> tuple[Verdict, str]:
     ----------
     moved : whether the log has a pose for it from which the one found differs significantly.
     """
-    reason = fault(evidence)
-    if reason:
-        return "impossible", reason
-    doubt = _doubt(evidence)
+    doubt = doubt_of(evidence, USABLE)
     if doubt:
-        return "doubtful", doubt
+        return ("impossible" if evidence.residual > WRONG_M else "doubtful"), doubt
+    flaw = doubt_of(evidence, GOOD)
+    if flaw:
+        return "usable", flaw
     return ("improved" if moved else "good"), ""
 
 
@@ -101,25 +148,33 @@ def misfit(e: Evidence) -> str:
 
 
 def fault(e: Evidence) -> str:
-    """Return why there is no pose; "" if there is one."""
+    """Return what speaks against a pose, "" if nothing does."""
     if misfit(e):
         return misfit(e)
     if e.rival:
         return "a quite different pose fits nearly as well"
-    if e.error_deg > UNCERTAIN_DEG:
-        return f"the standard error is {e.error_deg:.1f} degrees"
+    if _uncertain(e, USABLE):
+        return _uncertain(e, USABLE)
     if e.halves_deg > HALVES_ERRORS * e.error_deg + HALVES_DEG:
         return f"the halves of the log differ by {e.halves_deg:.1f} degrees"
     return ""
 
 
-def _doubt(e: Evidence) -> str:
-    """Why a pose may be wrong although nothing speaks against it."""
-    if e.seconds < SHORT_S:
+def _uncertain(e: Evidence, limits: Limits) -> str:
+    if e.error_deg > limits.error_deg or e.error_m > limits.error_m:
+        return f"the standard error is {e.error_deg:.1f} degrees and {100 * e.error_m:.0f} cm"
+    return ""
+
+
+def doubt_of(e: Evidence, limits: Limits) -> str:
+    """Return why a pose may be wrong, "" if it keeps to the limits."""
+    if fault(e):
+        return fault(e)
+    if e.seconds < limits.seconds:
         return f"only {e.seconds:.0f} s of common view"
-    if abs(e.size - 1.0) > OTHER_SIZE:
+    if abs(e.size - 1.0) > limits.size:
         return f"its people are {abs(e.size - 1.0):.1%} of another size than in other cameras"
-    if e.wander > WANDER_M:
+    if e.wander > limits.wander:
         return f"its people's bodies are {100 * e.wander:.0f} cm from those in other cameras"
     if e.repetition < REGULAR_M and e.path > OTHER_PATH * e.repetition:
         return "its people walk as regularly as strangers might, and not quite as in other cameras"
@@ -130,12 +185,37 @@ def _doubt(e: Evidence) -> str:
         )
     if e.limbs < OTHER_LIMBS:
         return "its people's limbs move differently than in other cameras"
-    if e.spread < NARROW_M:
-        return f"people spread by {e.spread:.1f} m only"
+    if e.spread < limits.spread and (stranger := _stranger(e, limits)):
+        return f"people spread by {100 * e.spread:.0f} cm {stranger}"
+    return _uncertain(e, limits)
+
+
+def _stranger(e: Evidence, limits: Limits) -> str:
+    """Why somebody who stays in place may be another person, or a mirror image."""
+    if math.isinf(limits.mirror):
+        return "only"
+    if e.mirror < limits.mirror:
+        return "only, and move left and right so much alike that a mirror would fit as well"
+    if e.postures < limits.postures:
+        return "only, and their postures are not quite those in other cameras"
+    if e.late > limits.late:
+        return f"only, and its clock would be off by {e.late:.1f} s"
     return ""
 
 
-def remedy(camera: str, n_cameras: int) -> str:
-    """Return what to record."""
-    other = "the other camera" if n_cameras == 2 else "another camera"
-    return f"record 20 s of somebody walking about in view of {camera} and {other}"
+def remedy(
+    camera: str, partner: str = "", seconds: float = 0.0, error_deg: float = math.nan
+) -> str:
+    """Return what to record; standard errors fall with the square root of the time.
+
+    Parameters
+    ----------
+    partner : the camera that sees most of the same people; "" = none does.
+    seconds, error_deg : common view so far, and the standard error of the orientation from it.
+    """
+    needed = seconds * (error_deg / GOOD.error_deg) ** 2
+    length = 10.0 * math.ceil(min(max(needed, LEAST_S), MOST_S) / 10.0) if needed > 0 else LEAST_S
+    return (
+        f"record {length:.0f} s of one or two people who walk about over 2 m or more where "
+        f"{camera} and {partner or 'another camera'} see them at the same time"
+    )

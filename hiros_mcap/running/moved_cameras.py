@@ -1,8 +1,8 @@
 """Finds cameras that were moved in the middle of a log, and where they stood before and after.
 
 Only a camera whose people do not fit those of the others, or fit much better with two poses than
-with one, is looked at (:func:`suspects`). Then its first and its last third have to give different
-poses (:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by itself.
+with one, is looked at (:func:`suspects`). Then stretches of the log have to give different poses
+(:mod:`hiros_mcap.calibrate.camera_change`), and each part has to fit by itself.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.camera_change import (
     CameraChange,
-    find_change,
+    find_changes,
     located,
     partner_of,
     split_views,
@@ -58,6 +58,8 @@ class Move(NamedTuple):
     """Of the same message."""
     metres: float
     degrees: float
+    part: int = 1
+    """Which of its poses it got; a camera that comes back gets a former one."""
 
     @property
     def distance(self) -> str:
@@ -69,7 +71,7 @@ class Move(NamedTuple):
 class PosedViews:
     """What cameras see, and what their people tell about their poses.
 
-    A camera that was moved is there twice: the first is the one before.
+    A camera that was moved is there once for each of its poses, in the order of time.
     """
 
     cameras: list[FixedCamera]
@@ -140,16 +142,20 @@ class _Splitter:
         if partner is None:
             return posed
         pair = [posed.views[partner], posed.views[c]]
-        change = find_change(pair, None, self._mirror)
-        if change is None or change.metres < LEAST_M:
+        changes = find_changes(pair, None, self._mirror)
+        if not changes or min(change.metres for change in changes) < LEAST_M:
             return posed
-        change = self._narrowed(change, posed, (partner, c))
-        parts = self._refined(posed, c, partner, change)
+        changes = [self._narrowed(change, posed, (partner, c)) for change in changes]
+        parts = self._refined(posed, c, partner, changes)
         if parts is None:
             return posed
-        before, after = (placed(parts, k) for k in (c, c + 1))
-        move = Move(name, *self._first_message(name, change.seconds), *before.apart(after))
-        return replace(parts, moves=(*posed.moves, move))
+        moves, before = [], placed(parts, c)
+        for change in changes:
+            after = placed(parts, c + change.part)
+            first = self._first_message(name, change.seconds)
+            moves.append(Move(name, *first, *before.apart(after), change.part))
+            before = after
+        return replace(parts, moves=(*posed.moves, *moves))
 
     def _narrowed(
         self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]
@@ -178,37 +184,47 @@ class _Splitter:
         return change
 
     def _refined(
-        self, posed: PosedViews, c: int, partner: int, change: CameraChange
+        self, posed: PosedViews, c: int, partner: int, changes: Sequence[CameraChange]
     ) -> PosedViews | None:
-        """Refine all cameras, one of them in two parts; None if its parts do not fit, too."""
+        """Refine all cameras, one of them in parts; None if its parts do not fit, too."""
         camera = posed.cameras[c]
+        rigs = {0: changes[0].early, **{change.part: change.late for change in changes}}
+        n, own = len(rigs), range(c, c + len(rigs))
         cameras, found = list(posed.cameras), list(posed.found)
-        views = split_views(posed.views, {camera.name: change})
-        cameras[c : c + 1], found[c : c + 1] = [camera] * 2, [found[c]] * 2
-        ends = [placed(posed, partner) @ rig.pose(1) for rig in (change.early, change.late)]
-        new = c + int(np.argmax([_deviation(pose, camera.pose) for pose in ends]))
+        views = split_views(posed.views, {camera.name: changes})
+        cameras[c : c + 1], found[c : c + 1] = [camera] * n, [found[c]] * n
+        ends = [placed(posed, partner) @ rigs[part].pose(1) for part in range(n)]
+        kept = c + int(np.argmin([_deviation(pose, camera.pose) for pose in ends]))
         given = [one.pose for one in cameras]
-        given[new] = ends[new - c]
-        sound = [k for k, one in enumerate(found) if one.fits or k in (c, c + 1)]
+        given[c : c + n] = ends
+        given[kept] = camera.pose
+        sound = [k for k, one in enumerate(found) if one.fits or k in own]
+        new = [k for k in own if k != kept]
         some = [views[k] for k in sound], [given[k] for k in sound]
-        given[new] = self._placed(*some, sound.index(new))
+        refined = self._placed(*some, [sound.index(k) for k in new])
+        for k, pose in zip(new, refined, strict=True):
+            given[k] = pose
         anchor = next((k for k, one in enumerate(cameras) if one.frame == self._fixed), None)
         movable = [camera.movable for camera in cameras]
         found, gains = refine_poses(views, given, self._mirror, anchor, movable)
-        if not all(one.fits and one.verdict in SURE for one in found[c : c + 2]):
+        if not all(one.fits and one.verdict in SURE for one in found[c : c + n]):
             return None
-        metres, degrees = (found[new].pose or given[new]).apart(camera.pose)
-        found[new] = replace(
-            found[new], verdict="improved", moved_mm=1000.0 * metres, moved_deg=degrees
-        )
+        for k in new:
+            metres, degrees = (found[k].pose or given[k]).apart(camera.pose)
+            verdict = found[k].verdict if found[k].verdict == "usable" else "improved"
+            found[k] = replace(
+                found[k], verdict=verdict, moved_mm=1000.0 * metres, moved_deg=degrees
+            )
         return PosedViews(cameras, views, found, gains, posed.moves)
 
-    def _placed(self, views: Sequence[CameraView], given: Sequence[Rigid], new: int) -> Rigid:
-        """Return the refined pose of one camera; the others' given poses place the rig."""
+    def _placed(
+        self, views: Sequence[CameraView], given: Sequence[Rigid], new: Sequence[int]
+    ) -> list[Rigid]:
+        """Return the refined poses of some cameras; the others' given poses place the rig."""
         refined = refine_together(views, Rig.of(given), self._mirror, FROM_GIVEN)
-        known = {k: pose for k, pose in enumerate(given) if k != new}
+        known = {k: pose for k, pose in enumerate(given) if k not in new}
         rig = moved(refined.rig, on_transforms(refined.rig, known))
-        return rig.pose(new)
+        return [rig.pose(k) for k in new]
 
     def _first_message(self, name: str, seconds: float) -> tuple[int, int]:
         """Corrected stamp and log time, ns, of a camera's first message from some time on.

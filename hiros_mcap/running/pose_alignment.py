@@ -35,7 +35,7 @@ from hiros_mcap.calibrate.survey import (
     seen_by,
 )
 from hiros_mcap.calibrate.tracklets import Sighting
-from hiros_mcap.calibrate.verdict import SURE, UNLINKED, remedy
+from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import Events
@@ -57,6 +57,14 @@ WRONG_DEG, WRONG_MM = 1.0, 30.0
 _DELAY_S = 0.1
 """Lags of right clocks mostly differ by less."""
 
+_NOWHERE = (
+    "all cameras stand at the same place with the same orientation, so that nobody has measured "
+    "their poses"
+)
+_DOUBTFUL = (
+    "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
+    "--extrinsics cameras.toml uses them"
+)
 _ALONE = "no other camera stands still in a frame of its own"
 
 
@@ -65,20 +73,33 @@ class PoseAlignment:
     """The poses of a run's cameras."""
 
     cameras: list[PoseSummary] = field(default_factory=list)
-    from_nothing: bool = False
-    """Whether they were found from the people alone."""
+    found: PeopleCalibration | None = None
+    """What the people tell, if the poses were found from them alone."""
     misfits: frozenset[str] = frozenset()
     """Cameras whose people are not where the others see them."""
     moves: tuple[Move, ...] = ()
     """Cameras that were moved in the middle of the log."""
+    alike: tuple[list[str], ...] = ()
+    """Cameras that the log puts at one place with one orientation, where the people do not."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
     """Camera -> what takes its people back to the log's pose, where the run uses a better one."""
     better: tuple[Mapping[str, TimedPoses], str] | None = None
     """Poses of frames that the run uses in place of the log's, and the frame that they are in."""
 
+    left_out: frozenset[str] = frozenset()
+    """Cameras whose poses nobody knows, so that the run does without them."""
+
     def used_in(self, log: Log) -> Log:
-        """Return the log with the poses that the run uses."""
+        """Return the log with the poses, and of the cameras, that the run uses."""
+        if self.left_out:
+            seeing = [c for c in log.cameras if not set(c.sources.values()) <= self.left_out]
+            log = log.only([camera.channel.topic for camera in seeing])
         return log.with_poses(*self.better) if self.better else log
+
+    @property
+    def from_nothing(self) -> bool:
+        """Whether the poses were found from the people alone."""
+        return self.found is not None
 
     @property
     def replaced(self) -> bool:
@@ -92,13 +113,22 @@ class PoseAlignment:
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
-        times = {c.name: c.since_s for c in self.cameras if not math.isnan(c.since_s)}
+        stays = [one for one in self.cameras if not math.isnan(one.since_s)]
         for move in self.moves:
+            seconds = next(one.since_s for one in stays if one.name == move.camera)
+            stays = [one for one in stays if (one.name, one.since_s) != (move.camera, seconds)]
             yield (
-                f"{move.camera} was moved by {move.distance} at {times[move.camera]:.1f} s; hiros "
+                f"{move.camera} was moved by {move.distance} at {seconds:.1f} s; hiros "
                 "found its pose for each part of the log. Calibrate it anew before you record "
                 "again: hiros calibrate people"
             )
+        for names in self.alike:
+            yield (
+                f"the log has one pose for {' and '.join(names)}, so that nobody has measured it; "
+                "hiros used the poses that the people show"
+            )
+        if self.found is not None:
+            yield from _weak_poses(self.found)
         for camera in self.cameras:
             if camera.name in self.misfits:
                 yield (
@@ -149,7 +179,7 @@ def align_cameras(
     survey = Survey(log, None if missing is None else MOST_S, fixed=missing is None)
     clocks = align_clocks(log, config, reorder, survey.times)
     if missing is not None:
-        poses = _from_nothing(survey, clocks, missing)
+        poses = _from_nothing(survey, clocks, missing, mode)
     else:
         poses = _refined_poses(survey, clocks, mode)
     if clocks.times:
@@ -190,11 +220,18 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
         return _aligned(posed, log.span[0], {})
     posed = split_moved(survey, clocks, posed)
     alignment = _aligned(posed, log.span[0], faults)
-    if not faults and _contradicted(posed.cameras, posed.found):
+    alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
+    misfit = any(not one.fits for one in posed.found)
+    if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.found))):
+        strange = misfit or all(camera.reason == UNLINKED for camera in posed.found)
+        nowhere = strange and any(len(group) == len(posed.cameras) for group in alike)
+        error = LogError(_NOWHERE, path=log.path) if nowhere else None
         try:
-            return _from_nothing(survey, clocks, None)
+            return replace(_from_nothing(survey, clocks, error, mode), alike=tuple(alike))
         except LogError:
-            pass  # the log's poses stay, and the warning says that they do not fit
+            if nowhere:
+                raise
+            # The log's poses stay, and the warning says that they do not fit.
     if mode == "require":
         _require(log, alignment)
     poses = _poses_used(posed)
@@ -210,12 +247,15 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
     ``start`` is that of the log, ns. ``faults`` say why the poses of some cannot be compared.
     """
     pairs = list(zip(posed.cameras, posed.found, strict=True))
-    summaries = [summary_of(one, used=_is_better(one)) for one in posed.found]
     names = [camera.name for camera in posed.cameras]
-    for move in posed.moves:
-        k, seconds = names.index(move.camera), (move.log_time - start) / 1e9
-        summaries[k] = replace(summaries[k], until_s=seconds)
-        summaries[k + 1] = replace(summaries[k + 1], since_s=seconds)
+    summaries = []
+    for camera in dict.fromkeys(names):
+        parts = [0, *(move.part for move in posed.moves if move.camera == camera)]
+        times = [(m.log_time - start) / 1e9 for m in posed.moves if m.camera == camera]
+        for part, since, until in zip(parts, [math.nan, *times], [*times, math.nan], strict=True):
+            stay = posed.found[names.index(camera) + part]
+            stay = replace(stay, since_s=since, until_s=until)
+            summaries.append(summary_of(stay, used=_is_better(stay)))
     for k, one in enumerate(summaries):
         if one.verdict == "impossible" and one.name in faults:
             summaries[k] = replace(one, reason=faults[one.name])
@@ -230,14 +270,13 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
 
 def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
     """Frame -> poses other than the log's, by the log times from which on they hold."""
-    since = {move.camera: move.log_time for move in posed.moves}
+    names = [camera.name for camera in posed.cameras]
     poses: dict[str, dict[int, Rigid]] = {}
     for k, (camera, one) in enumerate(zip(posed.cameras, posed.found, strict=True)):
-        if camera.name in since:
-            time = since[camera.name] if camera.frame in poses else 0
-            poses.setdefault(camera.frame, {})[time] = placed(posed, k)
-        elif _is_better(one):
+        moves = [move for move in posed.moves if move.camera == camera.name]
+        if k == names.index(camera.name) and (moves or _is_better(one)):
             poses[camera.frame] = {0: placed(posed, k)}
+            poses[camera.frame] |= {m.log_time: placed(posed, k + m.part) for m in moves}
     return poses
 
 
@@ -283,8 +322,8 @@ def pose_faults(log: Log) -> list[str]:
 def _require(log: Log, alignment: PoseAlignment) -> None:
     """Raise LogError for a camera whose pose the people do not confirm."""
     for camera in alignment.cameras:
-        if camera.verdict not in SURE:
-            what = remedy(camera.name, len(alignment.cameras))
+        if camera.verdict not in CONFIRMED:
+            what = remedy(camera.name)
             raise LogError(
                 f"--calibrate require: {camera.name}: {camera.verdict}: {camera.reason}; {what}",
                 path=log.path,
@@ -328,14 +367,13 @@ def _fitting(posed: PosedViews) -> int:
     return sum(one.fits and one.reason != UNLINKED for one in posed.found)
 
 
-def _contradicted(cameras: Sequence[FixedCamera], found: Sequence[CalibratedCamera]) -> bool:
-    """Whether the people do not fit the given poses, or nobody has measured these."""
-    coincide = any(same_place({camera.name: camera.pose for camera in cameras}))
-    return any(not one.fits or (coincide and one.verdict == "impossible") for one in found)
+def _from_nothing(
+    survey: Survey, clocks: ClockAlignment, error: LogError | None, mode: Calibration
+) -> PoseAlignment:
+    """Use poses that need no transforms; raise LogError if the people do not tell them.
 
-
-def _from_nothing(survey: Survey, clocks: ClockAlignment, error: LogError | None) -> PoseAlignment:
-    """Use poses that need no transforms; raise LogError if the people do not tell them."""
+    Without poses in the log (``error`` says so), two cameras are enough: the others are left out.
+    """
     from hiros_mcap.calibrate.people import calibrate_people
 
     log = survey.log
@@ -343,15 +381,38 @@ def _from_nothing(survey: Survey, clocks: ClockAlignment, error: LogError | None
         found = calibrate_people(log, survey, clocks.corrections)
     except LogError as reason:
         raise LogError(_not_found(error, reason.fault), path=log.path) from None
-    if found.verdict not in SURE:
-        raise LogError(_not_found(error, found.reason), path=log.path)
+    wanted = CONFIRMED if mode == "require" else SURE
+    left = {camera.name for camera in found.cameras if camera.verdict not in wanted}
     poses: dict[str, dict[int, Rigid]] = {}
     for camera in found.cameras:
-        if camera.pose is not None:
+        if camera.pose is not None and camera.name not in left:
             poses.setdefault(camera.frame, {})[camera.since] = camera.pose
-    cameras = [summary_of(camera, used=True) for camera in found.cameras]
-    moves, better = tuple(_moves_of(found)), (poses, found.fixed_frame)
-    return PoseAlignment(cameras, from_nothing=True, moves=moves, better=better)
+    if len(poses) < 2 or (left and (error is None or mode == "require")):
+        raise LogError(_not_found(error, f"{found.reason}. {_DOUBTFUL}"), path=log.path)
+    return PoseAlignment(
+        [summary_of(one, used=one.name not in left) for one in found.cameras],
+        found=found,
+        left_out=frozenset(left),
+        moves=tuple(_moves_of(found)),
+        better=(poses, found.fixed_frame),
+    )
+
+
+def _weak_poses(found: PeopleCalibration) -> Iterator[str]:
+    """Yield what is wrong with poses that come from the people alone."""
+    left = {camera.name: camera for camera in found.cameras if camera.verdict not in SURE}
+    for camera in left.values():
+        yield (
+            f"{camera.name} is left out, because the people do not tell its pose "
+            f"({camera.reason}): {camera.remedy}. {_DOUBTFUL}"
+        )
+    weak = [camera for camera in found.cameras if camera.verdict == "usable"]
+    if weak:
+        worst = max(reversed(weak), key=lambda camera: camera.uncertainty)
+        yield (
+            f"the cameras' poses are usable only: expect joints to be {found.people_mm:.0f} mm off "
+            f"by them ({worst.name}: {worst.reason}); for better ones, {worst.remedy}"
+        )
 
 
 def _moves_of(found: PeopleCalibration) -> Iterator[Move]:
@@ -367,10 +428,14 @@ def _not_found(error: LogError | None, reason: str) -> str:
 
 
 def summary_of(camera: CalibratedCamera, *, used: bool) -> PoseSummary:
-    """Return what a user should know of one camera."""
+    """Return what a user should know of one camera.
+
+    A pose that is usable only is not surely better than the log's.
+    """
+    is_weak = camera.verdict == "usable" and not used
     return PoseSummary(
         name=camera.name,
-        verdict=camera.verdict,
+        verdict="doubtful" if is_weak else camera.verdict,
         reason=camera.reason,
         used=used,
         moved_mm=camera.moved_mm,

@@ -187,13 +187,80 @@ def test_a_log_that_nobody_calibrated_is_processed(
     assert apart(one.inverse() @ other, true["camera_0"].inverse() @ true["camera_1"]) < 0.5
 
 
+def test_two_cameras_at_one_place_are_named_and_the_peoples_rig_is_used(
+    scene: Simulation, detections: list[Frame], true: dict[str, Rigid], tmp_path: Path
+) -> None:
+    given = true | {"camera_2": true["camera_1"]}
+    out = tmp_path / "out.mcap"
+    summary = process(write(tmp_path / "log.mcap", scene, detections, given), out)
+    assert any("one pose for camera_1 and camera_2" in text for text in summary.warnings)
+    used = poses_in(out)
+    got = used["camera_1"].inverse() @ used["camera_2"]
+    assert apart(got, true["camera_1"].inverse() @ true["camera_2"]) < 0.5
+
+
+def test_one_pose_for_all_cameras_counts_as_none(
+    scene: Simulation, detections: list[Frame], tmp_path: Path
+) -> None:
+    some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
+    log = write(tmp_path / "log.mcap", scene, some, dict.fromkeys(NAMES, Rigid.identity()))
+    with pytest.raises(LogError, match=r"at the same place .*; record 20 s of one or two people"):
+        process(log)
+
+
+def in_place(tmp_path: Path, **params: object) -> tuple[Simulation, Path]:
+    """A log without poses, of somebody who stays in place."""
+    settings = {"people": 1, "cameras": 3, "seconds": 20.0, "seed": 4, **params}
+    scene = simulate(SimulateParams.model_validate(settings))
+    return scene, write(tmp_path / "log.mcap", scene, list(scene.detections), {})
+
+
+def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path: Path) -> None:
+    scene, log = in_place(tmp_path, action="sit")
+    summary = process(log, tmp_path / "out.mcap")
+    assert set(verdicts(summary)) == {"usable"}
+    (text,) = (text for text in summary.warnings if "usable only" in text)
+    assert "expect joints to be " in text
+    assert "s of one or two people who walk about over 2 m or more where camera_" in text
+    with open_log(tmp_path / "out.mcap") as result:
+        one, other = (result.transforms.lookup(name, result.fixed_frame, 0) for name in NAMES[:2])
+    true = {camera.name: camera.pose for camera in scene.cameras}
+    assert apart(one.inverse() @ other, true["camera_0"].inverse() @ true["camera_1"]) < 2.5
+    with pytest.raises(LogError, match="do not tell them: camera_"):
+        process(log, options=ProcessOptions(calibrate="require"))
+
+
+def test_a_camera_without_a_sure_pose_is_left_out(
+    scene: Simulation, detections: list[Frame], tmp_path: Path
+) -> None:
+    start = detections[0].stamp
+    some = [f for f in detections if f.source != "camera_2" or f.stamp < start + 3e9]
+    summary = process(write(tmp_path / "log.mcap", scene, some, {}), tmp_path / "out.mcap")
+    assert verdicts(summary) == ["good", "good", "doubtful"]
+    assert any(text.startswith("camera_2 is left out, because") for text in summary.warnings)
+    assert [camera.name for camera in summary.cameras] == ["camera_0", "camera_1"]
+
+
+def test_a_doubtful_rig_is_written_and_one_option_uses_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, log = in_place(tmp_path, action="squat", cameras=3, seconds=4.0)
+    target, out = tmp_path / "cameras.toml", tmp_path / "out.mcap"
+    assert run(["process", str(log), "-o", str(out)]) == 2
+    assert "-o cameras.toml writes what is known" in capsys.readouterr().err
+    assert run(["calibrate", "people", str(log), "-o", str(target)]) == 0
+    assert 'verdict = "doubtful"' in target.read_text()
+    assert "error_deg = " in target.read_text()
+    assert run(["process", str(log), "-o", str(out), "-q", "--extrinsics", str(target)]) == 0
+
+
 def test_too_little_for_poses_from_nothing_says_what_to_record(
     scene: Simulation, detections: list[Frame], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     some = [frame for frame in detections if frame.stamp < detections[0].stamp + 1e9]
     log = write(tmp_path / "log.mcap", scene, some, {})
     assert run(["process", str(log), "-o", str(tmp_path / "out.mcap")]) == 2
-    assert "walking about in view of camera_" in capsys.readouterr().err
+    assert "who walk about over 2 m or more where camera_" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
 
 

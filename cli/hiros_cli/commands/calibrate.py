@@ -74,8 +74,8 @@ def people(
         found = calibrate_people(opened)
         if write_log is not None and found.verdict != "impossible":
             write_corrected_log(opened, found, write_log)
-    doubt = found.verdict == "doubtful"
-    warnings = [f"{log}: the poses are doubtful: {found.reason}"] if doubt else []
+    weak = found.verdict in ("usable", "doubtful")
+    warnings = [f"{log}: the poses are {found.verdict}: {found.reason}"] if weak else []
     if found.verdict == "impossible":
         raise LogError(f"no poses can be found: {found.reason}", path=log)
     if output is not None:
