@@ -183,7 +183,7 @@ class FittingRig(NamedTuple):
     evidence: list[Evidence]
 
 
-class LeftOut(NamedTuple):
+class DroppedCamera(NamedTuple):
     """A camera that does not fit the others."""
 
     reason: str
@@ -195,7 +195,7 @@ def fit_together(
     cameras: Sequence[int],
     refined: Callable[[list[int]], FittingRig | None],
     fault: Callable[[Evidence], str],
-) -> tuple[FittingRig | None, dict[int, LeftOut]]:
+) -> tuple[FittingRig | None, dict[int, DroppedCamera]]:
     """Refine cameras; while one of them does not fit, leave out the worst.
 
     Parameters
@@ -205,7 +205,7 @@ def fit_together(
 
     Returns the fit, and the cameras that were left out.
     """
-    left: dict[int, LeftOut] = {}
+    left: dict[int, DroppedCamera] = {}
     while True:
         fit = refined([c for c in cameras if c not in left])
         if fit is None:
@@ -215,7 +215,7 @@ def fit_together(
             return fit, left
         worst = min(bad, key=lambda k: _rank(fit.evidence[k]))
         out = fit.cameras if len(fit.cameras) == 2 else [fit.cameras[worst]]
-        left |= dict.fromkeys(out, LeftOut(bad[worst], fit))
+        left |= dict.fromkeys(out, DroppedCamera(bad[worst], fit))
 
 
 def _rank(one: Evidence) -> tuple[bool, float, float]:
