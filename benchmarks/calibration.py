@@ -363,9 +363,6 @@ CANDIDATES: Mapping[str, Sequence[float]] = {
     "wander": (0.033, 0.055, 0.065),
     "spread": (0.25, 0.2, 0.12, 0.0),
     "seconds": (3.0, 8.0),
-    "late": (0.05, 0.2, 0.3),
-    "postures": (0.8, 0.85, 0.95),
-    "mirror": (1.0, 3.0, 4.0),
 }
 
 

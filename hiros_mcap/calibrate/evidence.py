@@ -24,7 +24,7 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
     rivals : whether the pose by which each camera was found is ambiguous.
     """
     halves = _halves(refined, mirror)
-    bodies = compare_bodies(refined.residuals, refined.points, mirror)
+    bodies = compare_bodies(refined.residuals, refined.points)
     paths = path_distances(refined.residuals, refined.points)
     clocks = refined.rig.clocks
     return [
@@ -35,8 +35,6 @@ def full_evidence(refined: Refinement, mirror: Ints, rivals: Sequence[bool]) -> 
             size=float(bodies.sizes[c]),
             wander=float(bodies.wander[c]),
             limbs=float(bodies.limbs[c]) if refined.timed[c] else 1.0,
-            postures=float(bodies.postures[c]),
-            mirror=float(bodies.mirrors[c]),
             path=float(paths[c]),
             repetition=closest_repetition(refined.views[c]),
             late=float(np.abs(np.delete(clocks, c) - clocks[c]).min()) * bool(refined.timed[c]),

@@ -17,12 +17,7 @@ def cauchy(errors: Floats, scale: float = 1.0) -> Floats:
 
 
 def robust_kabsch(
-    source: Floats,
-    target: Floats,
-    weights: Floats,
-    rounds: int = ROUNDS,
-    *,
-    mirrors: bool = False,
+    source: Floats, target: Floats, weights: Floats, rounds: int = ROUNDS
 ) -> tuple[Floats, Floats]:
     """Return the rotation (3, 3) and shift (3,) of :func:`kabsch` with Cauchy weights.
 
@@ -32,7 +27,7 @@ def robust_kabsch(
     """
     robust = weights
     for _ in range(rounds):
-        rotation, shift = kabsch(source, target, robust, mirrors=mirrors)
+        rotation, shift = kabsch(source, target, robust)
         errors = np.linalg.norm(target - source @ rotation.T - shift, axis=1)
         robust = weights * cauchy(errors)
     return rotation, shift

@@ -52,32 +52,16 @@ class Limits(NamedTuple):
     wander: float
     """Largest distance of the bodies' middles, m."""
     spread: float
-    """Of people who move about, m. Others have to keep to what follows, too."""
-    late: float = 0.0
-    """Largest difference of the clocks, s."""
-    postures: float = 1.0
-    """Least correlation of the postures."""
-    mirror: float = math.inf
-    """Least number of standard errors by which a mirror fits worse."""
+    """Least standard deviation of the places where people are, m."""
 
 
 GOOD = Limits(error_deg=0.7, error_m=0.1, seconds=8.0, size=0.01, wander=0.033, spread=0.25)
 """In seven of eight real logs, too, the same person is of the same size to a hundredth. The middle
 of a body averages over the joints' errors: 1 cm simulated, 1 to 3 cm in reality."""
-USABLE = Limits(
-    error_deg=2.0,
-    error_m=0.1,
-    seconds=5.0,
-    size=0.03,
-    wander=0.045,
-    spread=0.25,
-    late=0.1,
-    postures=0.87,
-    mirror=2.0,
-)
+USABLE = Limits(error_deg=2.0, error_m=0.1, seconds=5.0, size=0.03, wander=0.045, spread=0.25)
 """Real detectors differ by more, above all seen from the side. People who pass each other may be
-2 to 7 % apart in size. Whoever stays in place may be a stranger who does the same, though hardly
-at the same time, or his own mirror image."""
+2 to 7 % apart in size. Whoever stays in place may be a stranger who does the same, or his own
+mirror image: neither size nor posture tells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +82,6 @@ class Evidence:
     """Distance of the bodies' middles in this camera and in the others, m."""
     limbs: float = 1.0
     """Correlation of the limbs' motion with that in the other cameras; 1 if nobody moves."""
-    postures: float = 1.0
-    """Correlation of the bodies' postures with those in the other cameras."""
-    mirror: float = float("inf")
-    """By how many standard errors the best mirror fits worse than the pose."""
     path: float = 0.0
     """Distance of the people's paths from those in the others, beyond the joints' errors, m."""
     repetition: float = float("inf")
@@ -185,22 +165,9 @@ def doubt_of(e: Evidence, limits: Limits) -> str:
         )
     if e.limbs < OTHER_LIMBS:
         return "its people's limbs move differently than in other cameras"
-    if e.spread < limits.spread and (stranger := _stranger(e, limits)):
-        return f"people spread by {100 * e.spread:.0f} cm {stranger}"
+    if e.spread < limits.spread:
+        return f"people spread by {100 * e.spread:.0f} cm only"
     return _uncertain(e, limits)
-
-
-def _stranger(e: Evidence, limits: Limits) -> str:
-    """Why somebody who stays in place may be another person, or a mirror image."""
-    if math.isinf(limits.mirror):
-        return "only"
-    if e.mirror < limits.mirror:
-        return "only, and move left and right so much alike that a mirror would fit as well"
-    if e.postures < limits.postures:
-        return "only, and their postures are not quite those in other cameras"
-    if e.late > limits.late:
-        return f"only, and its clock would be off by {e.late:.1f} s"
-    return ""
 
 
 def remedy(

@@ -216,7 +216,7 @@ def in_place(tmp_path: Path, **params: object) -> tuple[Simulation, Path]:
 
 
 def test_a_usable_rig_is_used_and_a_warning_says_how_exact_it_is(tmp_path: Path) -> None:
-    scene, log = in_place(tmp_path, action="sit")
+    scene, log = in_place(tmp_path, action="walk", seconds=7.5)
     summary = process(log, tmp_path / "out.mcap")
     assert set(verdicts(summary)) == {"usable"}
     (text,) = (text for text in summary.warnings if "usable only" in text)
