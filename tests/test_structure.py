@@ -39,7 +39,7 @@ CEILINGS = {
     "hiros_viewer": 4720,
     "hiros_mcap": 2400,
     "body": 1800,
-    "calibrate": 5600,
+    "calibrate": 5490,
     "evaluate": 3180,
     "io": 12139,
     "kernels": 10045,
