@@ -63,7 +63,7 @@ def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
             rest += [argument, *waiting]
         elif argument == "--verbose":
             given[name] = ""
-        elif name in ("--log-file", "--color"):
+        elif name in ("--log-file", "--color") and not (name == "--color" and _has_own(arguments)):
             given[name] = value if equals else next(waiting, "")
             if not given[name]:
                 raise ConfigError(f"{name}: its value is missing")
@@ -74,6 +74,11 @@ def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
         raise ConfigError(f"--color: {color!r} is none of {', '.join(_COLOURS)}")
     file = given.get("--log-file")
     return CommonOptions("--verbose" in given, Path(file) if file else None, color), rest
+
+
+def _has_own(arguments: Sequence[str]) -> bool:
+    """Whether a command has a --color of its own: that of a ball."""
+    return list(arguments[:2]) == ["calibrate", "ball"]
 
 
 class _Steps(logging.Handler):

@@ -59,7 +59,7 @@ _DELAY_S = 0.1
 
 _NOWHERE = (
     "all cameras stand at the same place with the same orientation, so that nobody has measured "
-    "their poses"
+    "their poses (--calibrate off uses them all the same)"
 )
 _DOUBTFUL = (
     "hiros calibrate people LOG -o cameras.toml writes what is known of doubtful poses, and "
@@ -223,8 +223,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     alike = [] if faults else same_place({camera.name: camera.pose for camera in posed.cameras})
     misfit = any(not one.fits for one in posed.found)
     if not faults and (misfit or (alike and any(c.verdict == "impossible" for c in posed.found))):
-        strange = misfit or all(camera.reason == UNLINKED for camera in posed.found)
-        nowhere = strange and any(len(group) == len(posed.cameras) for group in alike)
+        nowhere = misfit and any(len(group) == len(posed.cameras) for group in alike)
         error = LogError(_NOWHERE, path=log.path) if nowhere else None
         try:
             return replace(_from_nothing(survey, clocks, error, mode), alike=tuple(alike))

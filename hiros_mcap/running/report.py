@@ -6,12 +6,13 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
 from hiros_mcap.calibrate.gauge import placement_error
-from hiros_mcap.events import TOO_LATE, counted
+from hiros_mcap.events import TOO_LATE, Event, counted
 from hiros_mcap.io.channels import OUTPUT_PREFIX
 from hiros_mcap.io.log import DAMAGED, FAR_FUTURE, STALE, Account, CameraChannel, Log, Reading
 from hiros_mcap.running.clock_alignment import ClockAlignment, clock_notes, clock_warnings
@@ -26,6 +27,7 @@ from hiros_mcap.summary import (
     LimbSummary,
     PersonSummary,
     PlacementSummary,
+    PoseSummary,
     StageTime,
     Summary,
     cleaned,
@@ -91,7 +93,7 @@ class Report:
             system=self.run.system,
             settings=str(self.prepared.options.settings or ""),
             cameras=cameras,
-            poses=tuple(self.poses.cameras),
+            poses=tuple(map(self._pose, self.poses.cameras)),
             placement=self._placement(),
             scatter=scatter_of(self.run.events),
             scatters=scatters,
@@ -102,6 +104,25 @@ class Report:
             warnings=tuple(self._warnings(cameras)),
             notes=(*self._all_notes(), *scatter_notes(scatters)),
         )
+
+    def _pose(self, camera: PoseSummary) -> PoseSummary:
+        """Return what is known of a pose; it is doubtful from when on the people contradict it."""
+        event = next((e for e in self._displacements() if e.source == camera.name), None)
+        if event is None or camera.verdict == "impossible":
+            return camera
+        reason = f"{event.detail} from {self._seconds(event):.1f} s on"
+        return replace(camera, verdict="doubtful", reason=reason)
+
+    def _displacements(self) -> list[Event]:
+        """Return the first event of each camera that shows people elsewhere than others do."""
+        some = sorted(
+            (e for e in self.run.events.log if e.kind in _DISPLACED), key=attrgetter("stamp")
+        )
+        return list(reversed({(e.source, e.kind): e for e in reversed(some)}.values()))
+
+    def _seconds(self, event: Event) -> float:
+        """Return when something happened, s after the start of the log."""
+        return max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
 
     def _placement(self) -> PlacementSummary | None:
         """Return how uncertain the placement of the rig is."""
@@ -188,18 +209,15 @@ class Report:
 
     def _displaced(self) -> Iterator[str]:
         """Yield which cameras show people elsewhere than the others do."""
-        events = self.run.events
-        some = sorted((e for e in events.log if e.kind in _DISPLACED), key=lambda e: e.stamp)
-        displaced = {(e.source, e.kind): e for e in reversed(some)}  # the first of each
-        for event in reversed(displaced.values()):
+        events, displaced = self.run.events, self._displacements()
+        for event in displaced:
             n = events.counts[DISPLACED, event.source]
             if len(displaced) == 1:  # of two cameras that disagree, copies of both are left out
                 n = events.total(DISPLACED)
-            seconds = max(0.0, (event.stamp - self.log.span[0]) * 1e-9)
             left_out = f"hiros left out {quantity(n, 'such detection')}"
             done = left_out if n else "its views count less"
             yield (
-                f"{event.source} {event.detail}. From {seconds:.1f} s on {done}; "
+                f"{event.source} {event.detail}. From {self._seconds(event):.1f} s on {done}; "
                 f"{_DISPLACED[event.kind]}"
             )
 

@@ -162,6 +162,23 @@ def test_a_camera_moved_for_too_short_a_time_for_a_pose_doubles_nobody(
     assert false_people(out, scene) == 0
 
 
+def test_the_verdict_says_from_when_on_a_pose_does_not_fit(
+    scene: Simulation, tmp_path: Path
+) -> None:
+    def nudged(frame: Frame) -> Frame:
+        late = frame.stamp > SimulateParams().start + (SECONDS - 2.0) * 1e9
+        people = frame.people.copy()
+        people.markers[:, :, 0] += 0.25 * late
+        return frame.replace(people=people)
+
+    summary = process(write(tmp_path / "log.mcap", scene, nudged))
+    reasons = {c.name: c.reason for c in summary.poses if "from where" in c.reason}
+    assert list(reasons) == ["camera_1"]
+    when = re.fullmatch(r"shows people 0\.\d\d m from .* from (\S+) s on", reasons["camera_1"])
+    assert when is not None
+    assert float(when[1]) == pytest.approx(SECONDS - 2.0, abs=1.0)
+
+
 def test_healthy_cameras_are_not_displaced(scene: Simulation, tmp_path: Path) -> None:
     log = faulty("healthy", tmp_path, scene)
     assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()

@@ -221,7 +221,7 @@ def test_results_wait_for_lengths_that_other_poses_show() -> None:
     late = [(frame.log_time - frame.stamp) * 1e-9 for frame in out]
     assert max(late) <= params.enough + 2 * params.window
     assert max(late[150:]) <= params.window
-    blocks = (join([(Block.of(f), 0) for f in frames[k : k + 35]]) for k in range(0, 240, 35))
+    blocks = (join([Block.of(f) for f in frames[k : k + 35]]) for k in range(0, 240, 35))
     assert all(map(same, frames_of(constrain_blocks(blocks, model, params)), out))
 
 

@@ -385,7 +385,7 @@ def test_d_as_printed_is_between_consecutive_positions(
     The threshold is 1.25 x 50.4 = 63 mm. The detection is 26 mm from the prediction, which is no
     outlier, and 126 mm from the joint's last position, which is two thresholds.
     """
-    joints = Joints(consecutive=consecutive, process_noise=1e-9)
+    joints = Joints(consecutive=consecutive, process_noise=1e-6)
     joints.past.known[:], joints.x[0, 1, 0] = True, 1.0
     joints.p[:] = [0.0009, 0, 0, 0, 0, 0]
     joints.past.distances[0, 0], joints.past.counts[0, 0, 0] = 0.0504, 15

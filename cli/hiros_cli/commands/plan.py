@@ -69,7 +69,7 @@ def plan(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say where to put cameras in a room, and what error to expect where.
+    """Say where to put cameras in a room, and how exact they are.
 
     The expected error follows from the noise of the detectors and the geometry. Where a file names
     cameras that stand already, nothing is moved.

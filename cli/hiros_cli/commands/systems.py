@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def systems() -> None:
-    """List the systems for --system, with their stages, and their variants."""
+    """List the systems for --system, their stages and variants."""
     from hiros_cli.compiling import prepare
 
     prepare(quiet=False)

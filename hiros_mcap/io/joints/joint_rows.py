@@ -187,7 +187,7 @@ def _named(joints: Any, mapping: FileMapping, where: str) -> Iterator[tuple[str,
 
 def _four(values: Any, columns: ColumnMapping, where: str) -> list[float]:
     """Return x, y, z and confidence; NaN for null and for a confidence that is not there."""
-    if isinstance(values, dict):
+    if isinstance(values, dict) and {columns.x, columns.y, columns.z} <= values.keys():
         values = [values.get(key) for key in columns.numbers]
     numbers = values if isinstance(values, list) else [None] * 3 if values is None else []
     if len(numbers) not in (3, 4):
