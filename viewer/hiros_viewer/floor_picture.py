@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def _title(plan: RoomPlan) -> str:
     return (
         f"{x1 - x0:g} m x {y1 - y0:g} m, {count} camera{'s' * (count > 1)}, {who}\n"
         f"expected error {plan.expected.error_mm:.0f} mm; "
-        f"two cameras see {100 * plan.expected.two:.0f} %; "
+        f"two cameras see {math.floor(100 * plan.expected.two + 1e-6)} %; "
         f"with one more camera {plan.further.then.error_mm:.0f} mm"
     )
 
