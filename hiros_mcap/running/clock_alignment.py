@@ -93,12 +93,12 @@ class ClockAlignment:
         # Of a camera that was moved, the surer clock comes last.
         surest = {c.name: c for c in sorted(cameras, key=lambda c: -c.error_ms) if c.name in lags}
         measured = {name: c for name, c in surest.items() if not math.isnan(c.clock_ms)}
-        sure = {name: c for name, c in measured.items() if c.verdict in SURE}
-        right, error = self._right_clock(sure, lags)
+        sure = {name: c.clock_ms for name, c in measured.items() if c.verdict in SURE}
+        right = self._right_clock(sure, lags)
         offsets = {}
         for name, camera in measured.items():
             ahead = right - camera.clock_ms
-            least = max(_LEAST_CLOCK_MS, _SURE_CLOCK * (camera.error_ms + error))
+            least = max(_LEAST_CLOCK_MS, _SURE_CLOCK * camera.error_ms)
             if name in self.given or abs(ahead) <= least:
                 continue
             if name in sure:
@@ -113,21 +113,17 @@ class ClockAlignment:
                 self._note(name, ahead, seen.reason if seen and is_alone else STILL)
         self._add(offsets)
 
-    def _right_clock(
-        self, sure: Mapping[str, PoseSummary], lags: Mapping[str, float]
-    ) -> tuple[float, float]:
-        """Return what a clock that is right would have, and its standard error, ms.
+    def _right_clock(self, clocks: Mapping[str, float], lags: Mapping[str, float]) -> float:
+        """Return what a clock that is right would have, ms.
 
-        Clocks are measured about their common mean. The errors of two cameras are thus opposite:
-        their difference has the sum of both. The median of several has hardly any.
+        It adds no error: the cameras' standard errors are those of differences between clocks.
         """
-        right = [camera for name, camera in sure.items() if name in self.given]
-        if not right and len(sure) == 2:
-            right = [sure[min(sorted(sure), key=lambda name: abs(lags[name]))]]
-        if len(right) == 1:
-            return right[0].clock_ms, right[0].error_ms
-        clocks = [camera.clock_ms for camera in right or sure.values()]
-        return (float(np.median(clocks)) if clocks else 0.0), 0.0
+        right = [ms for name, ms in clocks.items() if name in self.given]
+        if right:
+            return float(np.median(right))
+        if len(clocks) == 2:
+            return clocks[min(sorted(clocks), key=lambda name: abs(lags[name]))]
+        return float(np.median(list(clocks.values()))) if clocks else 0.0
 
     def _note(self, camera: str, seconds: float, reason: str) -> None:
         """Note an offset that is not corrected."""
