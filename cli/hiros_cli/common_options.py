@@ -15,6 +15,7 @@ from hiros_mcap.errors import ConfigError, LogError
 
 LOGGERS = ("hiros_mcap", "hiros_cli")
 LOG_MARK = "# hiros log\n"
+_VALUED = ("--log-file", "--color")
 _COLOURS = {
     "auto": {},
     "always": {"NO_COLOR": None, "FORCE_COLOR": "1"},
@@ -57,13 +58,15 @@ def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
     rest: list[str] = []
     given: dict[str, str] = {}
     waiting = iter(arguments)
+    # The ball has a colour of its own.
+    valued = ("--log-file",) if [*arguments[:2]] == ["calibrate", "ball"] else _VALUED
     for argument in waiting:
         name, equals, value = argument.partition("=")
         if argument == "--":
             rest += [argument, *waiting]
         elif argument == "--verbose":
             given[name] = ""
-        elif name in ("--log-file", "--color") and not (name == "--color" and _has_own(arguments)):
+        elif name in valued:
             given[name] = value if equals else next(waiting, "")
             if not given[name]:
                 raise ConfigError(f"{name}: its value is missing")
@@ -74,11 +77,6 @@ def split(arguments: Sequence[str]) -> tuple[CommonOptions, list[str]]:
         raise ConfigError(f"--color: {color!r} is none of {', '.join(_COLOURS)}")
     file = given.get("--log-file")
     return CommonOptions("--verbose" in given, Path(file) if file else None, color), rest
-
-
-def _has_own(arguments: Sequence[str]) -> bool:
-    """Whether a command has a --color of its own: that of a ball."""
-    return list(arguments[:2]) == ["calibrate", "ball"]
 
 
 class _Steps(logging.Handler):
