@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from whole_commands import first_seconds
 
 SAMPLES = Path(__file__).parent.parent / "sample_data"
 
@@ -44,3 +45,9 @@ def crossing() -> Path:
 def walking() -> Path:
     """One person who walks, three cameras, 3 s."""
     return SAMPLES / "one_person_walking.mcap"
+
+
+@pytest.fixture(scope="session")
+def short(walking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first second of one person who walks."""
+    return first_seconds(walking, 1.0, tmp_path_factory.mktemp("short") / "walk.mcap")

@@ -13,11 +13,10 @@ from typing import Any
 
 import detector_files
 import pytest
-import typer
 
 import hiros_mcap
 from hiros_cli.app import run
-from hiros_cli.commands import app
+from hiros_cli.commands import program
 from hiros_cli.commands.import_joints import import_
 from hiros_mcap import open_result
 from hiros_mcap.config import Config, settable
@@ -65,8 +64,7 @@ def test_no_two_pages_have_one_title() -> None:
 
 def test_the_reference_holds_every_command_parameter_and_public_name() -> None:
     pages = generated()
-    root: Any = typer.main.get_command(app)
-    for name in root.commands:
+    for name in program().commands:
         assert f"## hiros {name}" in pages["reference/commands.md"]
     assert "Usage: hiros process [OPTIONS] LOG...\n" in pages["reference/commands.md"]
     for section, field in Config.model_fields.items():
@@ -91,7 +89,7 @@ def commands(page: Path) -> list[str]:
 
 def parse(arguments: list[str]) -> None:
     """Take the arguments apart as the program does, and run nothing."""
-    command: Any = typer.main.get_command(app)
+    command: Any = program()
     while hasattr(command, "commands"):
         command, arguments = command.commands[arguments[0]], arguments[1:]
     command.make_context(command.name, list(arguments))

@@ -192,6 +192,12 @@ def _content(path: Path, seconds: float = 1e9) -> _Content:
     }  # fmt: skip
 
 
+def first_seconds(log: Path, seconds: float, path: Path) -> Path:
+    """Write the beginning of a log; return its path."""
+    _write(_content(log, seconds), path)
+    return path
+
+
 def _write(content: _Content, path: Path) -> bytes:
     with path.open("wb") as file:
         writer = Writer(file, enable_data_crcs=True)

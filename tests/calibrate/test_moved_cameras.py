@@ -29,7 +29,7 @@ AT_S = 10.6
 
 @pytest.fixture(scope="module")
 def scene() -> Simulation:
-    return simulated(cameras=3, seed=8, action="eight", seconds=20.0)
+    return simulated(cameras=3, seed=8, action="eight", seconds=20.0, rig={"rate": 20.0})
 
 
 @pytest.fixture(scope="module")

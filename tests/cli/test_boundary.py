@@ -50,12 +50,15 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         (["process", "/"], "with many logs, name a folder for the results: -o FOLDER"),
     ],
 )
-def test_wrong_usage_is_one_line_and_exit_code_2(arguments: list[str], said: str) -> None:
-    result = hiros(*arguments)
-    assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr.startswith("hiros: error: ")
-    assert result.stderr.endswith(f"{said}\n")
-    assert result.stderr.count("\n") == 1
+def test_wrong_usage_is_one_line_and_exit_code_2(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert app.run(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("hiros: error: ")
+    assert err.endswith(f"{said}\n")
+    assert err.count("\n") == 1
 
 
 def test_no_description_of_a_command_is_cut_at_80_columns() -> None:

@@ -19,10 +19,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import typer
 
 from hiros_cli.app import run
-from hiros_cli.commands import app
+from hiros_cli.commands import program
 from hiros_cli.commands.simulate import simulate_params
 from hiros_cli.compiling import importing, independent, prepare
 from hiros_cli.help_page import EXAMPLES
@@ -289,10 +288,13 @@ def test_where_the_disk_is_full_kernels_go_to_a_folder_of_the_process(
 
 def test_nothing_is_taken_from_the_folder_in_which_one_stands(tmp_path: Path) -> None:
     (tmp_path / "multiprocessing.py").write_text("raise SystemExit('taken')")
-    hiros, suite = Path(sys.executable).with_name("hiros"), Path("sample_data/suite.toml").resolve()
-    command = [hiros, "check", suite, "--jobs", "2", "--quiet"]
-    done = subprocess.run(command, check=True, cwd=tmp_path, capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("", "")
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / name).write_bytes(b"no log")
+    hiros = Path(sys.executable).with_name("hiros")
+    command = [hiros, "process", "a.mcap", "b.mcap", "-o", "out", "--jobs", "2"]
+    done = subprocess.run(command, check=False, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("is not an MCAP file")) == (2, 2)
+    assert "taken" not in done.stdout + done.stderr
 
 
 def test_systems_are_listed_once_with_their_chains(capsys: pytest.CaptureFixture[str]) -> None:
@@ -349,7 +351,7 @@ def test_options_of_a_run_are_in_groups(capsys: pytest.CaptureFixture[str]) -> N
 
 @pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
 def test_examples_are_commands(line: str) -> None:
-    command: Any = typer.main.get_command(app)
+    command: Any = program()
     arguments = shlex.split(line.split(" > ")[0])[1:] if line.startswith("hiros") else []
     while arguments and hasattr(command, "commands"):
         command, arguments = command.commands[arguments[0]], arguments[1:]
@@ -391,7 +393,7 @@ def test_demo_writes_a_log_and_names_what_comes_next(
     assert run([*shlex.split(process)[1:], "-q"]) == 0
     assert run([*shlex.split(view)[1:], "--save", "demo.rrd", "--time-range", "0:1", "-q"]) == 0
     capsys.readouterr()
-    assert run(["eval", "demo.hiros.mcap", "--json"]) == 0
+    assert run(["eval", "demo.hiros.mcap", "--channel", "/hiros/filtered", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["true_people"] == [0, 1]
     Path("demo.mcap").write_bytes(b"mine")
     assert run(["demo", "-q"]) == 2

@@ -97,16 +97,16 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processed(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("output") / "walk.hiros.mcap"
-    hiros_mcap.process(SAMPLE, out)
+    hiros_mcap.process(short, out)
     return out
 
 
 @pytest.fixture
-def lab(processed: Path, tmp_path: Path) -> Path:
+def lab(short: Path, processed: Path, tmp_path: Path) -> Path:
     """A folder with a recording, its result, a suite, and somebody's notes."""
-    shutil.copy(SAMPLE, tmp_path / "walk.mcap")
+    shutil.copy(short, tmp_path / "walk.mcap")
     shutil.copy(processed, tmp_path / "result.mcap")
     (tmp_path / "suite.toml").write_text(SUITE)
     (tmp_path / "motion.bvh").write_text("HIERARCHY\n")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import sys
 from pathlib import Path
 
@@ -19,7 +18,7 @@ COMMANDS = {
     "export": ["export", "RESULT", "-o", "OUT.csv"],
     "plot": ["plot", "RESULT", "-o", "OUT.png"],
     "view": ["view", "RESULT", "--save", "OUT.rrd", "--time-range", "0:1"],
-    "people": ["calibrate", "people", "LAB"],
+    "people": ["calibrate", "people", "WALK"],
     "recover": ["recover", "LAB", "-o", "OUT.mcap"],
 }
 
@@ -32,14 +31,12 @@ class Terminal(io.StringIO):
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """A recording and its result."""
+def logs(walking: Path, short: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """A recording, a short one and the result of that."""
     folder = tmp_path_factory.mktemp("progress")
-    sample = Path(__file__).parents[2] / "sample_data" / "one_person_walking.mcap"
-    lab = shutil.copy(sample, folder / "lab.mcap")
     result = folder / "result.mcap"
-    assert run(["process", str(lab), "-o", str(result), "--calibrate", "off", "-q"]) == 0
-    return {"LAB": str(lab), "RESULT": str(result)}
+    assert run(["process", str(short), "-o", str(result), "--calibrate", "off", "-q"]) == 0
+    return {"WALK": str(walking), "LAB": str(short), "RESULT": str(result)}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -336,8 +336,7 @@ def test_honest_views_of_people_on_the_floor_stay(
     assert all(map(same_markers, decided(frames, params), frames))
 
 
-@pytest.mark.parametrize("begin", [1.2, 2.6, 3.6, 5.0])
-@pytest.mark.parametrize("cameras", [1, 2])
+@pytest.mark.parametrize(("begin", "cameras"), [(1.2, 1), (2.6, 2), (3.6, 1), (5.0, 2)])
 @pytest.mark.parametrize("params", [SidesParams(), LIVE])
 def test_a_flip_on_the_floor_is_not_believed(
     params: SidesParams, cameras: int, begin: float

@@ -83,18 +83,26 @@ def test_who_and_what_is_missing_is_said(processed: Path) -> None:
         curves.figure_of(collected(processed, with_truth=False), "error")
 
 
+@pytest.fixture(scope="module")
+def plotted(processed: Path) -> dict[str, bytes]:
+    """A picture and a page of it."""
+    return {name: plot(processed, processed.with_name(name)) for name in ("a.png", "a.html")}
+
+
+def plot(log: Path, path: Path) -> bytes:
+    assert run(["plot", str(log), "-o", str(path), "-q"]) == 0
+    return path.read_bytes()
+
+
 @pytest.mark.parametrize("name", ["a.png", "a.html"])
-def test_the_same_log_gives_the_same_bytes(processed: Path, tmp_path: Path, name: str) -> None:
-    paths = [tmp_path / f"{k}{name}" for k in range(2)]
-    for path in paths:
-        assert run(["plot", str(processed), "-o", str(path), "-q"]) == 0
-    assert paths[0].read_bytes() == paths[1].read_bytes()
+def test_the_same_log_gives_the_same_bytes(
+    processed: Path, plotted: dict[str, bytes], tmp_path: Path, name: str
+) -> None:
+    assert plot(processed, tmp_path / name) == plotted[name]
 
 
-def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: Path) -> None:
-    page = tmp_path / "a.html"
-    assert run(["plot", str(processed), "-o", str(page), "-q"]) == 0
-    text = page.read_text(encoding="utf-8")
+def test_the_page_holds_everybody_and_loads_nothing(plotted: dict[str, bytes]) -> None:
+    text = plotted["a.html"].decode()
     assert text.count('<div class="curves"') == 6
     assert len(text) < 4e6
     assert "Person 0" in text
@@ -103,10 +111,8 @@ def test_the_page_holds_everybody_and_loads_nothing(processed: Path, tmp_path: P
     assert not re.findall(r"""(?:src|href)=["'](?!#)""", outside)
 
 
-def test_a_page_says_of_what_it_is_and_how_good(processed: Path, tmp_path: Path) -> None:
-    page = tmp_path / "a.html"
-    assert run(["plot", str(processed), "-o", str(page), "-q"]) == 0
-    text = page.read_text(encoding="utf-8")
+def test_a_page_says_of_what_it_is_and_how_good(processed: Path, plotted: dict[str, bytes]) -> None:
+    text = plotted["a.html"].decode()
     for fact in (
         f"<h1>{processed}: /hiros/filtered</h1>",
         "recorded 2023-11-14 22:13 UTC; hiros 0.1.0, system fuse",

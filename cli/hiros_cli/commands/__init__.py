@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, cast
 
@@ -141,6 +142,7 @@ def dispatch(arguments: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
+@cache
 def program() -> Any:
     """Return the root of the commands, as ``hiros`` runs and shows them."""
     command: Any = typer.main.get_command(app)
