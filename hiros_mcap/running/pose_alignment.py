@@ -38,7 +38,7 @@ from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
-from hiros_mcap.events import Events
+from hiros_mcap.events import Event, Events
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
@@ -79,6 +79,8 @@ class PoseAlignment:
     """Cameras whose people are not where the others see them."""
     moves: tuple[Move, ...] = ()
     """Cameras that were moved in the middle of the log."""
+    late: Event | None = None
+    """A camera that was moved for too short a time to tell a pose."""
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
@@ -110,6 +112,7 @@ class PoseAlignment:
         """Note the cameras that were moved."""
         for move in self.moves:
             events.note(move.stamp, MOVED, source=move.camera, detail=move.distance)
+        events.log += [self.late] if self.late else []
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
@@ -264,7 +267,7 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
         if name not in names
     ]
     misfits = frozenset(camera.name for camera, one in pairs if camera.movable and not one.fits)
-    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves)
+    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
 
 
 def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
