@@ -60,7 +60,7 @@ CEILINGS = {
     "kernels": 2980,
     "plan": 570,
     "regression": 1650,
-    "running": 3180,
+    "running": 3220,
     "simulate": 3070,
     "systems": 400,
     "hiros_schemas": 400,
