@@ -36,6 +36,9 @@ _MEMORY = 0.5  # s; time constant of the mean without future views
 _WORTH_S, _WORTH_M = 1.5, 0.06
 """For a warning, people must be off for so long and by so much. Parts of a second that are off by
 less occur with healthy cameras, too: while somebody lies or crouches."""
+_OF_ALL = 0.4
+"""Share of the views in a part of a second: a camera that was moved shows everybody elsewhere, but
+of two who touch one may be seen wrong."""
 _PART, _PAUSE = 250_000_000, 4  # ns, and so many of it without such views end a displacement
 
 
@@ -141,10 +144,11 @@ class _Span:
     def add(self, stamps: Stamps, excess: Floats) -> None:
         """Take the times, ns, and the excess, m2, of views."""
         lost = excess > 0
-        if lost.any():
-            self._parts.update(np.unique(stamps[lost] // _PART).tolist())
-            self._squares += float(excess[lost].sum()) / SHARE
-            self._views += int(lost.sum())
+        parts, index = np.unique(stamps // _PART, return_inverse=True)
+        shares = np.bincount(index, lost) / np.maximum(np.bincount(index), 1)
+        self._parts.update(parts[shares >= _OF_ALL].tolist())
+        self._squares += float(excess[lost].sum()) / SHARE
+        self._views += int(lost.sum())
 
     @property
     def seconds(self) -> float:
