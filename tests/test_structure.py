@@ -46,7 +46,7 @@ CEILINGS = {
     "body": 1800,
     "calibrate": 5490,
     "evaluate": 3180,
-    "io": 12139,
+    "io": 12151,
     "many": 1200,
     "detections": 2040,
     "filter": 1580,
