@@ -249,7 +249,8 @@ def three(**lags: float) -> ClockAlignment:
     ("ms", "error_ms", "verdict", "corrected"),
     [
         (40, 1, "good", True),
-        (9, 1, "good", None),
+        (4, 1, "good", None),
+        (6, 1, "good", True),
         (40, 14, "good", None),
         (40, 1, "doubtful", False),
     ],
