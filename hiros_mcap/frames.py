@@ -134,11 +134,11 @@ class CameraNumbers(dict[str, int]):
 
 
 def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
-    """Return the frames of blocks, one block behind the other; arrays are copied.
+    """Return the frames of blocks, one block behind the other; arrays are copied, to all columns.
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
     """
-    return _joined([_Packed(block, _ALL, _ALL) for block in blocks], order)
+    return _joined(list(map(_Packed.as_is, blocks)), order)
 
 
 class _Packed(NamedTuple):
@@ -148,6 +148,12 @@ class _Packed(NamedTuple):
     markers: Stamps
     links: Stamps
     """Which columns these are."""
+
+    @classmethod
+    def as_is(cls, block: Block) -> _Packed:
+        """Take all columns of a block, without a copy."""
+        people = block.people
+        return cls(block, *[_ALL[: each.shape[2]] for each in (people.markers, people.links)])
 
     @classmethod
     def of(cls, block: Block) -> _Packed:
@@ -221,7 +227,7 @@ class HeldFrames:
         """Hold the frames of a block; return the number of the first."""
         first, self.count = self.count, self.count + len(block)
         if len(block):
-            packed = _Packed.of(block) if self._is_packed else _Packed(block, _ALL, _ALL)
+            packed = _Packed.of(block) if self._is_packed else _Packed.as_is(block)
             self._blocks.append((np.arange(first, self.count), packed))
         return first
 

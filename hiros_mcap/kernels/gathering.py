@@ -35,13 +35,9 @@ def _spread_rows(
 
 @kernel(types.void(I2, I1, PEOPLE, I1, I1, PEOPLE))
 def gather(
-    rows: Stamps,
-    targets: Stamps,
-    people: People,
-    marker_columns: Stamps,
-    link_columns: Stamps,
+    rows: Stamps, targets: Stamps, people: People, marker_columns: Stamps, link_columns: Stamps,
     target: People,
-) -> None:
+) -> None:  # fmt: skip
     """Copy the people of frames into ``target``; neighbours are copied together.
 
     ``rows`` (N, 2): first row of each frame, and the row after the last; ``targets`` (N,): the row
