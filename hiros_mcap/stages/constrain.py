@@ -80,20 +80,22 @@ def constrain_blocks(
             if stamp - begin < params.window * 1e9:
                 continue
             numbers, first, begin = range(first, number + 1), number + 1, None
-            copies = {number: held.copies(numbers)}
-            waiting.append(bodies.measure(copies[number], numbers))
+            copied, window = numbers, held.copies(numbers)
+            waiting.append(bodies.measure(window, numbers))
             while waiting and bodies.can_correct(waiting[0], stamp):
                 numbers = waiting.popleft().numbers
-                yield bodies.corrected(copies.pop(numbers[-1], None) or held.copies(numbers), end)
-            copies.clear()
-        del block  # it is packed, which takes less memory
+                if numbers != copied:
+                    copied, window = numbers, held.copies(numbers)
+                yield bodies.corrected(window, end)
+            del window  # it takes more memory than what waits
+        del block  # for the same reason
         held.keep(range(waiting[0].numbers.start if waiting else first, held.count))
     if held.count > first:
         numbers = range(first, held.count)
         waiting.append(bodies.measure(held.copies(numbers), numbers))
     bodies.end_of_log()
-    for window in waiting:
-        yield bodies.corrected(held.copies(window.numbers), end)
+    for each in waiting:
+        yield bodies.corrected(held.copies(each.numbers), end)
 
 
 class _WaitingWindow(NamedTuple):
