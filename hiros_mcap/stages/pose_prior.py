@@ -124,11 +124,11 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     frames = np.tile(np.eye(3), (len(positions), 1, 1))
     trunk = positions[:, lateral.ravel()] if len(lateral) else positions
     seen = ~np.isnan(trunk[:, :, :1])
-    origins = np.nan_to_num(trunk).sum(axis=1, keepdims=True)
+    origins = np.where(seen, trunk, 0.0).sum(axis=1, keepdims=True)
     origins /= np.maximum(seen.sum(axis=1, keepdims=True), 1)
     if len(lateral):
         lines = positions[:, lateral[:, 1]] - positions[:, lateral[:, 0]]
-        across = np.nan_to_num(lines).sum(axis=1)
+        across = np.where(np.isnan(lines), 0.0, lines).sum(axis=1)
         norm = np.hypot(across[:, 0], across[:, 1])
         good = norm > 1e-6
         cos = np.where(good, across[:, 0] / np.maximum(norm, 1e-6), 1.0)
