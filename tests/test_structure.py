@@ -48,7 +48,7 @@ CEILINGS = {
     "regression": 1650,
     "running": 3180,
     "simulate": 3070,
-    "stages": 7366,
+    "stages": 7372,
     "systems": 400,
     "hiros_schemas": 400,
 }

@@ -152,6 +152,7 @@ class WindowSmoother:
         boundary = self._stamps[min(n, len(self._stamps) - 1)]  # nothing older is merged any more
         out = self._held.copies(range(self._first, self._first + n))
         views = joined(self._views)
+        self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
         window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
         of_views = rows_of(views, self._first + owners, out.people.ids)
