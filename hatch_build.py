@@ -77,9 +77,9 @@ def compile_into(target: Path) -> None:
     target.mkdir()
     for module in kernels.sources():
         kernels.load([module])
-        for name, kernel in vars(sys.modules[f"{kernels.__name__}.{module}"]).items():
+        for name, kernel in vars(sys.modules[module]).items():
             if getattr(kernel, "signatures", ()) and not kernel._can_compile:
-                for path in kernels.folder_of(module).glob(f"{module}.{name}-*.nb?"):
+                for path in kernels.folder_of(module).glob(f"*.{name}-*.nb?"):
                     shutil.copy(path, target)
     (target / shipped.MANIFEST.name).write_text(json.dumps(shipped.identity(), indent=1))
 

@@ -19,8 +19,8 @@ import numpy as np
 from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import ORIENTATION, POSITION, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.filter import filter_blocks
-from hiros_mcap.stages.hiros_params import FilterParams
+from hiros_mcap.stages.filter.filter import filter_blocks
+from hiros_mcap.stages.filter.filter_params import FilterParams
 
 filter_frames = by_frame(filter_blocks)
 

@@ -15,10 +15,10 @@ from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fi
 from hiros_mcap.frames import by_frame
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.cluster import cluster_blocks
-from hiros_mcap.stages.lee_params import ClusterParams
-from hiros_mcap.stages.predict import predict
-from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.lee.cluster import cluster_blocks
+from hiros_mcap.stages.lee.lee_params import ClusterParams
+from hiros_mcap.stages.lee.predict import predict
+from hiros_mcap.stages.track.track import track_blocks
 
 track = by_frame(track_blocks)
 cluster = by_frame(cluster_blocks)

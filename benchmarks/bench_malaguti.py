@@ -18,9 +18,9 @@ from collections.abc import Iterator
 from hiros_mcap.body.transforms import Transform, TransformTree, transform_to_fixed
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.stages.associate import associate
-from hiros_mcap.stages.kalman import kalman
-from hiros_mcap.stages.straighten import straighten
+from hiros_mcap.stages.malaguti.associate import associate
+from hiros_mcap.stages.malaguti.kalman import kalman
+from hiros_mcap.stages.malaguti.straighten import straighten
 
 
 def detections(people: int, seconds: float) -> tuple[list[Frame], object]:

@@ -15,9 +15,9 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.hiros_params import OptimizeParams
-from hiros_mcap.stages.limb_calibration import calibrate_limbs
-from hiros_mcap.stages.optimize import optimize_blocks
+from hiros_mcap.stages.optimize.limb_calibration import calibrate_limbs
+from hiros_mcap.stages.optimize.optimize import optimize_blocks
+from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
 
 optimize = by_frame(optimize_blocks)
 

@@ -65,7 +65,7 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     if name == "process":
-        from hiros_mcap.kernels import announce
+        from hiros_mcap.kernels.shipped import announce
 
         announce()
     return getattr(import_module(f"hiros_mcap.{_HOMES[name]}"), name)

@@ -23,22 +23,19 @@ from hiros_mcap.defaults import DEFAULT_SYSTEM, NO_PRESET, takes_presets
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.outside import parse, read_toml
 from hiros_mcap.params import Params, advanced, explain, is_advanced, is_fixed
-from hiros_mcap.stages.fuse_params import ConstrainParams, FuseParams
-from hiros_mcap.stages.hiros_params import (
-    FilterParams,
-    MergeParams,
-    OptimizeParams,
-    PlausibleParams,
-    SidesParams,
-    TrackParams,
-)
-from hiros_mcap.stages.lee_params import ClusterParams, PredictParams
-from hiros_mcap.stages.malaguti_params import (
+from hiros_mcap.stages.detections.detection_params import PlausibleParams, SidesParams
+from hiros_mcap.stages.filter.filter_params import FilterParams
+from hiros_mcap.stages.fuse.fuse_params import ConstrainParams, FuseParams
+from hiros_mcap.stages.lee.lee_params import ClusterParams, PredictParams
+from hiros_mcap.stages.malaguti.malaguti_params import (
     AssociateParams,
     KalmanParams,
     MovingAverageParams,
     StraightenParams,
 )
+from hiros_mcap.stages.merge.merge_params import MergeParams
+from hiros_mcap.stages.optimize.optimize_params import OptimizeParams
+from hiros_mcap.stages.track.track_params import TrackParams
 
 Table = dict[str, dict[str, Any]]
 """Values by section and parameter."""

@@ -19,8 +19,8 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
 from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.merge import MergeParams, merge_blocks
-from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
+from hiros_mcap.stages.track.track import track_blocks
 from hiros_mcap.systems import SYSTEMS, Run, Stages, chain_of
 
 track = by_frame(track_blocks)
@@ -238,7 +238,7 @@ def test_the_tracker_gives_the_same_message_by_message(
     frames = [f.select([]) if rng.random() < 0.05 else f for f in crossing().frames]
     block = join([Block.of(frame) for frame in frames])
     at_once = list(frames_of(track_blocks([block], crossing().model, cameras=crossing().cameras)))
-    monkeypatch.setattr("hiros_mcap.stages.track._Tracker._follow", lambda *_: 0)
+    monkeypatch.setattr("hiros_mcap.stages.track.track._Tracker._follow", lambda *_: 0)
     one_by_one = list(track_blocks([block], crossing().model, cameras=crossing().cameras))
     assert all_same(at_once, list(frames_of(one_by_one)))
     times = [t for some in one_by_one for t in some.log_times.tolist()]

@@ -17,7 +17,7 @@ from hiros_mcap.evaluate.logs import read_channel
 from hiros_mcap.frames import by_frame
 from hiros_mcap.running.pipeline import ProcessOptions, process
 from hiros_mcap.skeletons import Frame
-from hiros_mcap.stages.cluster import cluster_blocks
+from hiros_mcap.stages.lee.cluster import cluster_blocks
 from hiros_mcap.systems import SYSTEMS, Run, chain_of
 
 VARIANTS = ("lee-a1", "lee-a2", "lee-a3", "lee-a4", "lee")

@@ -106,13 +106,13 @@ def test_who_imports_process_is_told_of_a_compilation(
     monkeypatch.setattr(kernels, "compiled", set)
     monkeypatch.setattr(shipped, "usable", lambda: False)
     for _ in range(2):
-        kernels.announce.cache_clear()
+        shipped.announce.cache_clear()
         hiros_mcap.__getattr__("Config")
     assert caplog.messages == []
     hiros_mcap.__getattr__("process")
     hiros_mcap.__getattr__("process")
     assert caplog.messages == [kernels.NOTICE]
     monkeypatch.setattr(shipped, "usable", lambda: True)
-    kernels.announce.cache_clear()
+    shipped.announce.cache_clear()
     hiros_mcap.__getattr__("process")
     assert caplog.messages == [kernels.NOTICE]

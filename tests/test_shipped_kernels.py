@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from hiros_mcap import kernels
 from hiros_mcap.kernels import shipped
 from hiros_mcap.systems import SYSTEMS
 
@@ -109,7 +110,10 @@ def test_kernels_of_another_numba_are_compiled_again(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "hiros_mcap", package)
     manifest = package / shipped.FOLDER.name / shipped.MANIFEST.name
     manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "numba": "0.1.0"}))
-    code = "from hiros_mcap.kernels import local_line, folder_of; print(folder_of('local_line'))"
+    code = (
+        "from hiros_mcap.kernels import local_line, folder_of; "
+        "print(folder_of('hiros_mcap.kernels.local_line'))"
+    )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -152,12 +156,17 @@ def test_who_wants_to_compile_does(manifest: Path, monkeypatch: pytest.MonkeyPat
 def test_an_edited_source_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "hiros_mcap"
     shutil.copytree(ROOT / "hiros_mcap", package)
-    monkeypatch.setattr(shipped, "__file__", str(package / "kernels" / "shipped.py"))
-    before = shipped.digest()
-    assert before == shipped.digest()
-    with (package / "skeletons.py").open("a") as source:
-        source.write("# edited\n")
-    assert shipped.digest() != before
+    monkeypatch.setattr(kernels, "_PACKAGE", package)
+    digests = []
+    for changed in ("skeletons.py", "stages/track/tracking.py", "stages/track/track.py", ""):
+        kernels.digest.cache_clear()
+        digests.append(shipped.digest())
+        if changed:
+            with (package / changed).open("a") as source:
+                source.write("# edited\n")
+    kernels.digest.cache_clear()
+    assert len(set(digests[:3])) == 3
+    assert digests[2] == digests[3], "a page has no kernels"
 
 
 def test_the_library_leaves_the_settings_of_the_process_alone() -> None:

@@ -10,7 +10,7 @@ from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import SkeletonModel
-from hiros_mcap.stages.merge import MergeParams
+from hiros_mcap.stages.merge.merge import MergeParams
 from hiros_mcap.systems import LETTERS, SYSTEMS, Run, chain_of, merging_order, system
 
 MODEL = SkeletonModel.of(["A", "B"], [("AB", 0, 1)])

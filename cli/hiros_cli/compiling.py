@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 
 _ADDRESSES = 512 << 20  # bytes; below that, libraries abort the program while they are loaded
 _SPACE = 32 << 20  # bytes; all kernels take half of that
-_KERNELS = "hiros_mcap.kernels."
 
 
 @contextlib.contextmanager
@@ -57,8 +56,7 @@ def independent(sources: Mapping[str, str]) -> list[list[str]]:
 
     groups: list[set[str]] = []
     for name, text in sources.items():
-        imports = {module.removeprefix(_KERNELS) for module in kernels.imported(text)}
-        joined = {name, *(imports & sources.keys())}
+        joined = {name, *(sources.keys() & kernels.imported(text))}
         linked = [group for group in groups if group & joined]
         groups = [group for group in groups if not group & joined]
         groups.append(joined.union(*linked))

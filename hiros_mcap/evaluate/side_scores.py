@@ -10,10 +10,10 @@ import numpy as np
 from hiros_mcap.body.forward_cues import CUES, ForwardCues
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.frames import Block, join
-from hiros_mcap.kernels import facing as kernels
-from hiros_mcap.kernels.body_axes import find_upright
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, People, SkeletonModel, Stamps
 from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.detections import facing as kernels
+from hiros_mcap.stages.detections.body_axes import find_upright
 
 WALKING = 0.5
 """m/s: somebody who is faster walks."""

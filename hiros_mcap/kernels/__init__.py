@@ -1,5 +1,8 @@
 """Compiled inner loops: numba functions on bare arrays, no objects, no input/output.
 
+Those that several folders use are here. Those of one step lie beside its page, in its folder of
+stages.
+
 Kernels state their signatures, so they are compiled (or loaded) when their module is imported,
 never in the middle of a run, and a wrong array layout is a TypeError rather than a silent second
 compilation.
@@ -13,7 +16,6 @@ running the old code.
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 import re
 import sys
@@ -28,11 +30,15 @@ NOTICE = "compiling kernels for this machine, once (about a minute with two core
 _SIGNED = re.compile(r"^@kernel\((?!\s*\w+=)", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
+_PLACES = ("kernels/*.py", "stages/*/*.py")
 
 
 def sources() -> Mapping[str, str]:
     """Name -> source of every module that is compiled when it is imported."""
-    texts = {path.stem: path.read_text() for path in sorted(Path(__file__).parent.glob("*.py"))}
+    texts = {}
+    for path in sorted(path for place in _PLACES for path in _PACKAGE.glob(place)):
+        parts = path.relative_to(_PACKAGE.parent).with_suffix("").parts
+        texts[".".join(parts)] = path.read_text()
     return {name: text for name, text in texts.items() if _SIGNED.search(text)}
 
 
@@ -67,7 +73,7 @@ def cache_folder() -> Path:
 
 def folder_of(module: str) -> Path:
     """Folder for the compiled code of a module of kernels as it is now."""
-    return cache_folder() / f"{module}-{digest(f'{__name__}.{module}')[:16]}"
+    return cache_folder() / f"{module.rpartition('.')[2]}-{digest(module)[:16]}"
 
 
 def compiled() -> set[str]:
@@ -75,16 +81,7 @@ def compiled() -> set[str]:
     return {module for module in sources() if folder_of(module).is_dir()}
 
 
-@cache
-def announce() -> None:
-    """Log, once in a process, that a minute will go by, if the kernels are to be compiled."""
-    from hiros_mcap.kernels import shipped
-
-    if not shipped.usable() and not compiled():
-        logging.getLogger(__name__).warning(NOTICE)
-
-
 def load(modules: Sequence[str]) -> None:
     """Import modules of kernels, which compiles them unless that was done before."""
     for module in modules:
-        import_module(f"{__name__}.{module}")
+        import_module(module)

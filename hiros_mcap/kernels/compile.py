@@ -26,7 +26,7 @@ class _Folder(caching._CacheLocator):
     """
 
     def __init__(self, function: FunctionType) -> None:
-        self._module = function.__module__.rpartition(".")[2]
+        self._module = function.__module__
         self._line = function.__code__.co_firstlineno
 
     def get_cache_path(self) -> str:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import platform
 import sys
 from functools import cache
 from pathlib import Path
+
+from hiros_mcap import kernels
 
 FOLDER = Path(__file__).parent.parent / "_compiled"
 MANIFEST = FOLDER / "manifest.json"
@@ -38,6 +41,13 @@ def usable() -> bool:
     return bool(manifest == identity()) and runs_on(_features())
 
 
+@cache
+def announce() -> None:
+    """Log, once in a process, that a minute will go by, if the kernels are to be compiled."""
+    if not usable() and not kernels.compiled():
+        logging.getLogger(__name__).warning(kernels.NOTICE)
+
+
 def identity() -> dict[str, str]:
     """Return what compiled kernels depend on, apart from the processor."""
     import numba
@@ -51,13 +61,11 @@ def identity() -> dict[str, str]:
 
 
 def digest() -> str:
-    """Hash of every kernel's source, and of the constants and tuples that they share."""
-    kernels = Path(__file__).parent
-    value = hashlib.sha256()
-    for source in sorted([*kernels.glob("*.py"), kernels.parent / "skeletons.py"]):
-        value.update(source.name.encode())
-        value.update(source.read_bytes())
-    return value.hexdigest()
+    """Hash of the sources of all kernels, and of all that they import."""
+    parts = [
+        kernels.digest(module) for module in (*kernels.sources(), f"{kernels.__name__}.compile")
+    ]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def runs_on(features: dict[str, bool]) -> bool:

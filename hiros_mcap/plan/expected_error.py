@@ -27,8 +27,8 @@ from hiros_mcap.simulate.detector import EXTREMITY, REFERENCE_RANGE, is_detected
 from hiros_mcap.simulate.occlusion import look
 from hiros_mcap.simulate.settings import SimulateParams
 from hiros_mcap.skeletons import Floats, Stamps
-from hiros_mcap.stages.fuse_params import FuseParams
-from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.fuse_params import FuseParams
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 _BANDS = 14
 _SLOWEST = 0.02  # rad/s; what is slower counts as constant

@@ -1,6 +1,6 @@
 """Whether the cameras' residuals contradict the noise that the fuser assumes, in numbers and words.
 
-:mod:`hiros_mcap.stages.residuals` says what is measured. The ratio is that of medians, which
+:mod:`hiros_mcap.stages.fuse.residuals` says what is measured. The ratio is that of medians, which
 outliers hardly move.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from hiros_mcap.events import COMMON, RESIDUAL, Events
 from hiros_mcap.skeletons import SkeletonModel
-from hiros_mcap.stages.log_histograms import medians
-from hiros_mcap.stages.residuals import FEWEST, ratios
+from hiros_mcap.stages.fuse.log_histograms import medians
+from hiros_mcap.stages.fuse.residuals import FEWEST, ratios
 from hiros_mcap.summary import ScatterSummary
 
 _LARGE = 1.4  # times as far as expected

@@ -27,7 +27,7 @@ from hiros_mcap.skeletons import Floats
 from hiros_mcap.systems import Run, Stages, chain_of, sections_of, system
 
 if TYPE_CHECKING:
-    from hiros_mcap.stages.fusion_noise import FusionNoise
+    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ def _given_noise(log: Log, config: Config, options: ProcessOptions) -> FusionNoi
     """
     if "fuse" not in sections_of(options.system) or not config.noise.model_extra:
         return None
-    from hiros_mcap.stages.fusion_noise import FusionNoise
+    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
     fuse, noise = config.fuse, config.noise
     usual = FusionNoise.default(log.model, fuse.acceleration, fuse.offset, fuse.offset_time)
@@ -203,7 +203,7 @@ def _calibrate_first(run: Run, chain: Sequence[str], read: Callable[[], Iterable
     wanted = "optimize" in sections_of(run.system) and "optimized" in chain
     if not wanted or run.config.optimize.calibration != "two-pass" or run.limbs.people:
         return
-    from hiros_mcap.stages.limb_calibration import calibrate_limbs
+    from hiros_mcap.stages.optimize.limb_calibration import calibrate_limbs
 
     first_pass = replace(run, events=Events(), limbs=LimbTable())
     blocks = read()

@@ -21,7 +21,7 @@ from hiros_mcap.running.observe import Observer, Presence
 from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.running.preparation import Prepared
 from hiros_mcap.running.write import unmatched_globs
-from hiros_mcap.stages.displaced import CAMERA_DISPLACED, DISPLACED, MIRROR_SEEN
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED, DISPLACED, MIRROR_SEEN
 from hiros_mcap.summary import (
     CameraSummary,
     LimbSummary,

@@ -1,1 +1,5 @@
-"""One step of a system per module: its Params, one generator, private helpers."""
+"""The steps of all systems. A step is a folder: its page, its parameters, its compiled loops.
+
+bank.py, delay.py and time_order.py are what several steps need: the state of people, frames that
+wait, and messages in the order of their stamps.
+"""

@@ -9,7 +9,7 @@ from hiros_mcap.systems.run import Run, Stages
 
 def maf(run: Run) -> Stages:
     """Average each person's last detections (Malaguti 2019, IV)."""
-    from hiros_mcap.stages.moving_average import moving_average
+    from hiros_mcap.stages.malaguti.moving_average import moving_average
 
     params = run.config.moving_average
     mean = run.stage(moving_average, params, fixed_frame=run.fixed_frame)
@@ -18,7 +18,7 @@ def maf(run: Run) -> Stages:
 
 def average(run: Run) -> Stages:
     """Average what the cameras see at one time."""
-    from hiros_mcap.stages.merge import merge_blocks
+    from hiros_mcap.stages.merge.merge import merge_blocks
 
     mean = run.stage(merge_blocks, run.config.merge, fixed_frame=run.fixed_frame)
     return {**raw(run), "merged": mean}

@@ -8,11 +8,11 @@ from hiros_mcap.systems.run import Run, Stages
 
 def fuse(run: Run) -> Stages:
     """Output channel -> the stage that fills it."""
-    from hiros_mcap.stages.align_links import align_blocks
-    from hiros_mcap.stages.constrain import constrain_blocks
-    from hiros_mcap.stages.filter import filter_blocks
-    from hiros_mcap.stages.fuse import fuse_blocks, noise_of
-    from hiros_mcap.stages.track import track_blocks
+    from hiros_mcap.stages.filter.filter import filter_blocks
+    from hiros_mcap.stages.fuse.align_links import align_blocks
+    from hiros_mcap.stages.fuse.constrain import constrain_blocks
+    from hiros_mcap.stages.fuse.fuse import fuse_blocks, noise_of
+    from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     sides, merging = left_and_right(run)

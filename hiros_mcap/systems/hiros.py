@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from hiros_mcap.frames import BlockStage
-from hiros_mcap.stages.hiros_params import MergeParams
+from hiros_mcap.stages.merge.merge_params import MergeParams
 from hiros_mcap.systems.run import Run, Stages
 
 
 def hiros(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 2)."""
-    from hiros_mcap.stages.filter import filter_blocks
-    from hiros_mcap.stages.merge import merge_blocks
-    from hiros_mcap.stages.optimize import optimize_blocks
-    from hiros_mcap.stages.track import track_blocks
+    from hiros_mcap.stages.filter.filter import filter_blocks
+    from hiros_mcap.stages.merge.merge import merge_blocks
+    from hiros_mcap.stages.optimize.optimize import optimize_blocks
+    from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     sides, merging = left_and_right(run)
@@ -31,8 +31,8 @@ def left_and_right(run: Run) -> tuple[BlockStage, MergeParams]:
     Detections that contradict the person's own body count less; then left and right are decided.
     Where they are, the merger does not vote on them (section 3.2).
     """
-    from hiros_mcap.stages.plausible import drop_implausible_blocks
-    from hiros_mcap.stages.sides import decide_sides, knows_sides
+    from hiros_mcap.stages.detections.plausible import drop_implausible_blocks
+    from hiros_mcap.stages.detections.sides import decide_sides, knows_sides
 
     merging = run.config.merge
     if run.config.sides.over_time and knows_sides(run.model):

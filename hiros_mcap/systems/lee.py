@@ -13,9 +13,9 @@ from hiros_mcap.systems.run import Run, Stages
 
 def lee(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 4)."""
-    from hiros_mcap.stages.cluster import cluster_blocks
-    from hiros_mcap.stages.predict import predict
-    from hiros_mcap.stages.track import track_blocks
+    from hiros_mcap.stages.lee.cluster import cluster_blocks
+    from hiros_mcap.stages.lee.predict import predict
+    from hiros_mcap.stages.track.track import track_blocks
 
     config = run.config
     merge = run.stage(cluster_blocks, config.cluster, fixed_frame=run.fixed_frame)

@@ -9,7 +9,7 @@ from hiros_mcap.systems.run import Run, Stages
 
 def malaguti(run: Run) -> Stages:
     """Output channel -> the stage that fills it, in the order of the paper (Fig. 1)."""
-    from hiros_mcap.stages.straighten import straighten
+    from hiros_mcap.stages.malaguti.straighten import straighten
 
     lengths = run.stage(straighten, run.config.straighten, limbs=run.limbs)
     return {**openptrack(run), "optimized": by_block(lengths)}  # III-E

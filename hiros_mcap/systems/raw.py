@@ -8,6 +8,6 @@ from hiros_mcap.systems.run import Run, Stages
 
 def raw(run: Run) -> Stages:
     """Output channel -> the stage that fills it (Malaguti 2019, III-A)."""
-    from hiros_mcap.stages.associate import associate
+    from hiros_mcap.stages.malaguti.associate import associate
 
     return {"tracked": by_block(run.stage(associate, run.config.associate))}  # III-A

@@ -17,7 +17,7 @@ from hiros_mcap.params import Params
 from hiros_mcap.skeletons import Floats, SkeletonModel
 
 if TYPE_CHECKING:
-    from hiros_mcap.stages.fusion_noise import FusionNoise
+    from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 Stages = Mapping[str, BlockStage]
 """Output channel -> the stage that fills it, in order; ``frames.by_frame`` takes frames."""

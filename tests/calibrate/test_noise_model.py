@@ -15,7 +15,7 @@ from hiros_mcap.running.preparation import prepare, set_up
 from hiros_mcap.running.process_options import ProcessOptions
 from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 
 MODEL = SkeletonModel.of(["HIP", "HAND"], [("arm", 0, 1)])
 

@@ -168,10 +168,12 @@ def test_warmup_says_when_it_is_done(capsys: pytest.CaptureFixture[str]) -> None
 
 def test_every_kernel_with_a_signature_is_found() -> None:
     for name, source in kernels.sources().items():
-        module = import_module(f"hiros_mcap.kernels.{name}")
+        module = import_module(name)
         compiled = [kernel for kernel in vars(module).values() if getattr(kernel, "signatures", ())]
         assert compiled, f"{name} compiles nothing when it is imported:\n{source[:300]}"
-    assert not {"bytes", "compile", "__init__"} & kernels.sources().keys()
+    names = {name.rpartition(".")[2] for name in kernels.sources()}
+    assert {"tracking", "merging", "fusing", "cdr"} <= names
+    assert not {"bytes", "compile", "__init__", "track"} & names
 
 
 def test_imports_at_the_top_level_are_found() -> None:
@@ -192,15 +194,14 @@ def test_no_kernel_is_compiled_by_two_processes() -> None:
     assert sorted(chain(*groups)) == sorted(sources)
     for group in groups:
         for name in group:
-            prefix = "hiros_mcap.kernels."
-            used = {module.removeprefix(prefix) for module in kernels.imported(sources[name])}
-            assert used & sources.keys() <= {*group}
+            assert sources.keys() & kernels.imported(sources[name]) <= {*group}
 
 
 def test_modules_that_share_a_third_are_compiled_together() -> None:
-    use = "from hiros_mcap.kernels.{} import f"
-    texts = {"a": "", "b": use.format("a"), "c": use.format("a"), "d": "longer than all others" * 9}
-    assert independent(texts) == [["d"], ["a", "b", "c"]]
+    use, other = "from hiros_mcap.a import f", "longer than all others" * 9
+    texts = {"hiros_mcap.a": "", "hiros_mcap.b": use, "hiros_mcap.c": use, "hiros_mcap.d": other}
+    groups = [["hiros_mcap.d"], ["hiros_mcap.a", "hiros_mcap.b", "hiros_mcap.c"]]
+    assert independent(texts) == groups
 
 
 def test_two_cores_share_the_compilation() -> None:
@@ -214,13 +215,14 @@ def test_what_is_compiled_in_advance_is_not_compiled_again(
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setenv("HIROS_KERNELS", "compile")
-    found = []
+    found, module = [], "hiros_mcap.kernels.local_line"
     for _ in range(2):
         code = (
-            "from hiros_mcap.kernels import load, compiled; load(['local_line']); print(compiled())"
+            "from hiros_mcap.kernels import load, compiled; "
+            f"load([{module!r}]); print(compiled() == {{{module!r}}})"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-        assert done.stdout == b"{'local_line'}\n"
+        assert done.stdout == b"True\n"
         found.append({path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")})
     assert found[0] == found[1]
     assert any(path.name.startswith("local_line.") for path in found[0])
@@ -232,7 +234,7 @@ def test_a_changed_callee_is_compiled_again(
     package = tmp_path / "hiros_mcap"
     shutil.copytree(Path(kernels.__file__).parent.parent, package)
     monkeypatch.setattr(kernels, "_PACKAGE", package)
-    names = ("tracking", "encode")
+    names = ("hiros_mcap.stages.track.tracking", "hiros_mcap.kernels.encode")
     folders = []
     for _ in range(2):
         kernels.digest.cache_clear()
@@ -257,10 +259,10 @@ def test_a_run_imports_its_own_stages_only(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     modules = {*done.stdout.split()}
-    prefix = "hiros_mcap.kernels."
-    assert {f"{prefix}{name}" for name in ("tracking", "fusing")} <= modules
-    others = ("energy", "optimizing", "clustering", "predicting", "drawing", "butterworth")
-    assert not {f"{prefix}{name}" for name in others} & modules
+    prefix = "hiros_mcap.stages."
+    assert {f"{prefix}{name}" for name in ("track.tracking", "fuse.fusing")} <= modules
+    others = ("optimize.energy", "lee.clustering", "malaguti.kalman", "filter.butterworth")
+    assert not {"hiros_mcap.kernels.drawing", *(f"{prefix}{name}" for name in others)} & modules
 
 
 def test_nothing_is_collected_while_a_command_imports() -> None:

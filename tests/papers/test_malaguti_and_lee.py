@@ -23,7 +23,7 @@ from hiros_mcap.evaluate.comparison import Entry, Outcome, Task, run_task
 from hiros_mcap.evaluate.parts import PARTS, part_of
 from hiros_mcap.evaluate.scores import Scores
 from hiros_mcap.simulate.body_model import MARKERS
-from hiros_mcap.stages.cluster import LEE_JOINTS
+from hiros_mcap.stages.lee.cluster import LEE_JOINTS
 
 LEE_MARKERS = tuple(dict.fromkeys(joint for _, joint in lee_appendix()))
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from hiros_mcap.body.rotations import angle
 from hiros_mcap.frames import Block, frames_of, join
 from hiros_mcap.skeletons import ORIENTATION, Floats, Frame, SkeletonModel, Uncertainty
-from hiros_mcap.stages.align_links import align_blocks
+from hiros_mcap.stages.fuse.align_links import align_blocks
 
 ARM = SkeletonModel.of(["s", "e", "w"], [("upper", 0, 1), ("fore", 1, 2)])
 AXES = Rotation.from_rotvec([0.4, -1.0, 0.7])

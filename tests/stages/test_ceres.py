@@ -6,11 +6,11 @@ from skeleton_makers import energies, energy_of, random_model, random_poses, sce
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.kernels.energy import STIFFNESS, Energy
 from hiros_mcap.skeletons import SkeletonModel
-from hiros_mcap.stages import ceres
-from hiros_mcap.stages.ceres import CeresSolver, Residuals
-from hiros_mcap.stages.optimize import OptimizeParams, block_solver, optimize_blocks
+from hiros_mcap.stages.optimize import ceres
+from hiros_mcap.stages.optimize.ceres import CeresSolver, Residuals
+from hiros_mcap.stages.optimize.energy import STIFFNESS, Energy
+from hiros_mcap.stages.optimize.optimize import OptimizeParams, block_solver, optimize_blocks
 
 optimize = by_frame(optimize_blocks)
 

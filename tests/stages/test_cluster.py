@@ -17,15 +17,15 @@ from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.kernels.clustering import ClusterWork, dbscan, reference_positions
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.cluster import (
+from hiros_mcap.stages.lee.cluster import (
     LEE_JOINTS,
     ClusterParams,
     cluster_blocks,
     lee_joints,
     pairs_of,
 )
+from hiros_mcap.stages.lee.clustering import ClusterWork, dbscan, reference_positions
 
 cluster = by_frame(cluster_blocks)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiros_mcap.stages.coverage import Coverage
+from hiros_mcap.stages.track.coverage import Coverage
 
 CAMERA = {"a": np.array([0.0, 0.0, 1.0])}
 

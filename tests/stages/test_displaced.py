@@ -13,9 +13,9 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.hiros_params import TrackParams
-from hiros_mcap.stages.likeness import Displacement, likeness
-from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.track.likeness import Displacement, likeness
+from hiros_mcap.stages.track.track import track_blocks
+from hiros_mcap.stages.track.track_params import TrackParams
 
 track = by_frame(track_blocks)
 

@@ -10,11 +10,11 @@ import pytest
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import by_frame
-from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.displaced import CAMERA_DISPLACED
-from hiros_mcap.stages.displaced_views import LIMIT, SHARE, DisplacedViews, excess_of
-from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
+from hiros_mcap.stages.fuse.displaced_views import LIMIT, SHARE, DisplacedViews, excess_of
+from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
+from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
 fuse = by_frame(fuse_blocks)
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.kernels.link_lengths import project
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.filter import FilterParams, _SkeletonFilter, filter_blocks
+from hiros_mcap.stages.filter.filter import FilterParams, _SkeletonFilter, filter_blocks
+from hiros_mcap.stages.filter.link_lengths import project
 
 filter_frames = by_frame(filter_blocks)
 

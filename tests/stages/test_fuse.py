@@ -12,13 +12,20 @@ from builders import Room, room, same
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.kernels import fusing
-from hiros_mcap.kernels.fusing import POSE, FusedPoses, FusionWork, JointNoise, JointStates, Steps
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.constrain import ConstrainParams, constrain_blocks
-from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
-from hiros_mcap.stages.pair_lengths import measured_lengths
-from hiros_mcap.stages.pose_prior import shrink_noise
+from hiros_mcap.stages.fuse import fusing
+from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
+from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
+from hiros_mcap.stages.fuse.fusing import (
+    POSE,
+    FusedPoses,
+    FusionWork,
+    JointNoise,
+    JointStates,
+    Steps,
+)
+from hiros_mcap.stages.fuse.pair_lengths import measured_lengths
+from hiros_mcap.stages.fuse.pose_prior import shrink_noise
 from hiros_mcap.systems import Run, system
 
 fuse = by_frame(fuse_blocks)

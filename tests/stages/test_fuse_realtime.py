@@ -11,8 +11,10 @@ from builders import Room, room, same
 from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import evaluate
 from hiros_mcap.frames import by_frame
-from hiros_mcap.kernels import fusing
-from hiros_mcap.kernels.fusing import (
+from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
+from hiros_mcap.stages.fuse import fusing
+from hiros_mcap.stages.fuse.constrain import ConstrainParams, constrain_blocks
+from hiros_mcap.stages.fuse.fusing import (
     POSE,
     FusedPoses,
     FusionWork,
@@ -21,13 +23,11 @@ from hiros_mcap.kernels.fusing import (
     Sightings,
     Steps,
 )
-from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.constrain import ConstrainParams, constrain_blocks
-from hiros_mcap.stages.fusion_noise import FusionNoise
-from hiros_mcap.stages.pair_lengths import RunningLengths, measured_lengths
-from hiros_mcap.stages.pose_prior import RecentMotion
-from hiros_mcap.stages.running_noise import RunningNoise
-from hiros_mcap.stages.sightings import chosen
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.pair_lengths import RunningLengths, measured_lengths
+from hiros_mcap.stages.fuse.pose_prior import RecentMotion
+from hiros_mcap.stages.fuse.running_noise import RunningNoise
+from hiros_mcap.stages.fuse.sightings import chosen
 from hiros_mcap.systems import Run, system
 
 MS = 1_000_000

@@ -14,11 +14,11 @@ from hiros_mcap.config import load_config
 from hiros_mcap.events import Event, Events
 from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.hiros_params import TrackParams
-from hiros_mcap.stages.merge import MergeParams, merge_blocks
-from hiros_mcap.stages.reidentify import Limbs, PersonCues, limb_cue, place_cue, reidentify
-from hiros_mcap.stages.track import track_blocks
-from hiros_mcap.stages.unseen import Unseen
+from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
+from hiros_mcap.stages.merge.unseen import Unseen
+from hiros_mcap.stages.track.reidentify import Limbs, PersonCues, limb_cue, place_cue, reidentify
+from hiros_mcap.stages.track.track import track_blocks
+from hiros_mcap.stages.track.track_params import TrackParams
 
 track = by_frame(track_blocks)
 merge = by_frame(merge_blocks)

@@ -10,14 +10,14 @@ from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame
 from hiros_mcap.skeletons import Frame, SkeletonModel
-from hiros_mcap.stages.limb_calibration import (
+from hiros_mcap.stages.optimize.limb_calibration import (
     Calibration,
     CalibrationParams,
     calibrate_limbs,
     mean_lengths,
     moments_of,
 )
-from hiros_mcap.stages.optimize import OptimizeParams, optimize_blocks
+from hiros_mcap.stages.optimize.optimize import OptimizeParams, optimize_blocks
 
 optimize = by_frame(optimize_blocks)
 

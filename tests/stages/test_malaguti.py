@@ -21,14 +21,14 @@ from hiros_mcap.calibrate.noise import measure_noise
 from hiros_mcap.config import load_config
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.events import Events
-from hiros_mcap.kernels import centroid_filter, joint_filter, limb_lengths
 from hiros_mcap.skeletons import Floats, Frame, People, SkeletonModel
-from hiros_mcap.stages.associate import AssociateParams, associate
 from hiros_mcap.stages.bank import Bank
-from hiros_mcap.stages.kalman import KalmanParams, kalman
-from hiros_mcap.stages.moving_average import MovingAverageParams, moving_average
-from hiros_mcap.stages.predict import predict
-from hiros_mcap.stages.straighten import StraightenParams, link_order, straighten
+from hiros_mcap.stages.lee.predict import predict
+from hiros_mcap.stages.malaguti import centroid_filter, joint_filter, limb_lengths
+from hiros_mcap.stages.malaguti.associate import AssociateParams, associate
+from hiros_mcap.stages.malaguti.kalman import KalmanParams, kalman
+from hiros_mcap.stages.malaguti.moving_average import MovingAverageParams, moving_average
+from hiros_mcap.stages.malaguti.straighten import StraightenParams, link_order, straighten
 from hiros_mcap.systems import chain_of
 
 AT_ONCE = AssociateParams(confirm_detections=1)

@@ -16,9 +16,9 @@ from stick_figures import MIRROR, MODEL, PERIOD, SECOND, START, at, person, seen
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, frames_of, join
-from hiros_mcap.kernels import merging
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.merge import MergeParams, merge_blocks
+from hiros_mcap.stages.merge import merging
+from hiros_mcap.stages.merge.merge import MergeParams, merge_blocks
 
 merge = by_frame(merge_blocks)
 

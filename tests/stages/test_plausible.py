@@ -11,8 +11,8 @@ from stick_figures import MIRROR, MODEL, SECOND, at, person, seen
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, by_frame, join
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.merge import merge_blocks
-from hiros_mcap.stages.plausible import PlausibleParams, drop_implausible_blocks
+from hiros_mcap.stages.detections.plausible import PlausibleParams, drop_implausible_blocks
+from hiros_mcap.stages.merge.merge import merge_blocks
 
 merge = by_frame(merge_blocks)
 drop_implausible = by_frame(drop_implausible_blocks)

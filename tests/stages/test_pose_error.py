@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hiros_mcap.body.rotations import Rigid, from_vector, rotate
-from hiros_mcap.kernels.fusing import Sightings
 from hiros_mcap.skeletons import Floats
-from hiros_mcap.stages.pose_error import PoseError
+from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.fuse.pose_error import PoseError
 
 NAMES = ("a", "b", "c")
 PLACES = {name: np.array([np.cos(k), np.sin(k), 0.0]) * 3 for k, name in enumerate(NAMES)}

@@ -12,7 +12,7 @@ from stick_figures import MODEL, PERIOD, START, person, seen
 
 from hiros_mcap.events import Events
 from hiros_mcap.skeletons import Floats, Frame
-from hiros_mcap.stages.predict import PredictParams, predict
+from hiros_mcap.stages.lee.predict import PredictParams, predict
 
 MODELS = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration": 3}
 """Size of the state."""

@@ -19,8 +19,8 @@ from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.simulation import Simulation
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
-from hiros_mcap.stages.fuse import FuseParams, fuse_blocks
-from hiros_mcap.stages.log_histograms import histograms, medians
+from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
+from hiros_mcap.stages.fuse.log_histograms import histograms, medians
 from hiros_mcap.summary import ScatterSummary, Summary
 
 fuse = by_frame(fuse_blocks)

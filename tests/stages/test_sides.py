@@ -15,11 +15,11 @@ from hiros_mcap.body.forward_cues import CUES, ForwardCues
 from hiros_mcap.config import load_config
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, frames_of, join
-from hiros_mcap.kernels.body_axes import find_upright, follow_line
 from hiros_mcap.simulate import SimulateParams, simulate
 from hiros_mcap.simulate.body_model import MODEL, SLOT, SYMMETRY
 from hiros_mcap.skeletons import UNTRACKED, Floats, Frame, SkeletonModel
-from hiros_mcap.stages.sides import SidesParams, decide_sides, knows_sides
+from hiros_mcap.stages.detections.body_axes import find_upright, follow_line
+from hiros_mcap.stages.detections.sides import SidesParams, decide_sides, knows_sides
 from hiros_mcap.systems import Run, system
 
 LIVE = SidesParams(lookahead=0.0)

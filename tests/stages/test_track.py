@@ -23,7 +23,6 @@ from hiros_mcap.io.channels import add_skeleton_channel
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
-from hiros_mcap.kernels import tracking
 from hiros_mcap.kernels.assignment import assign
 from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import (
@@ -35,9 +34,10 @@ from hiros_mcap.skeletons import (
     Frame,
     People,
 )
-from hiros_mcap.stages.hiros_params import TrackParams
 from hiros_mcap.stages.time_order import in_time_order
-from hiros_mcap.stages.track import track_blocks
+from hiros_mcap.stages.track import tracking
+from hiros_mcap.stages.track.track import track_blocks
+from hiros_mcap.stages.track.track_params import TrackParams
 
 track = by_frame(track_blocks)
 

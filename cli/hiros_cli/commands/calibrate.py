@@ -218,7 +218,7 @@ def noise(
     from hiros_mcap.calibrate.noise import measure_noise, measure_noise_model
     from hiros_mcap.io.log import open_log
     from hiros_mcap.running.progress_bar import bar
-    from hiros_mcap.stages.associate import associate
+    from hiros_mcap.stages.malaguti.associate import associate
     from hiros_mcap.summary import number
 
     with bar(f"calibrating on {log.name}", quiet=False), open_log(log) as opened:

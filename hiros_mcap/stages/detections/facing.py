@@ -1,0 +1,951 @@
+"""Kernels that decide which way a person faces: evidence of each view, and a hidden Markov model.
+
+The hidden state is the facing: BINS directions across the person's trunk, in axes that are carried
+along with the body (kernels.body_axes). Time goes in cells of 1/30 s. What a cell's views show is
+summed as logarithms of likelihoods. Weights and scales were fitted to recordings of two cameras at
+30 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.averaging import copy_row
+from hiros_mcap.kernels.compile import (
+    B1,
+    F1,
+    F2,
+    F3,
+    I1,
+    I2,
+    J1,
+    J2,
+    PEOPLE,
+    inlined,
+    kernel,
+    named_tuple,
+)
+from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
+from hiros_mcap.stages.detections.body_axes import (
+    component,
+    follow_line,
+    follow_trunk,
+    learn_up,
+    left_to_right,
+    ramp,
+    upright,
+)
+
+CELL = 33_333_333  # ns
+BINS = 36
+CUES = 4
+"""Rows of body.forward_cues.CUES."""
+VIEWS = 16  # of a person that are remembered
+CELLS = 16  # of a person's way that are remembered
+_HALF = BINS // 2
+TOES = 3
+
+_VIEW = 0.1  # weight of a view's label and cues: neighbours in time err together
+_LINE_SHARPNESS, _LINE_OUTLIERS = 3.0, 0.05
+_LABEL_SHARPNESS = 2.0
+_CUE_WEIGHTS = (2.0, 1.7, 1.7, 3.0)
+_CUE_SCALES = (0.05, 0.05, 0.05, 0.06)  # m
+_CUE_SIGNS = (1.0, -1.0, 1.0, 1.0)  # of what is measured: elbows bend backwards
+_WALK_SPEED, _WALK_SLOPE = 0.4, 0.08  # m/s
+_WALK_SHARPNESS, _WALK_BACKWARDS = 2.5, 0.06
+_TURN = math.radians(8.0)  # SD of the change of the facing from one cell to the next
+_LONGEST_GAP = 30  # cells
+_TELEPORT = 1e-10  # probability of any other facing
+_WIDTH_QUANTILE, _WIDTH_STEP = 0.8, 0.02
+_OPPOSITE = -0.5  # cosine of labelled facings that contradict each other
+_LABELS = 0.2, 0.5  # honesty with which labels say nothing; they say all that labels can
+_FAST_TURNS = 0.45, 0.5  # lines show no fast turn; they show it (0.5 = nothing is known yet)
+_SLOW_TURNS = 0.45, 0.7  # the same of slow turns: a fifth of them counts while nothing is known
+_HONEST = 0.5, 0.7  # labels are not known to be honest; they are
+_ROUND = math.radians(270.0)  # a turn that a detector never shows if it assumes a facing
+_ROUND_MEMORY = 5.0  # s in which it is made
+_LARGEST_STEP = math.radians(60.0)  # from one view to the next; beyond, labels are exchanged
+_SURE = 0.5  # length of the mean direction of a belief that overrules labels
+_LARGEST_DEVIATION = math.radians(45.0)  # of a view's facing from the decided one
+_PRIOR_SAMPLES, _SAMPLE = 7.5, 0.125
+
+PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
+"""Share of contradicting labels in which a cue points the same way in both views, by cue."""
+
+
+class FacingMarkers(NamedTuple):
+    """Slots of markers, as in body.symmetry and body.forward_cues."""
+
+    mirror: Ints
+    """(M,)."""
+    lateral: Ints
+    """(K, 2)."""
+    vectors: Ints
+    """(V, 4)."""
+    feet: Ints
+    """(F, 2)."""
+    trunk: Ints
+    """(T, 2)."""
+
+
+class Looks(NamedTuple):
+    """What N views of anybody show, across the person's trunk."""
+
+    cells: Stamps
+    """(N,) number of the cell of time."""
+    stamps: Stamps
+    """(N,) ns."""
+    cameras: Stamps
+    """(N,) index of the camera."""
+    rows: Stamps
+    """(N,) row of the person in what is remembered."""
+    facing: Floats
+    """(N, 2) unit vector: the facing by the labels left and right; NaN = not known."""
+    widths: Floats
+    """(N,) length of the line that it was measured on, m."""
+    centres: Floats
+    """(N, 3) mean position of the markers, m."""
+    cues: Floats
+    """(N, CUES * 2) vectors that point forwards, m; 0 = not known."""
+    axes: Floats
+    """(N, 3, 3) the person's: two across the trunk, one along it; NaN = not known."""
+    starts: Stamps
+    """(N,) how often they were chosen anew: facings before and after that have no relation."""
+    weights: Floats
+    """(N,) 1 for a camera of 30 Hz or slower, less for a faster one."""
+
+    @classmethod
+    def allocate(cls, n: int) -> Looks:
+        """Make room."""
+        cells, stamps, cameras, rows, starts = np.zeros((5, n), np.int64)
+        facing, centres, cues = np.empty((n, 2)), np.empty((n, 3)), np.zeros((n, CUES * 2))
+        axes, widths, weights = np.empty((n, 3, 3)), np.empty(n), np.empty(n)
+        return cls(
+            cells, stamps, cameras, rows, facing, widths, centres, cues, axes, starts, weights
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Looks]) -> Looks:
+        """Return the views of several in one."""
+        return cls._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+
+    def at(self, views: slice) -> Looks:
+        """Return some of the views; the arrays are shared."""
+        return Looks._make(array[views] for array in self)
+
+
+class FacingPast(NamedTuple):
+    """What is remembered of S people, a row each."""
+
+    cells: Stamps
+    """(S,) number of the current cell; 0 = never seen."""
+    beliefs: Floats
+    """(S, BINS) probabilities before the current cell's views."""
+    evidence: Floats
+    """(S, BINS) logarithm of the likelihood of the current cell's views so far."""
+    widths: Floats
+    """(S,) 80 % quantile of Looks.widths, m."""
+    view_stamps: Stamps
+    view_cameras: Stamps
+    """(S, VIEWS) the last views, a ring; stamp 0 = none."""
+    view_looks: Floats
+    """(S, VIEWS, 2 + CUES * 2) their facing and cues."""
+    view_ranges: Floats
+    """(S, VIEWS, 3) their facing, rad, however the axes were turned, and the least and the
+    largest one that the camera showed lately without a step; NaN = not known."""
+    next_view: Stamps
+    """(S,) place of the next one in the ring."""
+    way_cells: Stamps
+    """(S, CELLS) the last cells, a ring."""
+    way: Floats
+    """(S, CELLS, 4) sum of the centres of their views, m, and the number of these."""
+    next_cell: Stamps
+    """(S,) place of the next one in the ring."""
+    axes: Floats
+    """(S, 3, 3) as Looks.axes, of the last view."""
+    trunks: Floats
+    """(S, 3) mean of the last unit vectors along the trunk."""
+    trunk_stamps: Stamps
+    """(S,) time of the last view that showed it, ns."""
+    lines: Floats
+    """(S, 3) see body_axes.follow_line; NaN = not known."""
+    starts: Stamps
+    belief_starts: Stamps
+    """(S,) as Looks.starts: of the last view; of the current cell."""
+
+    @classmethod
+    def empty(cls) -> FacingPast:
+        """Return arrays with no rows."""
+        n = np.zeros(0, np.int64)
+        views, cells = np.zeros((0, VIEWS), np.int64), np.zeros((0, CELLS), np.int64)
+        return cls(
+            n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
+            np.zeros((0, VIEWS, 2 + CUES * 2)), np.zeros((0, VIEWS, 3)), n, cells,
+            np.zeros((0, CELLS, 4)), n, np.zeros((0, 3, 3)), np.zeros((0, 3)), n,
+            np.zeros((0, 3)), n, n,
+        )  # fmt: skip
+
+
+class FacingTables(NamedTuple):
+    """What the kernels share."""
+
+    directions: Floats
+    """(BINS, 2) unit vectors."""
+    turns: Floats
+    """(_LONGEST_GAP + 1, _HALF + 1) probability of a turn by so many bins in so many cells."""
+    agreement: Floats
+    """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
+    other, and how often it was asked. It tells physical cues from those that follow the label."""
+    rounds: Floats
+    """(1,) learned: how often labels went round with a person; such labels are honest."""
+    up: Floats
+    """(4,) learned, see body_axes.learn_up."""
+
+    @classmethod
+    def make(cls) -> FacingTables:
+        """Return the tables, with nothing learned yet."""
+        angles = np.arange(BINS) * (2 * np.pi / BINS)
+        steps = np.arange(_HALF + 1) * (2 * np.pi / BINS)
+        turns = np.exp(-0.5 * (steps / (_TURN * np.arange(1, _LONGEST_GAP + 2)[:, None])) ** 2)
+        # Every turn but that by 0 and by half a circle has two directions.
+        turns /= 2 * turns.sum(axis=1, keepdims=True) - turns[:, :1] - turns[:, -1:]
+        return cls(
+            np.stack([np.cos(angles), np.sin(angles)], axis=1),
+            turns + _TELEPORT,
+            np.array([[p * _PRIOR_SAMPLES, _PRIOR_SAMPLES] for p in PRIOR_AGREEMENT]),
+            np.zeros(1),
+            np.zeros(4),
+        )
+
+    def reliability(self, cue: int) -> float:
+        """Share of contradicting labels in which a cue points the same way in both views."""
+        same, asked = self.agreement[cue].tolist()
+        return float(same / asked)
+
+
+class Facings(NamedTuple):
+    """What was decided on N views."""
+
+    facing: Floats
+    """(N, 2) the way the person faces; the length, up to 1, tells how sure that is."""
+    swapped: Flags
+    """(N,) whether the view's left and right are exchanged."""
+    turns: Floats
+    """(N,) angle by which shoulders and hips are turned after that, rad."""
+    toes: Floats
+    """(N,) what was known when this was decided: see FacingTables.reliability of the toes."""
+
+    @classmethod
+    def allocate(cls, n: int) -> Facings:
+        """Make room."""
+        return cls(np.empty((n, 2)), np.zeros(n, np.bool_), np.zeros(n), np.zeros(n))
+
+    def at(self, views: slice) -> Facings:
+        """Return what was decided on some of the views; the arrays are shared."""
+        return Facings._make(array[views] for array in self)
+
+
+MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2, J2)
+_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2, F3, I1, F1)
+_PAST = named_tuple(
+    FacingPast, I1, F2, F2, F1, I2, I2, F3, F3, I1, I2, F3, I1, F3, F2, I1, F2, I1, I1
+)
+_TABLES = named_tuple(FacingTables, F2, F2, F2, F1, F1)
+_FACINGS = named_tuple(Facings, F2, B1, F1, F1)
+
+
+# What a view shows.
+
+
+@kernel
+def _centre(positions: Floats, out: Floats) -> None:
+    """Mean of the markers."""
+    out[:] = 0.0
+    n = 0
+    for m in range(len(positions)):
+        if not math.isnan(positions[m, 0]):
+            for c in range(3):
+                out[c] += positions[m, c]
+            n += 1
+    for c in range(3):
+        out[c] = out[c] / n if n > 0 else np.nan
+
+
+@kernel
+def _measure_cues(positions: Floats, axes: Floats, vectors: Ints, out: Floats) -> None:
+    """Mean of each cue over the sides that show it."""
+    out[:] = 0.0
+    if math.isnan(axes[0, 0]):
+        return
+    for k in range(CUES):
+        n = 0
+        sx = sy = 0.0
+        for v in range(len(vectors)):
+            if vectors[v, 0] != k:
+                continue
+            x, y, z = _cue(positions, vectors[v, 1], vectors[v, 2], vectors[v, 3])
+            if not math.isnan(x):
+                n += 1
+                sx, sy = sx + component(x, y, z, axes, 0), sy + component(x, y, z, axes, 1)
+        scale = _CUE_SIGNS[k] / n if n > 0 else 0.0
+        out[2 * k], out[2 * k + 1] = scale * sx, scale * sy
+
+
+@kernel
+def _cue(positions: Floats, a: int, b: int, joint: int) -> tuple[float, float, float]:
+    """Vector from a to b, or from the line between them to a joint, m; NaN if not known."""
+    x = positions[b, 0] - positions[a, 0]
+    y = positions[b, 1] - positions[a, 1]
+    z = positions[b, 2] - positions[a, 2]
+    if joint < 0:
+        return x, y, z
+    jx = positions[joint, 0] - positions[a, 0]
+    jy = positions[joint, 1] - positions[a, 1]
+    jz = positions[joint, 2] - positions[a, 2]
+    length2 = x * x + y * y + z * z
+    if not length2 > 1e-6:
+        return np.nan, np.nan, np.nan
+    share = (x * jx + y * jy + z * jz) / length2
+    return jx - share * x, jy - share * y, jz - share * z
+
+
+# What is learned from one view after the other.
+
+
+@kernel
+def _learn(looks: Looks, i: int, past: FacingPast, tables: FacingTables) -> None:
+    """Learn from view ``i``, and write its weight."""
+    row, stamp, camera = looks.rows[i], looks.stamps[i], looks.cameras[i]
+    last = _last_view(camera, past, row)
+    cells = (stamp - past.view_stamps[row, last]) / CELL if last >= 0 else np.inf
+    # A camera of 30 Hz whose stamps jitter counts as one of 30 Hz.
+    weight: float = min(1.0, 1.25 * max(cells, 0.0))
+    looks.weights[i] = weight
+    if not math.isnan(looks.facing[i, 0]):
+        for v in range(VIEWS):
+            if (
+                past.view_cameras[row, v] != camera
+                and past.view_stamps[row, v] > 0
+                and abs(stamp - past.view_stamps[row, v]) < CELL
+            ):
+                _compare(looks, i, past.view_looks[row, v], weight, tables.agreement)
+    place = past.next_view[row]
+    if _goes_round(looks, i, last, past, past.view_ranges[row, place]):
+        tables.rounds[0] += _SAMPLE * weight
+    past.view_stamps[row, place], past.view_cameras[row, place] = stamp, camera
+    for c in range(2):
+        past.view_looks[row, place, c] = looks.facing[i, c]
+    for c in range(2 * CUES):
+        past.view_looks[row, place, 2 + c] = looks.cues[i, c]
+    past.next_view[row] = (place + 1) % VIEWS
+
+
+@kernel
+def _last_view(camera: int, past: FacingPast, row: int) -> int:
+    """Return the place of a camera's last view of a person, or -1."""
+    last, stamp = -1, 0
+    for v in range(VIEWS):
+        if past.view_cameras[row, v] == camera and past.view_stamps[row, v] > stamp:
+            last, stamp = v, past.view_stamps[row, v]
+    return last
+
+
+@kernel
+def _goes_round(looks: Looks, i: int, last: int, past: FacingPast, out: Floats) -> bool:
+    """Whether the labels of a camera went round with a person; write the range of the facing.
+
+    A detector that assumes that people face it shows at most half a turn, then exchanges labels.
+    """
+    row = looks.rows[i]
+    facing = math.atan2(looks.facing[i, 1], looks.facing[i, 0]) + past.lines[row, 2]
+    if not _line_reliability(looks.widths[i], past.widths[row]) > 0.0:
+        facing = np.nan
+    low = high = facing
+    if last >= 0:
+        before = past.view_ranges[row, last]
+        step = facing - before[0]
+        step -= 2.0 * math.pi * math.floor(step / (2.0 * math.pi) + 0.5)
+        if abs(step) < _LARGEST_STEP:  # False for NaN
+            facing = before[0] + step
+            seconds = 1e-9 * max(looks.stamps[i] - past.view_stamps[row, last], 0)
+            share = min(seconds / _ROUND_MEMORY, 1.0)
+            low = min(facing, before[1] + share * (facing - before[1]))
+            high = max(facing, before[2] + share * (facing - before[2]))
+    out[0], out[1], out[2] = facing, low, high
+    went: bool = high - low > _ROUND
+    return went
+
+
+@kernel
+def _learn_width(width: float, past: FacingPast, row: int) -> None:
+    """Move the quantile of a person's widths."""
+    if past.widths[row] == 0.0:
+        past.widths[row] = width
+    elif width > past.widths[row]:
+        past.widths[row] += _WIDTH_STEP * _WIDTH_QUANTILE * past.widths[row]
+    else:
+        past.widths[row] -= _WIDTH_STEP * (1.0 - _WIDTH_QUANTILE) * past.widths[row]
+
+
+@kernel
+def _compare(looks: Looks, i: int, other: Floats, weight: float, agreement: Floats) -> None:
+    """Count which cues point the same way in two views whose labels contradict each other."""
+    x, y = looks.facing[i, 0], looks.facing[i, 1]
+    if not x * other[0] + y * other[1] < _OPPOSITE:
+        return
+    for k in range(CUES):
+        mine = x * looks.cues[i, 2 * k] + y * looks.cues[i, 2 * k + 1]
+        theirs = x * other[2 + 2 * k] + y * other[3 + 2 * k]
+        if mine * theirs != 0.0:
+            agreement[k, 0] += _SAMPLE * weight * (1.0 if mine * theirs > 0.0 else 0.0)
+            agreement[k, 1] += _SAMPLE * weight
+
+
+@inlined
+def _gate(k: int, agreement: Floats) -> float:
+    """How far a cue is trusted: 0 if it follows the label, 1 if it is physical."""
+    gate: float = ramp(agreement[k, 0] / agreement[k, 1], 0.5, 0.8)
+    return gate
+
+
+@inlined
+def _toes(agreement: Floats) -> float:
+    """How often toes point the same way where labels contradict each other."""
+    share: float = agreement[TOES, 0] / agreement[TOES, 1]
+    return share
+
+
+@inlined
+def _honesty(tables: FacingTables) -> float:
+    """Whether labels err by chance, from 0 to 1.
+
+    Such a detector leaves the toes alone when it errs, and its labels go round with a person.
+    """
+    same, asked, rounds = tables.agreement[TOES, 0], tables.agreement[TOES, 1], tables.rounds[0]
+    share: float = (same + rounds) / (asked + rounds)
+    return share
+
+
+@inlined
+def _mistrust(tables: FacingTables) -> float:
+    """Probability that a label is wrong: 0.5 for a detector that assumes that people face it."""
+    wrong: float = 0.5 - 0.4 * ramp(_honesty(tables), *_LABELS)
+    return wrong
+
+
+@inlined
+def _line_reliability(width: float, usual: float) -> float:
+    """How far the line through shoulders and hips is trusted: 0 if it is short, at most 1."""
+    return 0.0 if math.isnan(width) else ramp(width / usual, 0.25, 0.75)
+
+
+# Views, one after the other, in the axes of each person.
+
+
+@inlined
+def _follow_body(
+    positions: Floats, markers: FacingMarkers, stamp: int, past: FacingPast, row: int,
+    honesty: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Bring a person's axes to a view; return the line through shoulders and hips in them, m."""
+    axes = past.axes[row]
+    seconds = 1e-9 * max(stamp - past.trunk_stamps[row], 0) if past.starts[row] > 0 else np.inf
+    seen, anew = follow_trunk(positions, markers.trunk, seconds, past.trunks[row], axes)
+    if seen:
+        past.trunk_stamps[row] = max(stamp, past.trunk_stamps[row])
+    if anew:
+        past.starts[row] += 1
+        past.lines[row] = np.nan
+        past.view_looks[row], past.view_ranges[row] = np.nan, np.nan
+    x, y = left_to_right(positions, markers.lateral, axes)
+    width = math.sqrt(x * x + y * y)
+    if not width > 1e-6:
+        return np.nan, np.nan
+    _learn_width(width, past, row)
+    reliable = _line_reliability(width, past.widths[row])
+    trust = ramp(honesty, *_SLOW_TURNS), ramp(honesty, *_FAST_TURNS)
+    turn = follow_line(past.lines[row], math.atan2(y, x), reliable, seconds, trust, axes)
+    cosine, sine = math.cos(turn), math.sin(turn)
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
+@inlined
+def _measure(
+    people: People, view: int, markers: FacingMarkers, looks: Looks, i: int,
+    past: FacingPast, tables: FacingTables,
+) -> None:  # fmt: skip
+    """Measure what view ``i`` shows in the person's axes, and learn from it."""
+    positions, row = people.markers[view], looks.rows[i]
+    x, y = _follow_body(positions, markers, looks.stamps[i], past, row, _honesty(tables))
+    width = math.sqrt(x * x + y * y)
+    looks.widths[i], looks.facing[i, 0], looks.facing[i, 1] = width, -y / width, x / width
+    looks.starts[i] = past.starts[row]
+    copy_row(looks.axes, i, past.axes, row)
+    _centre(positions, looks.centres[i])
+    _measure_cues(positions, looks.axes[i], markers.vectors, looks.cues[i])
+    _learn(looks, i, past, tables)
+
+
+@kernel(types.void(PEOPLE, I1, MARKERS, _LOOKS, _PAST, _TABLES))
+def measure(
+    people: People, views: Stamps, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    tables: FacingTables,
+) -> None:  # fmt: skip
+    """Measure what ``views``, rows of ``people``, show, and learn from one after the other.
+
+    Parameters
+    ----------
+    looks : cells, stamps, cameras and rows are given; the others are written.
+    """
+    for i in range(len(views)):
+        _measure(people, views[i], markers, looks, i, past, tables)
+
+
+# What a view tells of the facing.
+
+
+@inlined
+def _squash(x: float) -> float:
+    """Hyperbolic tangent within 0.025, in a tenth of its time."""
+    x = min(max(x, -3.0), 3.0)
+    squashed: float = x * (27.0 + x * x) / (27.0 + 9.0 * x * x)
+    return squashed
+
+
+@kernel
+def _weigh(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Floats) -> None:
+    """Write the logarithm of the likelihood of view ``i`` for every facing."""
+    x, y, cues, weight = looks.facing[i, 0], looks.facing[i, 1], looks.cues[i], looks.weights[i]
+    reliable = _line_reliability(looks.widths[i], past.widths[looks.rows[i]])
+    wrong, sharpness = _mistrust(tables), 2.0 * _LINE_SHARPNESS * reliable
+    for b in range(_HALF if reliable > 0.0 else 0):
+        cosine = x * tables.directions[b, 0] + y * tables.directions[b, 1]
+        # cos(2 a) - 1 = 2 (cos(a)^2 - 1). The line has twice the weight of the label: a square.
+        line = (1.0 - _LINE_OUTLIERS) * math.exp(sharpness * (cosine * cosine - 1.0))
+        line = (line + _LINE_OUTLIERS) ** 2
+        p = 0.5 + 0.5 * _squash(_LABEL_SHARPNESS * cosine)
+        p = p * (1.0 - wrong) + (1.0 - p) * wrong
+        shared = _VIEW * math.log(line)
+        out[b] = weight * (shared + _VIEW * reliable * math.log(p))
+        out[b + _HALF] = weight * (shared + _VIEW * reliable * math.log(1.0 - p))
+    if not reliable > 0.0:
+        out[:] = 0.0
+    for k in range(CUES):
+        cx, cy = cues[2 * k] / _CUE_SCALES[k], cues[2 * k + 1] / _CUE_SCALES[k]
+        trust = weight * _VIEW * _CUE_WEIGHTS[k] * _gate(k, tables.agreement)
+        if trust > 0.0 and (cx != 0.0 or cy != 0.0):
+            for b in range(_HALF):
+                along = _squash(cx * tables.directions[b, 0] + cy * tables.directions[b, 1])
+                out[b] += trust * along
+                out[b + _HALF] -= trust * along
+
+
+# The way of a person.
+
+
+@kernel
+def _step(looks: Looks, i: int, past: FacingPast) -> None:
+    """Add the centre of view ``i`` to the person's way."""
+    if math.isnan(looks.centres[i, 0]):
+        return
+    row, cell = looks.rows[i], looks.cells[i]
+    place = (past.next_cell[row] - 1) % CELLS
+    if past.way_cells[row, place] != cell:
+        place = past.next_cell[row]
+        past.next_cell[row] = (place + 1) % CELLS
+        past.way_cells[row, place] = cell
+        past.way[row, place, :] = 0.0
+    for c in range(3):
+        past.way[row, place, c] += looks.centres[i, c]
+    past.way[row, place, 3] += 1.0
+
+
+@kernel
+def _velocity(cells: Stamps, way: Floats, first: int, last: int) -> tuple[float, float, float]:
+    """Slope of a line through the way from cell ``first`` to cell ``last``, m/s; 0 = not known."""
+    n = st = sx = sy = sz = 0.0
+    for j in range(len(cells)):
+        if first <= cells[j] <= last and way[j, 3] > 0.0:
+            n, st, views = n + 1.0, st + (cells[j] - first), way[j, 3]
+            sx, sy, sz = sx + way[j, 0] / views, sy + way[j, 1] / views, sz + way[j, 2] / views
+    if n < 3.0:
+        return 0.0, 0.0, 0.0
+    st, sx, sy, sz = st / n, sx / n, sy / n, sz / n
+    tt = tx = ty = tz = 0.0
+    for j in range(len(cells)):
+        if first <= cells[j] <= last and way[j, 3] > 0.0:
+            t, views = cells[j] - first - st, way[j, 3]
+            tt += t * t
+            tx += t * (way[j, 0] / views - sx)
+            ty += t * (way[j, 1] / views - sy)
+            tz += t * (way[j, 2] / views - sz)
+    if tt < 1.0:
+        return 0.0, 0.0, 0.0
+    rate = 1e9 / CELL / tt
+    return rate * tx, rate * ty, rate * tz
+
+
+@inlined
+def _forwards(along: float, against: float) -> float:
+    """Likelihood of a facing that lies along and against the walking direction to such a degree."""
+    return (1.0 - _WALK_BACKWARDS) * along + _WALK_BACKWARDS * against + 0.01
+
+
+@kernel
+def _walk(
+    velocity: tuple[float, float, float], axes: Floats, tables: FacingTables, out: Floats
+) -> None:
+    """Add what the walking direction says of the facing: seldom do people walk backwards.
+
+    It says nothing of somebody who is not upright, or while nothing shows which way is up.
+    """
+    weight = _VIEW * upright(axes, tables.up)
+    if weight == 0.0:
+        return
+    x, y, z = velocity
+    vx, vy = component(x, y, z, axes, 0), component(x, y, z, axes, 1)
+    speed = math.sqrt(vx * vx + vy * vy)
+    weight /= 1.0 + math.exp(-(speed - _WALK_SPEED) / _WALK_SLOPE)
+    if weight < 0.01 * _VIEW:
+        return
+    for b in range(_HALF):
+        cosine = (vx * tables.directions[b, 0] + vy * tables.directions[b, 1]) / speed
+        along = math.exp(_WALK_SHARPNESS * (cosine - 1.0))
+        against = math.exp(_WALK_SHARPNESS * (-cosine - 1.0))
+        out[b] += weight * math.log(_forwards(along, against))
+        out[b + _HALF] += weight * math.log(_forwards(against, along))
+
+
+# The hidden Markov model.
+
+
+@kernel
+def _turn(belief: Floats, gap: int, tables: FacingTables, out: Floats) -> None:
+    """Predict a belief ``gap`` cells later; 0 = in new axes, where every facing is as probable."""
+    if gap == 0:
+        out[:] = 1.0 / BINS
+        return
+    gap = min(gap, _LONGEST_GAP)
+    reach = min(_HALF - 1, 6 * gap)
+    total = 0.0
+    for b in range(BINS):
+        total += belief[b]
+    for b in range(BINS):
+        p = belief[b] * tables.turns[gap - 1, 0] + _TELEPORT * total
+        for k in range(1, reach + 1):
+            low, high = b - k, b + k
+            if low < 0:
+                low += BINS
+            if high >= BINS:
+                high -= BINS
+            p += (belief[low] + belief[high]) * tables.turns[gap - 1, k]
+        out[b] = p / total
+
+
+@kernel
+def _multiply(belief: Floats, evidence: Floats, out: Floats) -> None:
+    """Multiply probabilities by likelihoods that are given as logarithms; the sum becomes 1."""
+    most, total = -np.inf, 0.0
+    for b in range(BINS):
+        most = max(most, evidence[b])
+    for b in range(BINS):
+        out[b] = belief[b] * math.exp(evidence[b] - most)
+        total += out[b]
+    for b in range(BINS):
+        out[b] /= total
+
+
+@kernel
+def _mean_direction(belief: Floats, tables: FacingTables, out: Floats) -> None:
+    """Mean of the directions; its length, up to 1, tells how sure it is."""
+    x = y = total = 0.0
+    for b in range(BINS):
+        x += belief[b] * tables.directions[b, 0]
+        y += belief[b] * tables.directions[b, 1]
+        total += belief[b]
+    out[0], out[1] = x / total, y / total
+
+
+@kernel
+def _starts_anew(start: int, past: FacingPast, row: int) -> bool:
+    """Whether nothing is known of a person's facing in these axes."""
+    anew: bool = past.cells[row] == 0 or start != past.belief_starts[row]
+    return anew
+
+
+@inlined
+def _open_cell(looks: Looks, i: int, past: FacingPast, tables: FacingTables, work: Floats) -> bool:
+    """Start a person's next cell, unless view ``i`` lies in the current one; whether it did."""
+    row, cell, start = looks.rows[i], looks.cells[i], looks.starts[i]
+    anew = _starts_anew(start, past, row)
+    if not anew and cell <= past.cells[row]:
+        return False
+    _multiply(past.beliefs[row], past.evidence[row], work)
+    _turn(work, 0 if anew else cell - past.cells[row], tables, past.beliefs[row])
+    past.cells[row], past.belief_starts[row] = max(cell, past.cells[row]), start
+    past.evidence[row, :] = 0.0
+    return True
+
+
+# Which views are mirrored, and whose trunk is turned.
+
+
+@inlined
+def _turn_back(deviation: float) -> float:
+    """Angle, rad, that brings a facing nearer to the decided one, from which it deviates.
+
+    The line through shoulders and hips has no say in the facing if it is at a right angle to where
+    it should be: there, one labelling is as near as the other. Deviations beyond 45 degrees
+    are reflected at 45 degrees, so the result does not depend on the labelling and never jumps.
+    """
+    beyond: float = max(abs(deviation) - _LARGEST_DEVIATION, 0.0)
+    return math.copysign(2.0 * beyond, -deviation)
+
+
+@kernel
+def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: Facings) -> None:
+    """Decide whether view ``i`` is mirrored, and by how much its trunk is turned.
+
+    The likelihoods of its label are (1 + tanh(2 cos)) / 2 and the complement, as in :func:`_weigh`:
+    the logarithm of their ratio is 4 cos. An honest detector's label is right beforehand in 90 %.
+    Labels that do not follow a detector's assumption stay while the facing is not sure.
+    """
+    x, y = looks.facing[i, 0], looks.facing[i, 1]
+    fx, fy = out.facing[i, 0], out.facing[i, 1]
+    sure = max(math.sqrt(fx * fx + fy * fy), 1e-12)
+    if math.isnan(x) or (sure < _SURE and _mistrust(tables) < 0.5):
+        return
+    cosine, sine = (fx * x + fy * y) / sure, (fx * y - fy * x) / sure
+    honesty = ramp(_honesty(tables), *_HONEST)
+    right = 0.5 + 0.4 * honesty
+    odds = math.log(right / (1.0 - right)) if honesty > 0.0 else 0.0
+    usual = past.widths[looks.rows[i]]
+    reliable = _line_reliability(looks.widths[i], usual) if honesty > 0.0 else 1.0
+    if odds + 2.0 * _LABEL_SHARPNESS * reliable * cosine < 0.0:
+        out.swapped[i] = True
+        cosine, sine = -cosine, -sine
+    if honesty == 0.0:
+        out.turns[i] = _turn_back(math.atan2(sine, cosine))
+
+
+@kernel(types.void(PEOPLE, I1, MARKERS, _LOOKS, _PAST, _TABLES, F1, _FACINGS))
+def follow(
+    people: People, views: Stamps, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    tables: FacingTables, work: Floats, out: Facings,
+) -> None:  # fmt: skip
+    """Measure and decide on one view after the other, by the past alone: the forward pass.
+
+    Parameters
+    ----------
+    people, views, markers, looks : as in :func:`measure`; views of anybody, in order.
+    past : brought to the last view.
+    work : (2 * BINS,) scratch.
+    """
+    here, belief = work[:BINS], work[BINS:]
+    for i in range(len(views)):
+        row, cell = looks.rows[i], looks.cells[i]
+        _measure(people, views[i], markers, looks, i, past, tables)
+        _step(looks, i, past)
+        if _open_cell(looks, i, past, tables, here):
+            velocity = _velocity(past.way_cells[row], past.way[row], cell - 12, cell)
+            learn_up(velocity, looks.axes[i], tables.up)
+            _walk(velocity, looks.axes[i], tables, past.evidence[row])
+        _weigh(looks, i, past, tables, here)
+        for b in range(BINS):
+            past.evidence[row, b] += here[b]
+        _multiply(past.beliefs[row], past.evidence[row], belief)
+        _mean_direction(belief, tables, out.facing[i])
+        _decide(looks, i, past, tables, out)
+        out.toes[i] = _toes(tables.agreement)
+
+
+@kernel(types.void(_LOOKS, _PAST, _TABLES, F2))
+def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: Floats) -> None:
+    """Write the evidence (N, BINS) of each view."""
+    for i in range(len(looks.cells)):
+        _weigh(looks, i, past, tables, out[i])
+
+
+class SmoothWork(NamedTuple):
+    """Scratch for up to N cells of one person, of which the first ones lie in the past."""
+
+    places: Stamps
+    """(N,) place of each view's cell among the cells."""
+    cells: Stamps
+    """(N,) numbers of the cells."""
+    starts: Stamps
+    axes: Floats
+    """(N,) and (N, 3, 3) as in Looks, of the last view of each cell."""
+    way: Floats
+    """(N, 4) as FacingPast.way."""
+    beliefs: Floats
+    evidence: Floats
+    """(N, BINS) before the cell's views; of them."""
+    facing: Floats
+    """(N, 2) as Facings.facing."""
+    bins: Floats
+    """(3, BINS)."""
+
+    @classmethod
+    def of(cls, views: int) -> SmoothWork:
+        """Make room for so many views."""
+        n = views + CELLS
+        sizes = (n, 3, 3), (n, 4), (n, BINS), (n, BINS), (n, 2), (3, BINS)
+        places, cells, starts = np.zeros((3, n), np.int64)
+        return cls(places, cells, starts, *[np.zeros(size) for size in sizes])
+
+
+_WORK = named_tuple(SmoothWork, I1, I1, I1, F3, F2, F2, F2, F2, F2)
+
+
+@kernel
+def _past_way(past: FacingPast, row: int, work: SmoothWork) -> int:
+    """Lay out the last cells that were decided, the oldest first; return how many they are."""
+    n = 0
+    for k in range(CELLS):
+        place = (past.next_cell[row] + k) % CELLS
+        if past.way_cells[row, place] > 0:
+            work.cells[n] = past.way_cells[row, place]
+            for c in range(4):
+                work.way[n, c] = past.way[row, place, c]
+            n += 1
+    return n
+
+
+@kernel
+def _lay_out(
+    looks: Looks, order: Stamps, evidence: Floats, past: FacingPast, n: int, work: SmoothWork
+) -> int:
+    """Add up one person's views by cells behind the first ``n``; return how many cells there are.
+
+    A view that is late counts as one of the first cell that is not decided yet. Views in new axes
+    have a cell of their own.
+    """
+    first, cell = n, past.cells[looks.rows[order[0]]]
+    for j in range(len(order)):
+        i = order[j]
+        if n == first or looks.cells[i] > cell or looks.starts[i] != work.starts[n - 1]:
+            cell = max(looks.cells[i], cell + 1)
+            work.cells[n], work.way[n, :], work.evidence[n, :] = cell, 0.0, 0.0
+            work.starts[n] = looks.starts[i]
+            n += 1
+        work.places[j] = n - 1
+        copy_row(work.axes, n - 1, looks.axes, i)
+        if not math.isnan(looks.centres[i, 0]):
+            for c in range(3):
+                work.way[n - 1, c] += looks.centres[i, c]
+            work.way[n - 1, 3] += 1.0
+        for b in range(BINS):
+            work.evidence[n - 1, b] += evidence[i, b]
+    return n
+
+
+@kernel
+def _add_walking(first: int, n: int, until: int, tables: FacingTables, work: SmoothWork) -> None:
+    """Add what the walking direction says to the evidence of each cell.
+
+    Cells from ``until`` on come again: nothing is learned from them yet.
+    """
+    for j in range(first, n):
+        begin, end = max(j - 8, 0), min(j + 9, n)
+        cells, way = work.cells[begin:end], work.way[begin:end]
+        velocity = _velocity(cells, way, work.cells[j] - 8, work.cells[j] + 8)
+        if work.cells[j] < until:
+            learn_up(velocity, work.axes[j], tables.up)
+        _walk(velocity, work.axes[j], tables, work.evidence[j])
+
+
+@kernel
+def _cells_between(work: SmoothWork, j: int) -> int:
+    """Count the cells from the one before cell ``j`` to it; 0 = they are in different axes."""
+    same = work.starts[j] == work.starts[j - 1]
+    cells: int = work.cells[j] - work.cells[j - 1] if same else 0
+    return cells
+
+
+@kernel
+def _go_forwards(
+    past: FacingPast, row: int, first: int, n: int, tables: FacingTables, work: SmoothWork
+) -> None:
+    """Write the belief before each cell."""
+    belief = work.bins[0]
+    _multiply(past.beliefs[row], past.evidence[row], belief)
+    anew = _starts_anew(work.starts[first], past, row)
+    gap = 0 if anew else work.cells[first] - past.cells[row]
+    _turn(belief, gap, tables, work.beliefs[first])
+    for j in range(first + 1, n):
+        _multiply(work.beliefs[j - 1], work.evidence[j - 1], belief)
+        _turn(belief, _cells_between(work, j), tables, work.beliefs[j])
+
+
+@kernel
+def _go_backwards(first: int, n: int, tables: FacingTables, work: SmoothWork) -> None:
+    """Write the facing in each cell, by what comes before and after it."""
+    later, belief, both = work.bins[0], work.bins[1], work.bins[2]
+    later[:] = 1.0
+    for j in range(n - 1, first - 1, -1):
+        _multiply(later, work.evidence[j], belief)
+        for b in range(BINS):
+            both[b] = work.beliefs[j, b] * belief[b]
+        _mean_direction(both, tables, work.facing[j])
+        if j > first:
+            _turn(belief, _cells_between(work, j), tables, later)
+
+
+@kernel
+def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: SmoothWork) -> None:
+    """Remember the cells before cell ``until``."""
+    for j in range(first, n):
+        if work.cells[j] >= until:
+            return
+        past.cells[row] = work.cells[j]
+        copy_row(past.beliefs, row, work.beliefs, j)
+        copy_row(past.evidence, row, work.evidence, j)
+        past.belief_starts[row] = work.starts[j]
+        place = past.next_cell[row]
+        past.way_cells[row, place] = work.cells[j]
+        for c in range(4):
+            past.way[row, place, c] = work.way[j, c]
+        past.next_cell[row] = (place + 1) % CELLS
+
+
+class FacingWindow(NamedTuple):
+    """Views of a stretch of time, for :func:`smooth`."""
+
+    order: Stamps
+    """(N,) the views, person by person, each person's by time."""
+    ends: Stamps
+    """(P + 1,) where each person's views begin in ``order``; the last number is N."""
+    evidence: Floats
+    """(N, BINS) of the views, from :func:`weigh`."""
+
+
+_WINDOW = named_tuple(FacingWindow, I1, I1, F2)
+
+
+@kernel(types.void(_LOOKS, _WINDOW, types.int64, _PAST, _TABLES, _WORK, _FACINGS))
+def smooth(
+    looks: Looks, window: FacingWindow, until: int, past: FacingPast, tables: FacingTables,
+    work: SmoothWork, out: Facings,
+) -> None:  # fmt: skip
+    """Decide on the views of a window by past and future: the forward and the backward pass.
+
+    ``past`` is brought to the last cell before cell ``until``; later views come again.
+    """
+    for p in range(len(window.ends) - 1):
+        order = window.order[window.ends[p] : window.ends[p + 1]]
+        row = looks.rows[order[0]]
+        first = _past_way(past, row, work)
+        n = _lay_out(looks, order, window.evidence, past, first, work)
+        _add_walking(first, n, until, tables, work)
+        _go_forwards(past, row, first, n, tables, work)
+        _go_backwards(first, n, tables, work)
+        _keep(past, row, first, n, until, work)
+        for j in range(len(order)):
+            copy_row(out.facing, order[j], work.facing, work.places[j])
+            _decide(looks, order[j], past, tables, out)

@@ -1,0 +1,244 @@
+"""Left and right, decided over time: views of a person are brought to their right sides.
+
+Detectors mirror people, some whenever these turn their backs. A vote of the cameras cannot mend
+that where most of them are wrong. So the facing of each person is the state of a hidden Markov
+model (kernels.facing). It is measured across the trunk, in axes that are carried along with the
+body (kernels.body_axes), so people may lie, crawl, roll and spin. Every view tells of it:
+
+- the line through shoulders and hips: the facing is at a right angle to it;
+- the labels left and right: which of the two sides of the line is in front;
+- physical cues, whatever the labels are: head, elbows, knees, toes (body.forward_cues);
+- the walking direction of people who are upright.
+
+The log itself says how far each of them is trusted. Where two cameras contradict each other in
+left and right, a physical cue still points the same way in both views; one that follows the label
+does not, and is left out. A detector whose toes follow its labels assumes that everybody faces it:
+its labels count for nothing.
+
+With ``lookahead``, the facing at each moment follows from what comes before and after it: the
+forward-backward algorithm, in windows that overlap. Without, it follows from the past alone. A view
+that contradicts the facing is mirrored: its left and right are exchanged. If the line of a view is
+far from the facing, whatever the labels, shoulders and hips are turned towards it, unless the
+detector is known to be honest. Where nothing is known of a person's trunk, labels stay, and the
+model starts anew when the trunk is seen again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hiros_mcap.body.forward_cues import ForwardCues
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, CameraNumbers, join
+from hiros_mcap.skeletons import UNTRACKED, Floats, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.detections import exchanging
+from hiros_mcap.stages.detections import facing as kernels
+from hiros_mcap.stages.detections.detection_params import SidesParams
+
+_SLAVED = 0.3  # toes that point the same way less often than this follow the label
+
+
+def knows_sides(model: SkeletonModel) -> bool:
+    """Whether the names of the markers tell left from right, and where shoulders and hips are."""
+    return bool(len(symmetry_of(model).lateral) and len(ForwardCues.of(model).trunk))
+
+
+def decide_sides(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: SidesParams | None = None,
+    events: Events | None = None,
+) -> Iterator[Block]:
+    """Bring the views of every person to their right sides.
+
+    Parameters
+    ----------
+    blocks : tracked frames of all cameras in the fixed frame, roughly in time order.
+    model : names and hierarchy of the skeleton. Without names of left and right nothing is done.
+    params : see :class:`SidesParams`.
+    events : counts "flip" by camera: views whose left and right were exchanged.
+
+    Yields
+    ------
+    The same frames in the same order. Left and right of mirrored views are exchanged. Links of
+    views that are changed are unknown. People without an id stay as they are.
+    """
+    params = params or SidesParams()
+    if not (params.over_time and knows_sides(model)):
+        yield from blocks
+        return
+    decide = _Sides(model, params, events or Events())
+    for block in blocks:
+        yield from decide.take(block)
+    yield from decide.rest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Piece:
+    """Neighbouring frames of a block, and what their views show."""
+
+    block: Block
+    views: Stamps
+    """(N,) rows of the people with an id in the block's arrays."""
+    owners: Stamps
+    """(N,) the frame of each view."""
+    looks: kernels.Looks
+    evidence: Floats
+    """(N, BINS), or (0, BINS) before they were weighed."""
+
+    def cut(self, k: int) -> tuple[_Piece, _Piece]:
+        """Return the first ``k`` frames, and the others."""
+        n = int(np.searchsorted(self.owners, k))
+        return self._part(slice(0, k), slice(0, n)), self._part(slice(k, None), slice(n, None))
+
+    def _part(self, frames: slice, views: slice) -> _Piece:
+        own, owners = self.looks.at(views), self.owners[views] - (frames.start or 0)
+        return _Piece(
+            self.block.select(frames), self.views[views], owners, own, self.evidence[views]
+        )
+
+    def logged_from(self, log_time: int) -> _Piece:
+        """Return the same frames, known at ``log_time``, ns, or later."""
+        times = np.maximum(self.block.log_times, log_time)
+        return replace(self, block=self.block.logged_at(times))
+
+
+class _Sides:
+    """What is known of the people, and the frames that are not decided yet."""
+
+    def __init__(self, model: SkeletonModel, params: SidesParams, events: Events) -> None:
+        symmetry, cues = symmetry_of(model), ForwardCues.of(model)
+        self._markers = kernels.FacingMarkers(
+            symmetry.mirror, symmetry.lateral, cues.vectors, cues.feet, cues.trunk
+        )
+        self._ahead = round(params.lookahead * 1e9 / kernels.CELL)
+        self._events = events
+        self._bank = Bank(kernels.FacingPast.empty(), forget_after=10 + 2 * params.lookahead)
+        self._tables = kernels.FacingTables.make()
+        self._cameras = CameraNumbers()
+        self._held: list[_Piece] = []
+        self._decided = 0
+        """Cell before which everything is decided; 0 = nothing was seen yet."""
+
+    def take(self, block: Block) -> Iterator[Block]:
+        """Take frames; yield those that are decided."""
+        piece = self._piece(block)
+        if not self._ahead:
+            yield self._mirrored(piece, self._follow(piece))
+            return
+        while len(piece.block):
+            cells = piece.block.stamps // kernels.CELL
+            self._decided = self._decided or int(cells[0])
+            due = cells >= self._decided + 2 * self._ahead
+            if not due.any():
+                self._held.append(piece)
+                return
+            last = int(due.argmax())
+            first, piece = piece.cut(last + 1)
+            self._held.append(first)
+            yield from self._decide(int(cells[last]) - self._ahead)
+
+    def rest(self) -> Iterator[Block]:
+        """Yield the frames that are still held, now that nothing more comes."""
+        if self._held:
+            yield from self._decide(np.iinfo(np.int64).max)
+
+    def _piece(self, block: Block) -> _Piece:
+        """Find the views of a block, and whose they are."""
+        views, owners = block.everybody()
+        tracked = block.people.ids[views] != UNTRACKED
+        views, owners = views[tracked], owners[tracked]
+        looks = kernels.Looks.allocate(len(views))
+        looks.stamps[:] = block.stamps[owners]
+        looks.cells[:] = looks.stamps // kernels.CELL
+        looks.cameras[:] = self._cameras.of(block)[owners]
+        looks.rows[:] = self._bank.rows_of(block.people.ids[views], looks.stamps)
+        return _Piece(block, views, owners, looks, np.empty((0, kernels.BINS)))
+
+    # Decisions
+
+    def _follow(self, piece: _Piece) -> kernels.Facings:
+        """Decide by the past alone."""
+        out = kernels.Facings.allocate(len(piece.views))
+        people, past, work = piece.block.people, self._bank.past, np.empty(2 * kernels.BINS)
+        kernels.follow(
+            people, piece.views, self._markers, piece.looks, past, self._tables, work, out
+        )
+        return out
+
+    def _decide(self, until: int) -> Iterator[Block]:
+        """Decide on everything that is held; yield the frames before the cell ``until``."""
+        self._weigh()
+        held, self._held = self._held, []
+        looks = kernels.Looks.joined([piece.looks for piece in held])
+        out = kernels.Facings.allocate(len(looks.cells))
+        window = _window(looks, np.concatenate([piece.evidence for piece in held]))
+        work = kernels.SmoothWork.of(int(np.diff(window.ends).max(initial=0)))
+        kernels.smooth(looks, window, until, self._bank.past, self._tables, work, out)
+        out.toes[:] = self._tables.reliability(kernels.TOES)
+        self._decided = until
+        now = int(held[-1].block.log_times.max())
+        first = 0
+        for k, piece in enumerate(held):
+            n = len(piece.views)
+            facings = out.at(slice(first, first + n))
+            first += n
+            late = piece.block.stamps // kernels.CELL >= until
+            if late.any():
+                done, kept = piece.cut(int(late.argmax()))
+                self._held = [kept, *held[k + 1 :]]
+                yield self._mirrored(done.logged_from(now), facings)
+                return
+            yield self._mirrored(piece.logged_from(now), facings)
+
+    def _weigh(self) -> None:
+        """Measure the views that are new, learn from all of them, then weigh them."""
+        new = [k for k, piece in enumerate(self._held) if len(piece.evidence) < len(piece.views)]
+        if not new:
+            return
+        parts = [self._held[k] for k in new]
+        for part in parts:
+            people, past = part.block.people, self._bank.past
+            kernels.measure(people, part.views, self._markers, part.looks, past, self._tables)
+        looks = kernels.Looks.joined([part.looks for part in parts])
+        evidence = np.empty((len(looks.cells), kernels.BINS))
+        kernels.weigh(looks, self._bank.past, self._tables, evidence)
+        ends = np.cumsum([len(part.views) for part in parts])
+        for k, own in zip(new, np.split(evidence, ends[:-1]), strict=True):
+            self._held[k] = replace(self._held[k], evidence=own)
+
+    # The result
+
+    def _mirrored(self, piece: _Piece, facings: kernels.Facings) -> Block:
+        """Return the frames with the sides of swapped views exchanged, and trunks turned."""
+        n = len(piece.views)
+        swapped, turned = np.flatnonzero(facings.swapped[:n]), np.flatnonzero(facings.turns[:n])
+        if not len(swapped) and not len(turned):
+            return piece.block
+        # A copy of these frames only: the tracker may still write into others of the arrays.
+        block = join([piece.block])
+        views = piece.views + (block.rows - piece.block.rows)[piece.owners, 0]
+        facing = facings.facing[swapped]
+        facing[facings.toes[swapped] >= _SLAVED] = np.nan
+        axes = piece.looks.axes
+        exchanging.exchange_sides(
+            block.people, views[swapped], facing, axes[swapped], self._markers
+        )
+        angles = facings.turns[turned]
+        exchanging.turn_trunks(block.people, views[turned], angles, axes[turned], self._markers)
+        by_camera = np.bincount(piece.looks.cameras[swapped], minlength=len(self._cameras))
+        for source, n in zip(self._cameras, by_camera.tolist(), strict=True):
+            self._events.count("flip", source, n)
+        return block
+
+
+def _window(looks: kernels.Looks, evidence: Floats) -> kernels.FacingWindow:
+    """Put views in order: person by person, each person's by time."""
+    order = np.lexsort((looks.stamps, looks.rows))
+    starts = np.flatnonzero(np.diff(looks.rows[order], prepend=-1))
+    return kernels.FacingWindow(order, np.append(starts, len(order)), evidence)

@@ -1,0 +1,266 @@
+"""Poses that a body can have: constant lengths, rigid groups, and the person's own motion.
+
+1. The lengths of limbs, and the distances within head, thorax and pelvis, are measured once per
+   person (:mod:`hiros_mcap.stages.fuse.pair_lengths`).
+2. Each pose is projected onto them. Uncertain markers move most.
+3. The person's poses of some seconds are the prior of each of them
+   (:mod:`hiros_mcap.stages.fuse.pose_prior`); then lengths are restored.
+4. Known lengths take a part of the variance of each marker.
+
+With a window, a pose knows those after it. Without one, lengths run on and the prior is the motion
+of the last seconds.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.body.limb_table import LimbTable
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.skeletons import (
+    POSITION,
+    UNTRACKED,
+    Floats,
+    Ints,
+    SkeletonModel,
+    Stamps,
+)
+from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
+from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
+from hiros_mcap.stages.fuse.pose_prior import RecentMotion, local_frames, shrink_noise
+from hiros_mcap.stages.fuse.residuals import restated
+
+UNKNOWN_DEVIATION = 0.01  # m; of markers whose uncertainty no stage has said
+_FORGET = 600.0  # s; somebody who returns has the same body
+_SWEEPS, _TOLERANCE = 20, 1e-3
+"""Most sweeps of the projection onto the lengths, and the relative accuracy at which they end."""
+
+
+def constrain_blocks(
+    blocks: Iterable[Block],
+    model: SkeletonModel,
+    params: ConstrainParams | None = None,
+    events: Events | None = None,
+    limbs: LimbTable | None = None,
+) -> Iterator[Block]:
+    """Give everybody constant lengths and less noise.
+
+    Parameters
+    ----------
+    blocks : fused frames; the uncertainty of their markers is used if it is known.
+    model, params : the skeleton; see :class:`ConstrainParams`.
+    events : notes when somebody's limbs are measured.
+    limbs : lengths known from before, which these people keep. Those of the others are filled in.
+
+    Yields
+    ------
+    The same frames with other positions, m, and orientations, logged when the lengths of everybody
+    in their window were known; without a window, at once.
+
+    Raises
+    ------
+    ConfigError
+        If ``limbs`` names a link that the model lacks.
+    """
+    params = params or ConstrainParams()
+    events = Events() if events is None else events
+    bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
+    waiting: deque[_WaitingWindow] = deque()
+    held, first, begin, end = HeldFrames(packed=True), 0, None, 0
+    for block in blocks:
+        for number, (stamp, _, end) in enumerate(block.messages(), held.add(block)):
+            begin = stamp if begin is None else begin
+            if stamp - begin < params.window * 1e9:
+                continue
+            numbers, first, begin = range(first, number + 1), number + 1, None
+            copied, window = numbers, held.copies(numbers)
+            waiting.append(bodies.measure(window, numbers))
+            while waiting and bodies.can_correct(waiting[0], stamp):
+                numbers = waiting.popleft().numbers
+                if numbers != copied:
+                    copied, window = numbers, held.copies(numbers)
+                yield bodies.corrected(window, end)
+            del window  # it takes more memory than what waits
+        del block  # for the same reason
+        held.keep(range(waiting[0].numbers.start if waiting else first, held.count))
+    if held.count > first:
+        numbers = range(first, held.count)
+        waiting.append(bodies.measure(held.copies(numbers), numbers))
+    bodies.end_of_log()
+    for each in waiting:
+        yield bodies.corrected(held.copies(each.numbers), end)
+
+
+class _WaitingWindow(NamedTuple):
+    """Frames that are corrected together, and wait for lengths."""
+
+    numbers: range
+    """Of these frames."""
+    begin: int
+    """Time of the first, ns."""
+    people: list[int]
+    """Who has an id in them."""
+
+
+@dataclass
+class _Body:
+    """The body of one person."""
+
+    meter: AllPoses | RunningLengths
+    recent: RecentMotion
+    first: int
+    last: int = 0
+    """When the person was first and last seen, ns."""
+    measured: MeasuredLengths | None = None
+    """None = not since the last pose."""
+    known: bool = False
+    """Whether the lengths stay as they are."""
+
+
+class _Bodies:
+    """What is known of everybody's body."""
+
+    def __init__(
+        self, model: SkeletonModel, params: ConstrainParams, events: Events, limbs: LimbTable
+    ) -> None:
+        from hiros_mcap.body.rigid_groups import constant_pairs
+
+        self._params, self._events = params, events
+        symmetry = symmetry_of(model)
+        self._links, self._lateral, self._mirror = model.links, symmetry.lateral, symmetry.mirror
+        self._pairs = constant_pairs(model, rigid=params.rigid)
+        self._limbs = PairLimbs(model, self._pairs, limbs)
+        self._people: dict[int, _Body] = {}
+
+    def measure(self, out: Block, numbers: range) -> _WaitingWindow:
+        """Measure everybody in a window, as long as the lengths are not well known."""
+        variances, people = own_variances(out), list(_tracked(out))
+        stamps = np.repeat(out.stamps, out.sizes)
+        for person, rows in people:
+            body = self._body(person, int(stamps[rows[0]]))
+            body.last = int(stamps[rows[-1]])
+            begun = (int(stamps[rows[0]]) - body.first) * 1e-9
+            if not body.known and (self._params.window > 0 or begun <= self._params.enough):
+                body.meter.update(out.people.markers[rows, :, POSITION], variances[rows])  # 1
+                body.measured = None
+            if not body.known and body.last - body.first >= self._params.enough * 1e9:
+                self._keep(person, body)
+                body.known, body.meter = True, self._meter()
+        return _WaitingWindow(numbers, int(out.stamps[0]), [person for person, _ in people])
+
+    def _body(self, person: int, stamp: int) -> _Body:
+        """Return what is known of who is seen at ``stamp``, ns."""
+        if person not in self._people:
+            self._people[person] = _Body(self._meter(), RecentMotion(), stamp)
+        return self._people[person]
+
+    def _meter(self) -> AllPoses | RunningLengths:
+        if self._params.window > 0:
+            return AllPoses(self._pairs)
+        return RunningLengths(self._pairs, self._mirror)
+
+    def _result(self, body: _Body) -> MeasuredLengths:
+        """Return the lengths of a body, measured anew if there are new poses."""
+        if body.measured is None:
+            body.measured = body.meter.result()
+        return body.measured
+
+    def _keep(self, person: int, body: _Body) -> None:
+        """Put a person's lengths into the run's table."""
+        measured = self._result(body)
+        self._limbs.keep(person, measured)
+        detail = f"{measured.counts.max(initial=0)} frames"
+        self._events.note(body.last, "limbs calibrated", person=person, detail=detail)
+
+    def end_of_log(self) -> None:
+        """Keep the lengths of those who were not seen for long enough."""
+        for person, body in self._people.items():
+            if not body.known:
+                self._keep(person, body)
+
+    def can_correct(self, window: _WaitingWindow, now: int) -> bool:
+        """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
+        patience = self._params.enough + self._params.window if self._params.window > 0 else 0.0
+        waited = now - window.begin >= patience * 1e9
+        return waited or all(self._people[person].known for person in window.people)
+
+    def corrected(self, out: Block, log_time: int) -> Block:
+        """Project a window onto the lengths; move towards what people do; project again."""
+        variances, people = own_variances(out), list(_tracked(out))
+        lengths = np.ones((len(people), len(self._pairs), 2))
+        which = np.full(len(out.people.ids), -1)
+        for k, (person, rows) in enumerate(people):
+            measured = self._result(self._people[person])
+            lengths[k, :, 0] = self._limbs.given_or(person, measured.lengths)
+            which[rows] = k
+        self._project(out, which, lengths, variances)  # 2
+        if self._params.prior:
+            self._shrink(out, people, variances)  # 3
+            self._project(out, which, lengths, variances)
+        now = int(out.stamps[-1])
+        self._people = {p: b for p, b in self._people.items() if now - b.last <= _FORGET * 1e9}
+        return surer(out, variances, self._links).logged_at([log_time] * len(out))  # 4
+
+    def _project(self, out: Block, which: Stamps, lengths: Floats, variances: Floats) -> None:
+        from hiros_mcap.stages.filter.link_lengths import project_all
+
+        project_all(out.people.markers, which, variances, self._pairs, lengths, _SWEEPS, _TOLERANCE)
+
+    def _shrink(self, out: Block, people: list[tuple[int, Stamps]], variances: Floats) -> None:
+        """Move everybody towards what the person does, in the person's own frame."""
+        positions = out.people.markers[:, :, POSITION]
+        frames, origins = local_frames(positions, self._lateral)
+        poses = (positions - origins) @ frames
+        for person, rows in people:
+            if self._params.window > 0:
+                poses[rows] = shrink_noise(poses[rows], variances[rows])
+                continue
+            body = self._people[person]
+            for row in rows.tolist():
+                poses[row] = body.recent.shrink(poses[row], variances[row], body.last)
+        positions[:] = poses @ np.swapaxes(frames, 1, 2) + origins
+
+
+def _tracked(block: Block) -> Iterator[tuple[int, Stamps]]:
+    """Yield everybody who has an id, with the person's rows."""
+    for person in np.unique(block.people.ids).tolist():
+        if person != UNTRACKED:
+            yield person, np.flatnonzero(block.people.ids == person)
+
+
+def own_variances(block: Block) -> Floats:
+    """(P, M) Variance of each marker along each axis by itself, m2, without what all share."""
+    known = block.uncertainty
+    if known is None:
+        return np.full(block.people.marker_confidences.shape, UNKNOWN_DEVIATION**2)
+    variances = known.deviations**2 - known.shared**2
+    return np.where(np.isnan(variances), UNKNOWN_DEVIATION**2, np.maximum(variances, 1e-8))
+
+
+def surer(out: Block, variances: Floats, links: Ints) -> Block:
+    """Return a block with the uncertainty after the projection onto ``links``."""
+    if out.uncertainty is None:
+        return out
+    left = variances * left_by_lengths(variances, links)
+    return restated(out, np.where(np.isnan(out.uncertainty.deviations), np.nan, left))
+
+
+def left_by_lengths(variances: Floats, links: Ints) -> Floats:
+    """(P, M) Share of the variance that known lengths of ``links`` (L, 2) leave.
+
+    A length fixes one of three directions. It takes v_a / (v_a + v_b) of the variance of its end a
+    along the link. To first order, the links of a marker add up.
+    """
+    a, b = links[(links >= 0).all(axis=1)].T
+    share = variances[:, a] / (variances[:, a] + variances[:, b])
+    parts = np.stack([share / 3, (1 - share) / 3], axis=2).reshape(len(variances), 2 * len(a))
+    taken = np.zeros(variances.shape[::-1])
+    np.add.at(taken, np.stack([a, b], axis=1).ravel(), parts.T)
+    return np.asarray(1 - np.minimum(taken.T, 2 / 3))

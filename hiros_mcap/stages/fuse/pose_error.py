@@ -1,0 +1,125 @@
+"""How wrong the cameras' poses are: a part of the error that all markers of a person share.
+
+A pose is assumed to be as wrong as poses usually are. The cameras then show by how much: in front
+of wrong poses, they see a person at different places. The variance that is assumed, times
+
+    (3 + n a) / (3 + n),   n = 3 (cameras - 1),
+
+is the estimate, where a is the variance that is observed over that assumed. So the assumption
+counts as much as the three coordinates of one more camera (scaled inverse chi square, Gelman et al.
+2013, section 2.6). Views of displaced cameras (displaced_views.py) have no
+weight in the result, so they are not compared.
+
+Cameras whose poses were refined agree. They share the placement of the rig
+(:func:`hiros_mcap.calibrate.gauge.placement_error`), which nobody sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hiros_mcap.body.rotations import Rigid
+from hiros_mcap.calibrate.gauge import placement_error
+from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.stages.fuse.fusing import Sightings
+
+_AWAY = 3.0  # m; from a camera whose position is not known
+_AXES = 3
+_RENEWED = 500_000_000  # ns; poses stay as they are, so each instant need not be looked at
+_MOST = 25.0
+"""Observed over assumed variance of a person in a window. A larger one is a confused identity."""
+
+
+class PoseError:
+    """The variance that the cameras' poses add to a result."""
+
+    def __init__(
+        self,
+        angle: float,
+        shift: float,
+        places: Mapping[str, Floats],
+        to_given: Mapping[str, Rigid],
+    ) -> None:
+        """Take what is assumed.
+
+        Parameters
+        ----------
+        angle, shift : standard deviation of orientations, rad, and of positions along each axis, m.
+        places : camera -> position, m, as far as known.
+        to_given : camera -> what takes its people back to the pose that was given, for cameras
+            whose poses were refined.
+        """
+        self._angle, self._shift, self._places, self._refined = angle, shift, places, to_given
+        self._right = angle <= 0 and shift <= 0
+        usable = angle > 0 and shift > 0 and to_given
+        self._placement = placement_error(places, to_given, angle, shift) if usable else None
+        self._observed, self._compared, self._most = 0.0, 0, 0
+        self._learned: int | None = None
+
+    def learn(self, views: Sightings, offsets: Floats, names: Sequence[str]) -> None:
+        """Compare the places at which cameras see a person.
+
+        Parameters
+        ----------
+        offsets : (N, 3) of the views against the results, m; NaN = none.
+        """
+        if self._right or not len(views.stamps) or not self._is_due(int(views.stamps.max())):
+            return
+        seen = ~np.isnan(offsets[:, 0])
+        for person in np.unique(views.people[seen]):
+            scaled = []
+            for camera in np.unique(views.cameras[seen & (views.people == person)]):
+                own = seen & (views.people == person) & (views.cameras == camera)
+                centre = np.nanmean(views.positions[own], axis=(0, 1))
+                assumed = self._assumed(centre, self._place_of(names[camera]))
+                scaled.append(offsets[own].mean(axis=0) / np.sqrt(assumed))
+            self._count(np.array(scaled))
+
+    def _is_due(self, now: int) -> bool:
+        due = self._learned is None or now - self._learned >= _RENEWED
+        self._learned = now if due else self._learned
+        return due
+
+    def _count(self, scaled: Floats) -> None:
+        """Add how far the cameras' places (C, 3), in standard deviations, are from each other."""
+        free = _AXES * (len(scaled) - 1)
+        if free > 0:
+            square = float(((scaled - scaled.mean(axis=0)) ** 2).sum())
+            self._observed += min(square, _MOST * free)
+            self._compared += free
+            self._most = max(self._most, free)
+
+    def _place_of(self, name: str) -> Floats:
+        """(3,) Position of a camera, m; NaN = unknown."""
+        return self._places.get(name, np.full(3, np.nan))
+
+    def _assumed(self, positions: Floats, places: Floats) -> Floats:
+        """(...) Assumed variance along each axis, m2, of positions from cameras (..., 3), m."""
+        square = ((positions - places) ** 2).sum(axis=-1)
+        # A rotation moves what it sees across two of three axes.
+        away = np.where(np.isnan(square), _AWAY**2, square)
+        return np.asarray(self._shift**2 + 2 / 3 * self._angle**2 * away)
+
+    @property
+    def ratio(self) -> float:
+        """Estimated over assumed variance."""
+        mean = self._observed / max(self._compared, 1)
+        return (_AXES + self._most * mean) / (_AXES + self._most)
+
+    def variances(self, positions: Floats, seen: Stamps, names: Sequence[str]) -> Floats:
+        """(K, M) Variance along each axis, m2, of results (K, M, 3), m, from the cameras ``seen``.
+
+        ``seen`` (K, M) has a bit for each camera.
+        """
+        sees = (seen >> np.arange(len(names))[:, None, None]) & 1
+        agrees = [self._placement is not None and name in self._refined for name in names]
+        own = np.flatnonzero(~np.array(agrees, np.bool_))
+        refined, count = sees[agrees].sum(axis=0), sees.sum(axis=0)
+        places = np.array([self._place_of(names[k]) for k in own.tolist()]).reshape(-1, 1, 1, 3)
+        alone = (sees[own] * self._assumed(positions, places)).sum(axis=0)
+        shared = np.zeros(seen.shape)
+        if self._placement is not None:
+            shared = self._placement.variances(positions)
+        return np.asarray((self.ratio * alone + refined**2 * shared) / np.maximum(count, 1) ** 2)

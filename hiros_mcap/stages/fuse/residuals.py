@@ -1,0 +1,212 @@
+"""How far the cameras' measurements are from the fused poses, against what the model expects.
+
+A measurement is z = x + b + w, with a slow offset b of variance B and white noise w of variance R.
+The error of the best estimate x_s, of variance P_s, is uncorrelated with every measurement that it
+used (principle of orthogonality, Bar-Shalom et al. 2001, section 3.3.1). So
+
+    var(z - x_s) = R + B - P_s
+
+holds for a smoother, and for a filter with any look-ahead. |z - x_s|^2 over this variance has a
+chi-square distribution with three degrees of freedom if the model is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiros_mcap.calibrate.gauge import CHI2_3_MEDIAN
+from hiros_mcap.events import COMMON, RESIDUAL, Events
+from hiros_mcap.frames import Block, join
+from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, SkeletonModel
+from hiros_mcap.stages.fuse.displaced_views import SECOND, excess_of
+from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.log_histograms import histograms, medians
+from hiros_mcap.stages.fuse.sightings import chosen, joined, rows_of
+
+FEWEST = 50
+"""Residuals that give a median."""
+_EVERY = 3  # instants; residuals of neighbours tell the same
+_BATCH = 48  # frames that are compared at once
+_MEMORY = 60.0  # s; time constant of the mean of a camera's residuals
+_FEWEST_VIEWS = 5
+_HEALTHY, _HEALTHY_CAUSAL = 1.1, 1.4
+"""Means over a second, over what is expected, that need no larger ellipsoids. The errors of a
+filter, which looks at most 0.1 s ahead, last for longer than those of a smoother."""
+
+
+class ResidualMeter:
+    """Compares the fused poses with what went into them, a batch of frames at a time.
+
+    Parameters
+    ----------
+    model, noise : what the fuser assumes. places : source -> (3,) position of the camera, m.
+    events : gets a histogram of every camera. causal : whether the poses are those of a filter.
+    """
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        noise: FusionNoise,
+        places: Mapping[str, Floats],
+        events: Events,
+        *,
+        causal: bool = False,
+    ) -> None:
+        self._healthy = _HEALTHY_CAUSAL if causal else _HEALTHY
+        self._n_markers = model.n_markers
+        self._noise, self._places, self._events = noise, places, events
+        self._names: tuple[str, ...] = ()
+        self._views: list[Sightings] = []
+        """Not yet compared; instants are numbered through the log."""
+        self._fused: list[Block] = []
+        self._recent: dict[str, Floats] = {}
+        """Camera -> histogram of its residuals, of which the old ones count less."""
+        self._last: int | None = None
+        self._seen = self._first = self._waiting = 0
+        """Instants so far, those that were compared, and frames in ``_fused``."""
+
+    def expect(self, n_instants: int, views: Sightings, names: tuple[str, ...]) -> None:
+        """Take the views of some instants, which are to be fused."""
+        numbers, self._names = views.instants + self._seen, names
+        some = chosen(views._replace(instants=numbers), numbers % _EVERY == 0)
+        self._views.append(some)
+        self._seen += n_instants
+
+    def compare(self, fused: Block) -> None:
+        """Take the next frames, one for each instant."""
+        self._fused.append(fused)
+        self._waiting += len(fused)
+        if self._waiting >= _BATCH:
+            self.finish()
+
+    def finish(self) -> None:
+        """Count what was fused so far."""
+        if not self._waiting:
+            return
+        fused = self._fused[0]
+        if len(self._fused) > 1:
+            fused = join(self._fused)
+        views = joined(self._views)
+        done = views.instants < self._first + len(fused)
+        self._count(fused, chosen(views, done))
+        self._views, self._fused = [chosen(views, ~done)], []
+        self._first, self._waiting = self._first + len(fused), 0
+
+    def scaled(self, fused: Block) -> Block:
+        """Return a block whose uncertainty allows for cameras that scatter more than expected.
+
+        The variance of a marker grows by the mean of the squared ratios of the cameras that saw
+        it, beyond what healthy cameras show.
+        """
+        known = fused.uncertainty
+        if known is None:
+            return fused
+        ratio_of = {name: float(ratios(one[None])[0]) for name, one in self._recent.items()}
+        ratio = np.array([ratio_of.get(name, np.nan) for name in known.names])
+        factors = np.fmax(np.nan_to_num(ratio, nan=1.0) / self._healthy, 1.0) ** 2
+        if (factors == 1.0).all():
+            return fused
+        sees = (known.cameras[:, :, None] >> np.arange(len(factors))) & 1
+        count = sees.sum(axis=2)
+        factor = np.where(count > 0, sees @ factors / np.maximum(count, 1), factors.mean())
+        return restated(fused, factor * (known.deviations**2 - known.shared**2))
+
+    def _count(self, fused: Block, views: Sightings) -> None:
+        """Add the residuals of views to the histograms of their cameras."""
+        instants = self._first + np.repeat(np.arange(len(fused)), np.diff(fused.rows).ravel())
+        rows = rows_of(views, instants, fused.people.ids)
+        views, rows = chosen(views, rows >= 0), rows[rows >= 0]
+        known = fused.uncertainty
+        if known is None or not len(rows):
+            return
+        late = (views.stamps - fused.people.stamps[rows]) * 1e-9
+        markers = fused.people.markers
+        velocities = markers[rows, :, VELOCITY]
+        expected = markers[rows, :, POSITION] + late[:, None, None] * velocities
+        residuals = views.positions - expected
+        posterior = known.deviations[rows] ** 2 - known.shared[rows] ** 2
+        white = self._noise.variances(views, self._names, self._places)
+        variances = white + self._noise.offsets**2 - posterior
+        # An estimate that no measurement supports is as uncertain as the measurement.
+        variances[variances <= 0.1 * white] = np.nan
+        squares = (residuals**2).sum(axis=2)
+        common = _common_share(residuals, squares)
+        for k, name in enumerate(self._names):
+            own = views.cameras == k
+            counts = histograms((squares[own] / variances[own]).T)
+            self._events.tally(RESIDUAL, name, counts)
+            self._events.tally(COMMON, name, histograms(common[None, own]))
+        with np.errstate(invalid="ignore"):
+            whole = np.where(~np.isnan(squares)[:, :, None], residuals, 0.0).sum(axis=1)
+            whole /= (~np.isnan(squares)).sum(axis=1)[:, None]
+        # The result does not rest on displaced cameras.
+        rests = excess_of(views, whole, len(self._names)) == 0
+        slow = (variances - white)[rests]
+        self._remember(
+            chosen(views, rests), residuals[rests], white[rests], slow, int(fused.stamps[-1])
+        )
+
+    def _remember(
+        self, views: Sightings, residuals: Floats, white: Floats, slow: Floats, stamp: int
+    ) -> None:
+        """Add the means of residuals (N, M, 3) over a second to the cameras' histograms.
+
+        The mean of n has the variance R / n + B - P; ``white`` is R, ``slow`` B - P, (N, M) m2.
+        """
+        keys = np.stack([views.cameras, views.people, views.stamps // SECOND])
+        keys, groups = np.unique(keys, axis=1, return_inverse=True)
+        groups = groups.ravel()
+        there = ~np.isnan(residuals[:, :, 0] + slow)
+        shape = (keys.shape[1], there.shape[1])
+        count, variance, mean = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 3))
+        np.add.at(count, groups, there)
+        np.add.at(mean, groups, np.where(there[:, :, None], residuals, 0.0))
+        expected = white / np.maximum(count, 1)[groups] + slow
+        np.add.at(variance, groups, np.where(there, expected, 0.0))
+        n = np.where(count >= _FEWEST_VIEWS, count, np.nan)
+        squares = ((mean / n[:, :, None]) ** 2).sum(axis=2) / (variance / n)
+        passed = stamp - (stamp if self._last is None else self._last)
+        keep = float(np.exp(-max(passed, 0) * 1e-9 / _MEMORY))
+        self._last = stamp
+        for k, name in enumerate(self._names):
+            counts = histograms(squares[keys[0] == k].reshape(1, -1))[0]
+            self._recent[name] = counts + keep * self._recent.get(name, np.zeros(1))
+
+
+def ratios(counts: NDArray[Any]) -> Floats:
+    """(K,) Size of residuals as a multiple of the expected one, from histograms (K, B)."""
+    return np.sqrt(medians(counts, FEWEST) / CHI2_3_MEDIAN)
+
+
+def restated(fused: Block, variances: Floats) -> Block:
+    """Return a block whose markers have other ``variances`` (P, M), m2, and confidences."""
+    known, people = fused.uncertainty, fused.people
+    if known is None:
+        return fused
+    total = variances + known.shared**2
+    confidences = people.marker_confidences
+    # 1 / c - 1 is proportional to the variance.
+    confidences = 1 / (1 + (1 / confidences - 1) * total / known.deviations**2)
+    there = ~np.isnan(confidences)
+    count = there.sum(axis=1)
+    whole = np.where(there, confidences, 0.0).sum(axis=1) / np.maximum(count, 1)
+    people = people._replace(
+        marker_confidences=confidences, confidences=np.where(count > 0, whole, np.nan)
+    )
+    return replace(fused, people=people, uncertainty=known._replace(deviations=np.sqrt(total)))
+
+
+def _common_share(residuals: Floats, squares: Floats) -> Floats:
+    """(N,) Share of the squared residuals (N, M) of each view that its markers have in common."""
+    known = ~np.isnan(squares)
+    n = np.maximum(known.sum(axis=1), 1)
+    mean = np.where(known[:, :, None], residuals, 0.0).sum(axis=1) / n[:, None]
+    total = np.where(known, squares, 0.0).sum(axis=1) / n
+    share = (mean**2).sum(axis=1) / np.where(total > 0, total, np.nan)
+    return np.where(n >= 5, share, np.nan)

@@ -1,0 +1,92 @@
+"""What every camera saw of every person, gathered to instants, with sides corrected.
+
+Who is there at an instant, and how the links are oriented, is decided as in the merger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from hiros_mcap.body.symmetry import symmetry_of
+from hiros_mcap.events import Events
+from hiros_mcap.frames import Block
+from hiros_mcap.kernels.averaging import Buffers
+from hiros_mcap.skeletons import Floats, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.stages.fuse import fusing
+from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.merge.instants import InstantMerger
+from hiros_mcap.stages.merge.merge import ViewMerger
+from hiros_mcap.stages.merge.merge_params import MergeParams
+from hiros_mcap.stages.merge.unseen import Unseen
+
+
+class SightingGatherer:
+    """Instants, and what the cameras saw at them, with corrected sides."""
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        params: MergeParams,
+        cameras: Mapping[str, Floats] | None = None,
+    ) -> None:
+        self._model, self._params = model, params
+        self._cameras = cameras or {}
+        self._merge = ViewMerger(model, params, only_orientations=True)
+        self._mirror = symmetry_of(model).mirror
+        self._found: list[Sightings] = []
+        self._n_instants = 0
+
+    def run(
+        self, blocks: Iterable[Block], events: Events, fixed_frame: str = ""
+    ) -> Iterator[tuple[Block, Sightings, tuple[str, ...]]]:
+        """Yield merged people, the views of each instant (numbered in the block), the cameras."""
+        merger = InstantMerger(
+            self._model, self._gather, self._merge.bank, events, fixed_frame, ("outlier", "flip"),
+            Unseen(self._params.bridge, self._params.carry, self._cameras),
+        )  # fmt: skip
+        for block in merger.run(blocks, self._params.cameras, self._params.max_delta_time):
+            found, self._found, self._n_instants = self._found, [], 0
+            yield block, joined(found), merger.cameras
+
+    def _gather(
+        self, buffers: Buffers, people: People, views: int, out: People, counts: Stamps
+    ) -> None:
+        """Merge links; keep what each camera saw. A ``MergeKernel`` of instants."""
+        self._merge(buffers, people, views, out, counts)
+        n, m = int((buffers.messages[:, 1] - buffers.messages[:, 0]).sum()), self._model.n_markers
+        some = Sightings.allocate(n, m)
+        n = fusing.gather_sightings(
+            buffers, people, out.ids, self._merge.sides_changed, self._mirror, some
+        )
+        some = chosen(some, slice(n))
+        self._found.append(some._replace(instants=some.instants + self._n_instants))
+        self._n_instants += len(buffers.stamps)
+
+
+def joined(some: list[Sightings]) -> Sightings:
+    """Return sightings one behind the other."""
+    return Sightings(*[np.concatenate(arrays) for arrays in zip(*some, strict=True)])
+
+
+def chosen(views: Sightings, rows: Any) -> Sightings:
+    """Return some of the sightings: a slice, a mask or indices."""
+    return Sightings(*[array[rows] for array in views])
+
+
+def rows_of(views: Sightings, instants: Stamps, people: Ints) -> Stamps:
+    """(N,) Row of each view's person and instant among ``instants`` and ``people``; -1 = none."""
+    if not len(people):
+        return np.full(len(views.people), -1)
+    keys = _key(instants, people)
+    order = np.argsort(keys)
+    wanted = _key(views.instants, views.people)
+    rows = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[rows] == wanted, rows, -1)
+
+
+def _key(instants: Stamps, people: Stamps | Ints) -> Stamps:
+    """One number for an instant and a person, whose id has 32 bits."""
+    return instants * (1 << 32) + people

@@ -1,0 +1,263 @@
+"""Smooths what the cameras saw in overlapping windows, person by person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.frames import Block, HeldFrames
+from hiros_mcap.skeletons import (
+    POSITION,
+    VELOCITY,
+    Flags,
+    Floats,
+    Ints,
+    SkeletonModel,
+    Stamps,
+    Uncertainty,
+)
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.fuse import fusing
+from hiros_mcap.stages.fuse.displaced_views import DisplacedViews, excess_of, view_offsets
+from hiros_mcap.stages.fuse.fusing import POSE, FusedPoses, JointStates, Sightings, Steps
+from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
+from hiros_mcap.stages.fuse.pose_error import PoseError
+from hiros_mcap.stages.fuse.sightings import chosen, joined, rows_of
+
+_FOLLOW = 0.05  # share of each interval in the mean of all
+_FORGET = 10.0  # s without a sighting after which a person's filter starts anew
+_MAX_DEVIATION = 0.3
+"""Deviation, m, beyond which a marker is left out: it was not seen for about a second."""
+HALF_CONFIDENCE = 0.02
+"""Deviation s, m, of a marker with confidence 0.5, which is 1 / (1 + (s / HALF_CONFIDENCE)^2)."""
+_ROUNDS = 3  # of smoothing again without displaced cameras; the first finds nearly all
+
+
+class _Window(NamedTuple):
+    """N views of people, and the K poses that are wanted of them."""
+
+    views: Sightings
+    new: Flags
+    """(N,) whether the filters have not taken a view yet."""
+    people: Ints
+    """(K,) whose pose is wanted."""
+    stamps: Stamps
+    """(K,) at which time, ns."""
+
+
+class WindowTimes(NamedTuple):
+    """How long results wait, s; see FuseParams."""
+
+    window: float
+    lookahead: float
+    max_lag: float
+
+
+class WindowSmoother:
+    """Smooths window after window; the filters go on from one to the next.
+
+    Parameters
+    ----------
+    model, waiting, noise : the skeleton; how long results wait; what is assumed of the cameras.
+    freedom : degrees of freedom of the noise. pose_error : what the cameras' poses add.
+    cameras : source -> (3,) position, m, as far as known.
+    """
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        waiting: WindowTimes,
+        noise: FusionNoise,
+        freedom: float,
+        pose_error: PoseError,
+        cameras: Mapping[str, Floats],
+    ) -> None:
+        self._waiting, self._noise, self._places = waiting, noise, cameras
+        self._motion = noise.motion(freedom)
+        self._pose_error = pose_error
+        self.displaced = DisplacedViews()
+        self._names: tuple[str, ...] = ()
+        self._held = HeldFrames(packed=True)
+        self._stamps: list[int] = []
+        """Of the instants that are held and known, ns."""
+        self._views: list[Sightings] = []
+        """Not yet filtered; instants are numbered through the log."""
+        self._first = 0
+        """Number of the first instant that is held."""
+        self._taken = 0
+        """Time, ns, before which the filters have taken over everything."""
+        self._origin: int | None = None
+        self._last_log_time: int | None = None
+        self._interval, self._jitter = 1e9 / 30, 5e6
+        """ns from one instant to the next, and its mean deviation."""
+        m = model.n_markers
+        self._bank: Bank[JointStates] = Bank(JointStates.unknown(0, m, 0), _FORGET)
+
+    def update(self, block: Block, views: Sightings, names: tuple[str, ...]) -> Iterator[Block]:
+        """Add instants; yield those whose window is complete."""
+        self._make_room(names)
+        patience = round((self._waiting.window + self._waiting.lookahead) * 1e9)
+        bounds = np.searchsorted(views.instants, np.arange(len(block) + 1))
+        views = views._replace(instants=views.instants + self._held.add(block))
+        taken = 0
+        for (stamp, _, log_time), end in zip(block.messages(), bounds[1:].tolist(), strict=True):
+            self._origin = stamp if self._origin is None else self._origin
+            self._stamps.append(stamp)
+            self._count_on(log_time)
+            while self._stamps and (stamp - self._stamps[0] >= patience or self._is_due(log_time)):
+                self._views.append(chosen(views, slice(taken, end)))
+                taken = end
+                yield self._smooth(self._stamps[0] + round(self._waiting.window * 1e9), log_time)
+        self._views.append(chosen(views, slice(taken, None)))
+
+    def _count_on(self, log_time: int) -> None:
+        """Measure how regularly instants come."""
+        if self._last_log_time is not None:
+            off = min(log_time - self._last_log_time, 10**9) - self._interval
+            self._interval += _FOLLOW * off
+            self._jitter += _FOLLOW * (abs(off) - self._jitter)
+        self._last_log_time = log_time
+
+    def _is_due(self, log_time: int) -> bool:
+        """Whether the first instant would be too late if it waited for one more."""
+        next_time = log_time + self._interval + 2 * self._jitter
+        return next_time > self._stamps[0] + self._waiting.max_lag * 1e9
+
+    def rest(self) -> Iterator[Block]:
+        """Yield what is left at the end of the log."""
+        if self._stamps:
+            yield self._smooth(self._stamps[-1] + 1, self._last_log_time or 0)
+
+    def _make_room(self, names: tuple[str, ...]) -> None:
+        """Add states for the offsets of new cameras; of these nothing is known yet."""
+        new = len(names) - len(self._names)
+        if not new:
+            return
+        self._names, past = names, self._bank.past
+        self.displaced.name(names)
+        means = np.pad(past.means, ((0, 0), (0, 0), (0, new), (0, 0)))
+        covariances = np.pad(past.covariances, ((0, 0), (0, 0), (0, new), (0, new)))
+        size = means.shape[2]
+        for k in range(size - new, size):
+            known = covariances[:, :, 0, 0] > 0
+            covariances[:, :, k, k] = np.where(known, self._noise.offsets**2, 0.0)
+        self._bank.past = past._replace(means=means, covariances=covariances)
+
+    def _smooth(self, end: int, log_time: int) -> Block:
+        """Return the held instants before ``end``, ns, or at least one, smoothed."""
+        n = max(sum(stamp < end for stamp in self._stamps), 1)
+        boundary = self._stamps[min(n, len(self._stamps) - 1)]  # nothing older is merged any more
+        out = self._held.copies(range(self._first, self._first + n))
+        views = joined(self._views)
+        self._views = [views]
+        owners = np.repeat(np.arange(n), out.sizes)
+        window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
+        of_views = rows_of(views, self._first + owners, out.people.ids)
+        self._bank.expire(self._stamps[0])
+        poses = self._without_displaced(window, of_views, boundary)
+        seen = cameras_by_row(views, of_views, poses.variances.shape)
+        self._drop(n, boundary, views)
+        return self._finished(out, log_time, poses, seen)
+
+    def _without_displaced(self, window: _Window, of_views: Stamps, boundary: int) -> FusedPoses:
+        """Smooth a window. Cameras that prove to be displaced lose their weight."""
+        views, new = window.views, window.new
+        white = self._noise.variances(views, self._names, self._places)
+        ahead = self._waiting.window > 0
+        excess = np.zeros(len(new)) if ahead else self.displaced.expected(views)
+        for person in np.unique(window.people).tolist():
+            self._bank.row(person, boundary)
+        for again in range(1 + _ROUNDS):
+            before = self._bank.past
+            if ahead:
+                self._bank.past = JointStates(*[array.copy() for array in before])
+            poses = self._smooth_people(window, white + excess[:, None], boundary)
+            offsets = view_offsets(views, white, poses, window.stamps, of_views)
+            if not ahead:
+                self.displaced.remember(views, offsets)
+                break
+            last, excess = excess, excess_of(views, offsets, len(self._names))
+            if again == _ROUNDS or not ((excess > 0) != (last > 0)).any():
+                break
+            self._bank.past = before
+        self.displaced.count(views, excess, of_views >= 0)
+        self._pose_error.learn(views, np.where(excess > 0, np.nan, offsets.T).T, self._names)
+        return poses
+
+    def _smooth_people(self, window: _Window, variances: Floats, boundary: int) -> FusedPoses:
+        """Smooth everybody; the filters stand at ``boundary``, ns, afterwards."""
+        poses = FusedPoses.absent(len(window.people), variances.shape[1])
+        for person in np.unique(window.people):
+            rows = np.flatnonzero(window.people == person)
+            own = (window.views.people == person) & window.new
+            steps, keep = self._steps(
+                chosen(window.views, own), variances[own], window.stamps[rows], boundary
+            )
+            self._smooth_person(int(person), steps, keep, boundary, rows, poses)
+        return poses
+
+    def _steps(
+        self, views: Sightings, variances: Floats, wanted: Stamps, boundary: int
+    ) -> tuple[Steps, int]:
+        """Order measurements and wanted poses by time; the number of steps before ``boundary``."""
+        stamps = np.concatenate([views.stamps, wanted])
+        cameras = np.concatenate([views.cameras, np.full(len(wanted), POSE)])
+        # At one time: measurements by camera, then the pose.
+        order = np.lexsort((np.where(cameras == POSE, len(self._names), cameras), stamps))
+        m = variances.shape[1]
+        steps = Steps(
+            (stamps[order] - (self._origin or 0)) * 1e-9,
+            cameras[order],
+            np.concatenate([views.positions, np.full((len(wanted), m, 3), np.nan)])[order],
+            np.concatenate([variances, np.full((len(wanted), m), np.nan)])[order],
+        )
+        return steps, int((stamps < boundary).sum())
+
+    def _smooth_person(
+        self, person: int, steps: Steps, keep: int, boundary: int, rows: Stamps, poses: FusedPoses
+    ) -> None:
+        """Smooth one person's joints into ``rows`` of ``poses``."""
+        row = self._bank.row(person, boundary)
+        size = self._bank.past.means.shape[2]
+        own = FusedPoses.absent(len(rows), poses.variances.shape[1])
+        work = fusing.FusionWork.of(len(steps.times), size)
+        fusing.smooth_joints(steps, keep, self._motion, self._bank.past, row, own, work)
+        for whole, part in zip(poses, own, strict=True):
+            whole[rows] = part
+
+    def _drop(self, n: int, boundary: int, views: Sightings) -> None:
+        """Forget what the filters have taken over."""
+        self._stamps = self._stamps[n:]
+        self._first += n
+        self._held.keep(range(self._first, self._held.count))
+        self._taken = boundary
+        self._views = [chosen(views, (views.stamps >= boundary) | (views.instants >= self._first))]
+
+    def _finished(self, out: Block, log_time: int, poses: FusedPoses, seen: Stamps) -> Block:
+        """Write poses, confidences and uncertainty."""
+        people = out.people
+        shared = self._pose_error.variances(poses.positions, seen, self._names)
+        variances = poses.variances + shared
+        unknown = ~(variances <= _MAX_DEVIATION**2)
+        variances[unknown] = np.nan
+        for columns, values in ((POSITION, poses.positions), (VELOCITY, poses.velocities)):
+            values[unknown] = np.nan
+            people.markers[:, :, columns] = values
+        people.marker_confidences[:] = 1 / (1 + variances / HALF_CONFIDENCE**2)
+        known = (~unknown).sum(axis=1)
+        total = np.nansum(people.marker_confidences, axis=1)
+        people.confidences[:] = np.where(known > 0, total / np.maximum(known, 1), np.nan)
+        uncertainty = Uncertainty(np.sqrt(variances), seen, self._names, np.sqrt(shared))
+        return replace(out.logged_at([log_time] * len(out)), uncertainty=uncertainty)
+
+
+def cameras_by_row(views: Sightings, rows: Stamps, shape: tuple[int, int]) -> Stamps:
+    """(K, M) Cameras that saw each marker of a person at an instant, a bit each."""
+    seen = np.zeros(shape, np.int64)
+    own = np.flatnonzero(rows >= 0)
+    bits = ~np.isnan(views.positions[own, :, 0]) * (1 << views.cameras[own])[:, None]
+    np.bitwise_or.at(seen, rows[own], bits)
+    return seen

@@ -1,0 +1,8 @@
+"""Malaguti et al. (2019): associate centroids, filter joints, straighten limbs.
+
+associate.py         people by their centroids; centroid_filter.py
+kalman.py            joints; joint_filter.py
+straighten.py        constant lengths; limb_lengths.py
+moving_average.py    the average that the paper compares with
+malaguti_params.py   the parameters
+"""

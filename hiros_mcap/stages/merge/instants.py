@@ -1,0 +1,260 @@
+"""What the cameras show at about the same time, gathered and merged person by person."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hiros_mcap.events import TOO_LATE, Events
+from hiros_mcap.frames import Block, CameraNumbers, HeldFrames
+from hiros_mcap.kernels.averaging import Buffers
+from hiros_mcap.skeletons import UNTRACKED, Flags, Ints, People, SkeletonModel, Stamps
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.merge.unseen import Unseen
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """One message of each camera that sent one."""
+
+    messages: Sequence[int]
+    """Their numbers, sorted by source, so that nothing depends on which camera was first."""
+    stamp: int
+    """Mean time of the messages, ns."""
+    log_time: int
+    """Log time, ns, of the message that completed the instant."""
+
+
+class Instants:
+    """Gathers one message per camera (Hi-ROS 2023, section 3.2).
+
+    Times of instants never decrease: a message older than the last one is left out. Two have the
+    same time where messages do: cameras triggered together, before all of them are known.
+
+    Parameters
+    ----------
+    cameras : messages that complete an instant (third trigger); 0 = as many as sources are known.
+    max_delta_time : s between the oldest and the newest message of an instant (second trigger).
+        A second message of the same camera starts a new one, too (first trigger).
+    events : counts "too late to be merged".
+    """
+
+    def __init__(self, cameras: int, max_delta_time: float, events: Events) -> None:
+        self._cameras, self._span, self._events = cameras, max_delta_time * 1e9, events
+        self._buffer: dict[str, tuple[int, int]] = {}
+        """Source to the stamp and number of its message."""
+        self._known: set[str] = set()
+        self._newest = 0
+        self._first = self._last = 0
+        """Times of the oldest and the newest message in the buffer."""
+        self._log_time = 0
+        """Of the latest message in the buffer."""
+
+    @property
+    def waiting(self) -> list[int]:
+        """Numbers of the messages whose instant is not complete."""
+        return [number for _, number in self._buffer.values()]
+
+    def add(self, stamp: int, source: str, log_time: int, number: int) -> list[Instant]:
+        """Take a message; return the instants that it completes: none, one or two."""
+        done: list[Instant] = []
+        self._known.add(source)
+        if stamp < self._newest:
+            self._events.count(TOO_LATE, source)
+            return done
+        buffer = self._buffer
+        if buffer and (
+            source in buffer or max(stamp, self._last) - min(stamp, self._first) > self._span
+        ):
+            done.append(self._close(log_time))
+            buffer = self._buffer
+        if buffer:
+            self._log_time = max(log_time, self._log_time)
+            self._first, self._last = min(stamp, self._first), max(stamp, self._last)
+        else:
+            self._log_time, self._first, self._last = log_time, stamp, stamp
+        buffer[source] = stamp, number
+        if len(self._buffer) >= (self._cameras or len(self._known)):
+            done.append(self._close(log_time))
+        return done
+
+    def rest(self) -> list[Instant]:
+        """Return the instant that no further message will complete, if there is one."""
+        return [self._close(self._log_time)] if self._buffer else []
+
+    def _close(self, log_time: int) -> Instant:
+        buffer, self._buffer = self._buffer, {}
+        messages = [buffer[source] for source in sorted(buffer)]
+        self._newest = sum(stamp for stamp, _ in messages) // len(messages)
+        return Instant([number for _, number in messages], self._newest, log_time)
+
+
+MergeKernel = Callable[[Buffers, People, int, People, Stamps], None]
+"""Merges ``buffers`` of messages that show ``people``, at most so many views of one person, into
+the people whose ids a third argument holds, and adds to (2, C) counts by camera."""
+
+
+class InstantMerger:
+    """Merges what the cameras show of each person at an instant; every merger is one.
+
+    Parameters
+    ----------
+    model, events, fixed_frame : see :func:`hiros_mcap.stages.merge.merge.merge_blocks`.
+    kernel : merges the views of each person.
+    bank : what the kernel remembers of people; one row for each.
+    counted : names of what the kernel counts by camera.
+    unseen : says whom that no message shows is handed to the kernel all the same.
+    """
+
+    # ns of instants that are merged at once. A row that the bank frees meanwhile may be another
+    # person's at once, for the bank waits longer.
+    _SPAN = 5_000_000_000
+
+    def __init__(
+        self,
+        model: SkeletonModel,
+        kernel: MergeKernel,
+        bank: Bank[Any],
+        events: Events,
+        fixed_frame: str,
+        counted: tuple[str, str],
+        unseen: Unseen | None = None,
+    ) -> None:
+        self._model, self._kernel, self._bank = model, kernel, bank
+        self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
+        self._unseen = unseen or Unseen()
+        self._cameras = CameraNumbers()
+        self._held = HeldFrames()
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Sources of the messages, by the index that the kernel knows them by."""
+        return tuple(self._cameras)
+
+    def run(self, blocks: Iterable[Block], cameras: int, max_delta_time: float) -> Iterator[Block]:
+        """Yield the merged people of every instant; the parameters are those of Instants."""
+        gathered = Instants(cameras, max_delta_time, self._events)
+        for block in blocks:
+            first, ready = self._held.add(block), list[Instant]()
+            for number, message in enumerate(block.messages(), first):
+                ready += gathered.add(*message, number)
+            yield from self._merge_all(ready, block, first)
+            self._held.keep(gathered.waiting)
+        yield from self._merge_all(gathered.rest())
+
+    def _merge_all(
+        self, instants: Sequence[Instant], block: Block | None = None, first: int = 0
+    ) -> Iterator[Block]:
+        """Merge in batches of a few seconds; ``first`` is the number of the block's first message.
+
+        Messages are copied only where those of an instant lie in several blocks.
+        """
+        start = instants[0].stamp if instants else 0
+        for _, batch in groupby(instants, lambda one: (one.stamp - start) // self._SPAN):
+            plans = []
+            for is_held, some in groupby(batch, lambda one: min(one.messages) < first):
+                part = list(some)
+                numbers = [number for instant in part for number in instant.messages]
+                if block is None or is_held:
+                    plans.append(self._plan(part, self._held.copies(numbers)))
+                else:
+                    plans.append(self._plan(part, block.select(np.array(numbers) - first)))
+            yield self._merge(plans)
+
+    def _merge(self, plans: Sequence[_MergePlan]) -> Block:
+        """Merge people as planned."""
+        sizes = np.concatenate([np.diff(plan.buffers.people_ends) for plan in plans])
+        stamps = np.concatenate([plan.buffers.stamps for plan in plans])
+        ends = np.concatenate([[0], np.cumsum(sizes)])
+        out = People.allocate(int(ends[-1]), self._model.n_markers, self._model.n_links)
+        out.stamps[:] = np.repeat(stamps, sizes)
+        out.confidences.fill(np.nan)
+        out.boxes.fill(np.nan)
+        counts = np.zeros((2, len(self._cameras)), np.int64)
+        first = 0
+        for plan in plans:
+            part = out.at(slice(first, first + len(plan.ids)))
+            part.ids[:] = plan.ids
+            self._kernel(plan.buffers, plan.people, plan.most_views, part, counts)
+            first += len(plan.ids)
+        for kind, by_camera in zip(self._counted, counts.tolist(), strict=True):
+            for source, n in zip(self._cameras, by_camera, strict=True):
+                self._events.count(kind, source, n)
+        names = [name for plan in plans for name in plan.frame_ids]
+        numbers = CameraNumbers()
+        frames = np.array([numbers.setdefault(name, len(numbers)) for name in names])
+        log_times = np.concatenate([plan.log_times for plan in plans])
+        rows = np.stack([ends[:-1], ends[1:]], 1)
+        return Block(stamps, log_times, frames, frames, tuple(numbers), rows, out)
+
+    def _plan(self, instants: Sequence[Instant], messages: Block) -> _MergePlan:
+        """Find out who is merged at each instant: whom its messages show, and who goes on."""
+        people = messages.people
+        blank: Flags = np.asarray(np.isnan(people.markers[:, :, 0]).all(axis=1))
+        people = people._replace(ids=np.where(blank, UNTRACKED, people.ids).astype(np.int32))
+        message_ends = np.cumsum([0, *(len(instant.messages) for instant in instants)])
+        stamps = np.array([instant.stamp for instant in instants], np.int64)
+        of_instant = np.repeat(np.arange(len(instants)), np.diff(message_ends))
+        rows, owners = messages.everybody()
+        shown = rows[people.ids[rows] != UNTRACKED], owners[people.ids[rows] != UNTRACKED]
+        keys = of_instant[shown[1]] * (1 << 32) + people.ids[shown[0]]
+        seen, views = np.unique(keys, return_counts=True)
+        bounds = np.searchsorted(seen >> 32, np.arange(1, len(instants)))
+        self._unseen.show(messages, stamps[of_instant], blank)
+        ids: list[int] = []
+        past_rows: list[int] = []
+        people_ends = [0]
+        for k, some in enumerate(np.split(seen & (2**32 - 1), bounds)):
+            present = self._present(int(stamps[k]), int(message_ends[k + 1]), some.tolist())
+            ids += present
+            past_rows += [self._bank.rows[person] for person in present]
+            people_ends.append(len(ids))
+        self._unseen.see_all()
+        columns = [messages.rows, messages.stamps[:, None], self._cameras.of(messages)[:, None]]
+        firsts = messages.frame_ids[message_ends[:-1]].tolist()
+        return _MergePlan(
+            Buffers(
+                stamps,
+                np.array(people_ends, np.int64),
+                message_ends,
+                np.concatenate(columns, axis=1),
+                np.array(past_rows, np.int64),
+            ),
+            people,
+            np.array(ids, np.int32),
+            int(views.max(initial=0)),
+            np.array([instant.log_time for instant in instants], np.int64),
+            [self._fixed_frame or messages.names[k] for k in firsts],
+        )
+
+    def _present(self, stamp: int, n_messages: int, seen: list[int]) -> list[int]:
+        """Return who is there at an instant whose messages show ``seen``, sorted; remember them."""
+        self._bank.expire(stamp)
+        bridged, carried = self._unseen.go_on(stamp, n_messages, seen, self._bank.last_seen)
+        for person in seen:
+            self._bank.row(person, stamp)
+        if not bridged and not carried:
+            return seen
+        self._events.count("bridged", n=len(bridged))
+        self._events.count("carried", n=len(carried))
+        return sorted({*seen, *bridged, *carried})
+
+
+class _MergePlan(NamedTuple):
+    """Instants whose messages lie in common arrays, written down for a kernel."""
+
+    buffers: Buffers
+    people: People
+    """Whom the messages show; who has no marker has no id."""
+    ids: Ints
+    """(P,) Of each merged person."""
+    most_views: int
+    """Most views of one person at an instant."""
+    log_times: Stamps
+    """(Q,) ns."""
+    frame_ids: Sequence[str]
+    """Q names of coordinate frames."""

@@ -1,0 +1,865 @@
+"""Kernels of the merger: votes and weighted means over cameras (Hi-ROS 2023, section 3.2)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.averaging import (
+    BEGIN,
+    BUFFERS,
+    END,
+    ORIENTATION,
+    POSITION,
+    VELOCITY,
+    VIEWS,
+    Buffers,
+    Views,
+    blank,
+    blank_person,
+    copy_row,
+    exchange,
+    load_views,
+    mean_person,
+    mean_state,
+)
+from hiros_mcap.kernels.compile import (
+    B1,
+    F1,
+    F2,
+    F3,
+    F4,
+    I1,
+    I2,
+    J1,
+    J2,
+    PEOPLE,
+    inlined,
+    kernel,
+    named_tuple,
+)
+from hiros_mcap.kernels.distance import norm3
+from hiros_mcap.kernels.quaternions import angle_of
+from hiros_mcap.skeletons import STATE, Flags, Floats, Ints, People, Stamps
+
+OUTLIERS, FLIPS = 0, 1
+"""Rows of ``counts``: votes that a camera lost, and its views that faced the wrong way."""
+
+# What the views say of the way a person faces: as before, the other way, or nothing, since the
+# past outvoted them.
+_CONFIRMED, _CHANGED, _HELD = 0, 1, 2
+
+EXCHANGED, LEFT_OUT = 1, 2
+"""What became of a view that faced the wrong way: its sides were exchanged, or it was dropped."""
+
+_HORIZON = 0.2  # s for which a past pose is carried on at constant velocity
+_MAX_HOLD = 4.0  # s for which the past outvotes views at most; flips of detectors last up to 3 s
+_HOLD_RATIO = 3.0  # the past outvotes views this many times as long as it was confirmed itself
+_CLEARLY = 0.75  # share of a view's distance to the past that exchanged sides must leave at most
+_ROUNDS = 3  # of reweighting
+
+
+class MergerSettings(NamedTuple):
+    """Parameters of merge.py; m, rad and s."""
+
+    max_position_delta: float
+    max_orientation_delta: float
+    max_facing_delta: float
+    confidence_power: float
+    robust_scale: float
+    offset_time: float
+    bridge: float
+    carry: float
+    pelvis_link: int
+    """Slot; -1 = there is none."""
+    facing_by_sides: bool
+    relabel: bool
+    past_votes: bool
+    compensate_motion: bool
+    only_orientations: bool
+    """Whether positions are of no use: markers are merged only where they have orientations."""
+
+
+class MergerPast(NamedTuple):
+    """What is remembered of S people, a row each."""
+
+    seen: Stamps
+    """(S,) time of the last merged pose, ns; 0 = never."""
+    facing_seen: Stamps
+    facing_since: Stamps
+    """(S,) when views last confirmed the way the person faces, and when they first did, ns."""
+    confidences: Floats
+    markers: Floats
+    marker_confidences: Floats
+    links: Floats
+    link_confidences: Floats
+    """(S, ...) the last merged pose; coordinates as in People."""
+    camera_offsets: Floats
+    """(S, C, M, 3) slow offset of each camera's markers from the merged ones, m."""
+
+    @classmethod
+    def empty(cls, n_markers: int, n_links: int) -> MergerPast:
+        """Return arrays with no rows."""
+        m, n = n_markers, n_links
+        shapes = (0,), (0, m, STATE), (0, m), (0, n, STATE), (0, n), (0, 4, m, 3)
+        never = np.zeros(0, np.int64)
+        return cls(never, never, never, *[np.zeros(shape) for shape in shapes])
+
+
+class Sides(NamedTuple):
+    """Left and right, as in hiros_mcap.body.symmetry."""
+
+    mirror: Ints
+    """(M,)."""
+    lateral: Ints
+    """(K, 2)."""
+
+
+class MergerWork(NamedTuple):
+    """Scratch for up to K views of a person. A kernel that makes arrays is twice as slow."""
+
+    values: Floats
+    """(K + 1, 4) the positions or orientations of the views, then those of the past pose."""
+    sides: Floats
+    """(K + 1, 3) directions from left to right, in the same order."""
+    distances: Floats
+    """((K + 1)^2,) between them."""
+    present: Flags
+    """(K,) views that count."""
+    weights: Floats
+    robust: Floats
+    """(K,)."""
+    marker_weights: Floats
+    link_weights: Floats
+    """(K, M) and (K, L)."""
+    past_positions: Floats
+    past_orientations: Floats
+    reference: Floats
+    """(M, 3), (L, 4) and (M, 3)."""
+    sides_changed: Stamps
+    """(K,) EXCHANGED, LEFT_OUT or 0, by view."""
+
+    @classmethod
+    def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
+        """Make room."""
+        k, m, n = views, n_markers, n_links
+        shapes = (k,), (k,), (k, m), (k, n), (m, 3), (n, 4), (m, 3)
+        scratch: list[Any] = [np.empty(shape) for shape in shapes]
+        scratch.append(np.zeros(k, np.int64))
+        return cls(
+            np.empty((k + 1, 4)), np.empty((k + 1, 3)), np.empty((k + 1) ** 2),
+            np.empty(k, np.bool_), *scratch,
+        )  # fmt: skip
+
+
+class _Slots(NamedTuple):
+    """The markers or the links of one person's views."""
+
+    states: Floats
+    """(K, M, 19)."""
+    confidences: Floats
+    """(K, M)."""
+    skeleton_confidences: Floats
+    """(K,) of the views as a whole."""
+    weights: Floats
+    """(K, M)."""
+    past: Floats
+    """(M, 3) positions, or (M, 4) orientations, of the past pose; NaN = no vote."""
+    merged: Floats
+    merged_confidences: Floats
+    """(M, 19) and (M,), to be written."""
+
+
+_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 8, types.int64, *[types.boolean] * 5)
+_PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
+_SIDES = named_tuple(Sides, J1, J2)
+_WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5, I1)
+
+
+@kernel
+def _merge_person(
+    stamp: int, views: Views, past: MergerPast, row: int, settings: MergerSettings, sides: Sides,
+    out: People, p: int, counts: Stamps, work: MergerWork,
+) -> None:  # fmt: skip
+    """Merge the views of one person (section 3.2)."""
+    has_past = _predict(stamp, past, row, settings, work)  # the past pose votes like a camera
+    _settle_facing(stamp, views, past, row, has_past, settings, sides, counts, work)  # flips
+    offsets = past.camera_offsets[row]
+    blank_person(out, p)
+    with_markers = not settings.only_orientations or _have_orientations(views.markers)
+    if with_markers:
+        _subtract_offsets(views, offsets)
+        _merge_slots(  # outliers by Euclidean distance, then eq 12
+            _Slots(
+                views.markers, views.marker_confidences, views.confidences, work.marker_weights,
+                work.past_positions, out.markers[p], out.marker_confidences[p],
+            ),
+            False, settings.max_position_delta, settings, views.cameras, counts, work,
+        )  # fmt: skip
+    _merge_slots(  # outliers by eq 10, then eq 12
+        _Slots(
+            views.links, views.link_confidences, views.confidences, work.link_weights,
+            work.past_orientations, out.links[p], out.link_confidences[p],
+        ),
+        True, settings.max_orientation_delta, settings, views.cameras, counts, work,
+    )  # fmt: skip
+    mean_person(stamp, views, settings.compensate_motion, out, p)
+    if with_markers:
+        _learn_offsets(
+            views, work.marker_weights, out.markers[p], _rate(stamp, past, row, settings), offsets
+        )
+    _remember(stamp, out, p, past, row)
+
+
+@kernel
+def _have_orientations(markers: Floats) -> bool:
+    """Whether any marker of the views (K, M, 19) has an orientation."""
+    for k in range(len(markers)):
+        for m in range(markers.shape[1]):
+            if not math.isnan(markers[k, m, ORIENTATION]):
+                return True
+    return False
+
+
+@kernel
+def _is_fresh(stamp: int, past: MergerPast, row: int) -> bool:
+    """Whether the past pose is young enough to be carried on."""
+    fresh: bool = past.seen[row] > 0 and (stamp - past.seen[row]) * 1e-9 <= _HORIZON
+    return fresh
+
+
+@kernel
+def _predict(
+    stamp: int, past: MergerPast, row: int, settings: MergerSettings, work: MergerWork
+) -> bool:
+    """Carry the past pose to ``stamp`` at constant velocity; whether it may vote.
+
+    The previous pose votes in the published code, not in the paper.
+    """
+    votes: bool = settings.past_votes and _is_fresh(stamp, past, row)
+    dt = max((stamp - past.seen[row]) * 1e-9, 0.0)
+    for m in range(past.markers.shape[1]):
+        for c in range(3):
+            v = past.markers[row, m, VELOCITY + c]
+            moved = past.markers[row, m, c] + dt * (0.0 if math.isnan(v) else v)
+            work.past_positions[m, c] = moved if votes else np.nan
+    for k in range(past.links.shape[1]):
+        for c in range(4):
+            work.past_orientations[k, c] = past.links[row, k, ORIENTATION + c] if votes else np.nan
+    return votes
+
+
+@kernel
+def _remember(stamp: int, people: People, p: int, past: MergerPast, row: int) -> None:
+    """Keep a merged pose."""
+    past.seen[row] = stamp
+    past.confidences[row] = people.confidences[p]
+    copy_row(past.markers, row, people.markers, p)
+    copy_row(past.marker_confidences, row, people.marker_confidences, p)
+    copy_row(past.links, row, people.links, p)
+    copy_row(past.link_confidences, row, people.link_confidences, p)
+
+
+@kernel
+def _fade(confidences: Floats, p: int, share: float) -> None:
+    """Lower the confidences (P, N) of a person; unknown ones stay unknown."""
+    for m in range(confidences.shape[1]):
+        confidences[p, m] *= share
+
+
+@kernel
+def _bridge(
+    stamp: int, past: MergerPast, row: int, settings: MergerSettings, out: People, p: int
+) -> None:
+    """Write the past pose, carried on at constant velocity up to the horizon.
+
+    Beyond ``bridge`` s without a view, confidences fall, to nothing at ``carry`` s.
+    """
+    out.confidences[p] = past.confidences[row]
+    copy_row(out.markers, p, past.markers, row)
+    copy_row(out.marker_confidences, p, past.marker_confidences, row)
+    copy_row(out.links, p, past.links, row)
+    copy_row(out.link_confidences, p, past.link_confidences, row)
+    unseen = (stamp - past.seen[row]) * 1e-9
+    if unseen > settings.bridge:
+        share = max(1.0 - unseen / settings.carry, 0.0)
+        out.confidences[p] *= share
+        _fade(out.marker_confidences, p, share)
+        _fade(out.link_confidences, p, share)
+    dt = min(unseen, _HORIZON)
+    for m in range(out.markers.shape[1]):
+        for c in range(3):
+            v = out.markers[p, m, VELOCITY + c]
+            out.markers[p, m, c] += dt * (0.0 if math.isnan(v) else v)
+
+
+# Votes: on the way a person faces, on the position of a marker, on the orientation of a link.
+
+
+@inlined
+def _dot(a: Floats, i: int, b: Floats, j: int) -> float:
+    """Scalar product of rows of two arrays."""
+    dot: float = a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
+    if a.shape[1] == 4:
+        dot += a[i, 3] * b[j, 3]
+    return dot
+
+
+@inlined
+def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
+    """Distance of two rows: positions, m, or ``orientations``, rad; NaN = unknown."""
+    if orientations:
+        dot = _dot(values, a, values, b)
+        angle: float = np.nan if math.isnan(dot) else angle_of(dot)  # eq 10
+        return angle
+    x, y, z = values[a, 0] - values[b, 0], values[a, 1] - values[b, 1], values[a, 2] - values[b, 2]
+    distance: float = norm3(x, y, z)
+    return distance
+
+
+@kernel("int64(float64[:,::1], float64[::1], boolean, float64)")
+def largest_group(distances: Floats, weights: Floats, has_past: bool, limit: float) -> int:
+    """Return the view whose neighbours, nearer than ``limit``, are the right ones; -1 = no view.
+
+    The largest group wins (section 3.2); of equal ones the nearest to the past, then the most
+    confident, then the tightest. The order of the cameras never matters.
+
+    Parameters
+    ----------
+    distances : (N, N), NaN on the diagonal for an absent view. With ``has_past`` the last row is
+        the past pose, which votes like a camera but leads no group.
+    weights : confidence of each view.
+    """
+    n = distances.shape[0]
+    views = n - 1 if has_past else n
+    best = -1
+    best_votes, best_past, best_weight, best_sum = 0, 0.0, 0.0, 0.0
+    for k in range(views):
+        if math.isnan(distances[k, k]):
+            continue
+        votes, weight, total = 0, 0.0, 0.0
+        for j in range(n):
+            if distances[k, j] < limit:
+                votes += 1
+                total += distances[k, j]
+                if j < views:
+                    weight += weights[j]
+        past = 0.0
+        if has_past and not math.isnan(distances[k, n - 1]):
+            past = distances[k, n - 1]
+        better = votes > best_votes
+        if votes == best_votes and best >= 0:
+            if past != best_past:
+                better = past < best_past
+            elif abs(weight - best_weight) > 1e-12:
+                better = weight > best_weight
+            else:
+                better = total < best_sum
+        if best < 0 or better:
+            best, best_votes, best_past, best_weight, best_sum = k, votes, past, weight, total
+    return best
+
+
+@kernel
+def _votes(distances: Floats, k: int, limit: float) -> int:
+    """How many agree with ``k``, itself included."""
+    votes = 0
+    for j in range(distances.shape[0]):
+        votes += int(distances[k, j] < limit)
+    return votes
+
+
+# Flips.
+
+
+@kernel
+def _settle_facing(
+    stamp: int, views: Views, past: MergerPast, row: int, has_past: bool,
+    settings: MergerSettings, sides: Sides, counts: Stamps, work: MergerWork,
+) -> None:  # fmt: skip
+    """Correct flipped views, and remember since when the person faces this way."""
+    facing = _CONFIRMED
+    work.sides_changed[: len(views.stamps)] = 0
+    if settings.max_facing_delta > 0.0:
+        confirmed = (past.facing_seen[row] - past.facing_since[row]) * 1e-9
+        hold = min(_MAX_HOLD, _HOLD_RATIO * confirmed)
+        holds = (stamp - past.facing_seen[row]) * 1e-9 <= hold
+        facing = _correct_flips(views, has_past, holds, settings, sides, counts, work)
+    if facing == _CHANGED or past.seen[row] == 0:
+        past.facing_since[row] = stamp
+    if facing != _HELD:
+        past.facing_seen[row] = stamp
+
+
+@kernel
+def _correct_flips(
+    views: Views, has_past: bool, holds: bool, settings: MergerSettings, sides: Sides,
+    counts: Stamps, work: MergerWork,
+) -> int:  # fmt: skip
+    """Relabel or drop the views that do not face as the largest group does (section 3.2).
+
+    While the past ``holds``, it wins over views that all face the other way, unless they are more.
+    """
+    n, limit = len(views.stamps), settings.max_facing_delta
+    size = n + 1 if has_past else n
+    distances = work.distances[: size * size].reshape((size, size))
+    if size == 1 or not _compare_facing(views, settings, sides, distances, work):
+        return _CONFIRMED
+    confidences, right = work.weights[:n], work.present[:n]
+    _sum_confidences(views, confidences)
+    best = largest_group(distances, confidences, has_past, limit)
+    contradicted = has_past and distances[best, n] >= limit
+    if contradicted and holds and _votes(distances, n, limit) >= _votes(distances, best, limit):
+        best = n
+    any_right = False
+    for k in range(n):
+        right[k] = not distances[best, k] >= limit
+        any_right = any_right or right[k]
+    if any_right:
+        _mean_positions(views.markers, right, work.reference)
+    reference = work.reference if any_right else work.past_positions
+    corrected = False
+    for k in range(n):
+        if not right[k] and _correct_view(
+            views, k, sides.mirror, reference, settings.relabel, any_right
+        ):
+            counts[FLIPS, views.cameras[k]] += 1
+            work.sides_changed[k] = LEFT_OUT if _is_blank(views.markers[k]) else EXCHANGED
+            corrected = True
+    if not any_right:
+        return _HELD if corrected else _CHANGED
+    if has_past:
+        for k in range(n):
+            if right[k] and not distances[k, n] >= limit:
+                return _CONFIRMED
+        return _CHANGED
+    return _CONFIRMED
+
+
+@kernel
+def _compare_facing(
+    views: Views, settings: MergerSettings, sides: Sides, distances: Floats, work: MergerWork
+) -> bool:
+    """Write the angles between the ways the views face; whether two face opposite ways.
+
+    Where pelvis (eq 10) and sides are known, the larger angle counts: detectors flip either.
+    """
+    n, size, pelvis = len(views.stamps), len(distances), settings.pelvis_link
+    for k in range(size):
+        for c in range(4):
+            work.values[k, c] = np.nan
+            if pelvis >= 0:
+                past = work.past_orientations[pelvis, c]
+                work.values[k, c] = views.links[k, pelvis, ORIENTATION + c] if k < n else past
+        x = y = z = np.nan
+        if settings.facing_by_sides:
+            if k < n:
+                x, y, z = _left_to_right(views.markers[k], sides.lateral)
+            else:
+                x, y, z = _left_to_right(work.past_positions, sides.lateral)
+        work.sides[k, 0], work.sides[k, 1], work.sides[k, 2] = x, y, z
+    opposite = False
+    for a in range(size):
+        for b in range(size):
+            angle = _distance(work.values, a, b, True)  # eq 10
+            dot = _dot(work.sides, a, work.sides, b)
+            if not math.isnan(dot):
+                by_sides = math.acos(min(1.0, max(-1.0, dot)))
+                angle = by_sides if math.isnan(angle) else max(angle, by_sides)
+            if a == b and not math.isnan(angle):
+                angle = 0.0
+            distances[a, b] = angle
+            opposite = opposite or angle >= settings.max_facing_delta
+    return opposite
+
+
+@kernel
+def _left_to_right(positions: Floats, pairs: Ints) -> tuple[float, float, float]:
+    """Direction from left to right, the mean over shoulders and hips; NaN if unknown."""
+    x = y = z = 0.0
+    for i in range(pairs.shape[0]):
+        a, b = pairs[i, 0], pairs[i, 1]
+        dx = positions[b, 0] - positions[a, 0]
+        dy = positions[b, 1] - positions[a, 1]
+        dz = positions[b, 2] - positions[a, 2]
+        length = norm3(dx, dy, dz)
+        if length > 1e-6:  # false for NaN
+            x, y, z = x + dx / length, y + dy / length, z + dz / length
+    length = norm3(x, y, z)
+    if length < 1e-6:
+        length = np.nan
+    return x / length, y / length, z / length
+
+
+@inlined
+def _confidence(given: float, skeleton: float) -> float:
+    """Confidence of a marker or link: as given, else its skeleton's, else 1 (eq 12)."""
+    if math.isnan(given):
+        return 1.0 if math.isnan(skeleton) else skeleton
+    return given
+
+
+@kernel
+def _sum_confidences(views: Views, out: Floats) -> None:
+    """Sum the confidences of each view's markers."""
+    confidences = views.marker_confidences
+    for k in range(len(confidences)):
+        out[k] = 0.0
+        for m in range(confidences.shape[1]):
+            out[k] += _confidence(confidences[k, m], views.confidences[k])
+
+
+@kernel
+def _mean_positions(markers: Floats, chosen: Flags, out: Floats) -> None:
+    """Mean marker positions of the chosen views; NaN where none has the marker."""
+    for m in range(len(out)):
+        out[m, 0] = np.nan
+        count = x = y = z = 0.0
+        for k in range(len(markers)):
+            if chosen[k] and not math.isnan(markers[k, m, 0]):
+                count += 1.0
+                x, y, z = x + markers[k, m, 0], y + markers[k, m, 1], z + markers[k, m, 2]
+        if count > 0.0:
+            out[m, 0], out[m, 1], out[m, 2] = x / count, y / count, z / count
+
+
+@kernel
+def _correct_view(
+    views: Views, k: int, mirror: Ints, reference: Floats, relabel: bool, drop: bool
+) -> bool:
+    """Exchange the sides of a view if that brings it nearer to ``reference``, else drop it.
+
+    Without ``drop``, ``reference`` is only the past, which may be distorted: the sides are
+    exchanged if that brings the view clearly nearer, else it stays as it is. Whether it changed.
+    """
+    markers = views.markers[k]
+    share = 1.0 if drop else _CLEARLY
+    if relabel and _is_mirrored(markers, mirror, reference, share):
+        for m in range(len(mirror)):
+            if mirror[m] > m:
+                exchange(markers, views.marker_confidences[k], m, mirror[m])
+    elif drop:
+        for m in range(len(mirror)):
+            markers[m, POSITION] = np.nan
+    else:
+        return False
+    # A detector that flips a person flips the links' frames by a convention of its own: they are
+    # unknown now.
+    blank(views.links[k], views.link_confidences[k])
+    return True
+
+
+@kernel
+def _is_mirrored(markers: Floats, mirror: Ints, reference: Floats, share: float) -> bool:
+    """Whether exchanged sides leave less than ``share`` of the distance to ``reference``."""
+    as_is = mirrored = 0.0
+    for m in range(len(mirror)):
+        o = mirror[m]
+        d = norm3(
+            markers[m, 0] - reference[m, 0],
+            markers[m, 1] - reference[m, 1],
+            markers[m, 2] - reference[m, 2],
+        )
+        s = norm3(
+            markers[o, 0] - reference[m, 0],
+            markers[o, 1] - reference[m, 1],
+            markers[o, 2] - reference[m, 2],
+        )
+        if not math.isnan(d) and not math.isnan(s):
+            as_is += d
+            mirrored += s
+    return mirrored < share * as_is
+
+
+@kernel
+def _blank_view(views: Views, k: int) -> None:
+    """Make all markers and links of a view absent."""
+    blank(views.markers[k], views.marker_confidences[k])
+    blank(views.links[k], views.link_confidences[k])
+
+
+@kernel
+def _is_blank(markers: Floats) -> bool:
+    """Whether no marker of a view is there."""
+    for m in range(len(markers)):
+        if not math.isnan(markers[m, POSITION]):
+            return False
+    return True
+
+
+# Outliers and the mean.
+
+
+@kernel
+def _merge_slots(
+    slots: _Slots, orientations: bool, limit: float, settings: MergerSettings, cameras: Stamps,
+    counts: Stamps, work: MergerWork,
+) -> None:  # fmt: skip
+    """Merge each marker, or each link by its ``orientations``: outlier vote, then eq 12.
+
+    Views nearer than ``limit``, m or rad, agree; 0 or less turns the vote off. A link that no view
+    gives an orientation is averaged without a vote. The final weights are left in ``slots``.
+    """
+    n, values, scale = len(cameras), work.values, settings.robust_scale
+    present, weights = work.present[:n], work.weights[:n]
+    # Half of the limit, for _all_agree. The angle between quaternions is half the rotation's.
+    half = math.cos(0.25 * limit) if orientations else 0.25 * limit * limit
+    _raise(slots, settings.confidence_power)
+    for m in range(slots.states.shape[1]):
+        if not _load_values(slots, m, orientations, values, present):
+            continue
+        has_past = limit > 0.0 and not math.isnan(slots.past[m, 0])
+        centre = _first(present)
+        if limit > 0.0 and not _all_agree(values, present, orientations, has_past, half):
+            centre, has_past = _reject_outliers(
+                slots.weights, m, orientations, has_past, limit, cameras, counts, work,
+            )  # fmt: skip
+        if centre < 0:
+            continue
+        _fill_weights(slots.weights, m, present, weights)
+        if scale > 0.0 and not orientations:
+            _reweight(values, weights, work.robust[:n], has_past, scale)
+        mean_state(  # eq 12
+            slots.states, slots.confidences, m, weights, centre, slots.merged,
+            slots.merged_confidences,
+        )  # fmt: skip
+        for k in range(n):
+            slots.weights[k, m] = weights[k]
+
+
+@kernel
+def _raise(slots: _Slots, power: float) -> None:
+    """Fill the weights of eq 12: confidences to a power."""
+    confidences, out = slots.confidences, slots.weights
+    for k in range(len(confidences)):
+        for m in range(confidences.shape[1]):
+            c = _confidence(confidences[k, m], slots.skeleton_confidences[k])
+            if power == 2.0:  # the power function takes twenty times as long
+                out[k, m] = c * c
+            else:
+                out[k, m] = c**power
+
+
+@inlined
+def _load_values(slots: _Slots, m: int, orientations: bool, values: Floats, present: Flags) -> bool:
+    """Load what views and past show of a slot; whether any view shows it at all."""
+    n, first = len(present), ORIENTATION if orientations else POSITION
+    found = False
+    for k in range(n):
+        present[k] = not math.isnan(slots.states[k, m, first])
+        found = found or present[k]
+        for c in range(slots.past.shape[1]):
+            values[k, c] = slots.states[k, m, first + c]
+    for c in range(slots.past.shape[1]):
+        values[n, c] = slots.past[m, c]
+    if orientations and not found:
+        for k in range(n):
+            no_position = math.isnan(slots.states[k, m, POSITION])
+            present[k] = not (no_position and math.isnan(slots.confidences[k, m]))
+            found = found or present[k]
+    return found
+
+
+@kernel
+def _first(present: Flags) -> int:
+    k = 0
+    while not present[k]:
+        k += 1
+    return k
+
+
+@inlined
+def _all_agree(
+    values: Floats, present: Flags, orientations: bool, has_past: bool, half: float
+) -> bool:
+    """Whether all lie within half of the limit of one of them: no vote would reject any.
+
+    ``half`` is the squared distance, m2, or the scalar product of two quaternions at that angle:
+    the roots and arc cosines of :func:`_distance` take longer.
+    """
+    n = len(present)
+    centre = n if has_past else _first(present)
+    for k in range(n):
+        if not present[k]:
+            continue
+        if orientations:
+            if abs(_dot(values, k, values, centre)) <= half:
+                return False
+        else:
+            x = values[k, 0] - values[centre, 0]
+            y = values[k, 1] - values[centre, 1]
+            z = values[k, 2] - values[centre, 2]
+            if x * x + y * y + z * z >= half:
+                return False
+    return True
+
+
+@kernel
+def _reject_outliers(
+    slot_weights: Floats, m: int, orientations: bool, has_past: bool, limit: float,
+    cameras: Stamps, counts: Stamps, work: MergerWork,
+) -> tuple[int, bool]:  # fmt: skip
+    """Strike the views that are not in the largest group (section 3.2).
+
+    Returns the centre of the group, and whether the past is in it.
+    """
+    n = len(cameras)
+    size = n + 1 if has_past else n
+    distances = work.distances[: size * size].reshape((size, size))
+    for a in range(size):
+        for b in range(a + 1):
+            distances[a, b] = distances[b, a] = _distance(work.values, a, b, orientations)
+    _fill_weights(slot_weights, m, work.present[:n], work.weights[:n])
+    best = largest_group(distances, work.weights[:n], has_past, limit)
+    for k in range(n):
+        if work.present[k] and not distances[best, k] < limit:
+            work.present[k] = False
+            counts[OUTLIERS, cameras[k]] += 1
+    return best, has_past and distances[best, n] < limit
+
+
+@kernel
+def _fill_weights(slot_weights: Floats, m: int, present: Flags, out: Floats) -> None:
+    """Weight of each view that is present; equal if all are zero."""
+    total = 0.0
+    for k in range(len(out)):
+        out[k] = slot_weights[k, m] if present[k] else 0.0
+        total += out[k]
+    if total <= 0.0:
+        for k in range(len(out)):
+            out[k] = 1.0 if present[k] else 0.0
+
+
+@kernel
+def _reweight(
+    values: Floats, weights: Floats, robust: Floats, has_past: bool, scale: float
+) -> None:
+    """Multiply the weights by Cauchy weights of ``scale`` m about the mean that they give.
+
+    The start prefers no camera: it is the past, if that may vote, or the plain weighted mean.
+    """
+    n = len(weights)
+    x, y, z = values[n, 0], values[n, 1], values[n, 2]
+    for k in range(n):
+        robust[k] = weights[k]
+    for i in range(_ROUNDS):
+        if i > 0 or not has_past:
+            x, y, z = _mean_position(values, robust)
+        for k in range(n):
+            if weights[k] > 0.0:
+                dx, dy, dz = values[k, 0] - x, values[k, 1] - y, values[k, 2] - z
+                robust[k] = weights[k] / (1.0 + (dx * dx + dy * dy + dz * dz) / (scale * scale))
+    for k in range(n):
+        weights[k] = robust[k]
+
+
+@kernel
+def _mean_position(values: Floats, weights: Floats) -> tuple[float, float, float]:
+    """Weighted mean of the rows."""
+    norm = x = y = z = 0.0
+    for k in range(len(weights)):
+        if weights[k] > 0.0:
+            norm += weights[k]
+            x += weights[k] * values[k, 0]
+            y += weights[k] * values[k, 1]
+            z += weights[k] * values[k, 2]
+    return x / norm, y / norm, z / norm
+
+
+# The cameras' slow offsets.
+
+
+@kernel
+def _subtract_offsets(views: Views, offsets: Floats) -> None:
+    """Take each camera's slow offset (C, M, 3) off its markers."""
+    for k in range(len(views.cameras)):
+        for m in range(offsets.shape[1]):
+            for c in range(3):
+                views.markers[k, m, c] -= offsets[views.cameras[k], m, c]
+
+
+@kernel
+def _rate(stamp: int, past: MergerPast, row: int, settings: MergerSettings) -> float:
+    """Share by which an offset follows what is observed; 0 = not at all."""
+    if settings.offset_time <= 0.0 or not _is_fresh(stamp, past, row):
+        return 0.0
+    dt = max((stamp - past.seen[row]) * 1e-9, 0.0)
+    return 1.0 - math.exp(-dt / settings.offset_time)
+
+
+@kernel
+def _learn_offsets(
+    views: Views, weights: Floats, merged: Floats, rate: float, offsets: Floats
+) -> None:
+    """Move each camera's offset towards the distance of its markers from the merged ones.
+
+    In proportion to the weight (K, M) that the view had: a guess says little.
+    """
+    if rate <= 0.0:
+        return
+    for m in range(len(merged)):
+        if math.isnan(merged[m, 0]):
+            continue
+        heaviest = 0.0
+        for k in range(len(views.cameras)):
+            heaviest = max(heaviest, weights[k, m])
+        for k in range(len(views.cameras)):
+            if weights[k, m] > 0.0:
+                share = rate * weights[k, m] / heaviest
+                for c in range(3):
+                    difference = views.markers[k, m, c] - merged[m, c]
+                    offsets[views.cameras[k], m, c] += share * difference
+
+
+@kernel
+def _note_sides(
+    buffers: Buffers, q: int, people: People, person: int, changed: Stamps, out: Stamps
+) -> None:
+    """Write what became of a person's views to their rows of ``people``."""
+    n = 0
+    for k in range(buffers.message_ends[q], buffers.message_ends[q + 1]):
+        for i in range(buffers.messages[k, BEGIN], buffers.messages[k, END]):
+            if people.ids[i] == person:
+                out[i] = changed[n]
+                n += 1
+
+
+@kernel(types.void(BUFFERS, PEOPLE, VIEWS, _PAST, _SETTINGS, _SIDES, PEOPLE, I2, I1, _WORK))
+def merge_buffers(
+    buffers: Buffers,
+    people: People,
+    scratch: Views,
+    past: MergerPast,
+    settings: MergerSettings,
+    sides: Sides,
+    out: People,
+    counts: Stamps,
+    changed: Stamps,
+    work: MergerWork,
+) -> None:
+    """Merge buffer after buffer.
+
+    Parameters
+    ----------
+    buffers, people : the messages, and the people that they show.
+    scratch : for the views of any person in a buffer; so is ``work``.
+    past : brought to the last buffer that shows the person.
+    out : (P,) the merged people. ``ids`` say whom to merge; ``stamps`` hold the merged times. Who
+        is in no message of a buffer is carried on from the past.
+    counts : (2, C) outliers and flips by camera; added to.
+    changed : what became of each row of ``people``: EXCHANGED, LEFT_OUT or 0.
+    """
+    for q in range(len(buffers.stamps)):
+        for p in range(buffers.people_ends[q], buffers.people_ends[q + 1]):
+            views = load_views(buffers, q, people, out.ids[p], settings.compensate_motion, scratch)
+            row = buffers.past_rows[p]
+            if len(views.stamps) == 0:
+                _bridge(buffers.stamps[q], past, row, settings, out, p)
+                continue
+            _merge_person(
+                buffers.stamps[q], views, past, row, settings, sides, out, p, counts, work
+            )
+            _note_sides(buffers, q, people, out.ids[p], work.sides_changed, changed)

@@ -1,0 +1,250 @@
+"""Around the solver of the optimizer: lengths measured, outliers found, poses written.
+
+Hi-ROS 2023, sections 3.3.1 and 3.3.2. Loops, not slices: numba compiles them several times faster.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from hiros_mcap.kernels.compile import F2, F3, J2, PEOPLE, kernel
+from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
+from hiros_mcap.stages.optimize.energy import (
+    ENERGY,
+    SCRATCH,
+    W_LENGTH,
+    W_ORIENTATION,
+    W_PROXIMAL,
+    Energy,
+    SolverScratch,
+    distance,
+    length_error,
+    minimize_one,
+)
+from hiros_mcap.stages.optimize.normal_equations import TOPOLOGY, Topology
+
+# The search for outliers: displacements, m, that count a quarter of their weight, round by round
+# of reweighting and solving. With the narrow scales alone, chance decides which marker loses its
+# weight (Blake and Zisserman's graduated non-convexity).
+_SCALES = (0.2, 0.14, 0.1, 0.07, 0.05)
+_SEARCH_STEPS = 30
+_SEARCH_TOLERANCE = 1e-4  # m
+# The smallest factor of a weight: with a smaller one, rounding decides where a marker goes.
+_LEAST_FACTOR = 0.003
+
+_Vector = tuple[float, float, float]
+_QX, _QY, _QZ, _QW = range(*ORIENTATION.indices(STATE))
+
+
+# Section 3.3.1: calibration
+
+
+@kernel(types.void(F3, F2, J2, F2, F2))
+def measure_lengths(
+    markers: Floats, confidences: Floats, links: Ints, lengths: Floats, weights: Floats
+) -> None:
+    """Write each link's length (P, L), m, NaN = not seen, and its weight, 0..1.
+
+    The weight is the harmonic mean of the markers' confidences: the variances of the two ends add
+    up, and each is taken as inverse to the confidence (1 where none is given).
+    """
+    for i in range(markers.shape[0]):
+        for k in range(links.shape[0]):
+            p, d = links[k, 0], links[k, 1]
+            lengths[i, k] = np.nan
+            weights[i, k] = 0.0
+            if p < 0 or d < 0 or p == d:
+                continue
+            length = distance(markers[i, p], markers[i, d])
+            if np.isnan(length):
+                continue
+            a, b = confidences[i, p], confidences[i, d]
+            a = 1.0 if np.isnan(a) else a
+            b = 1.0 if np.isnan(b) else b
+            lengths[i, k] = length
+            weights[i, k] = 2.0 * a * b / (a + b) if a > 0.0 and b > 0.0 else 0.0
+
+
+# Section 3.3.2: outliers
+
+
+@kernel  # without a signature: not compiled unless it is wanted
+def remove_outliers(
+    points: Floats, nominal: Floats, topology: Topology, max_error: float, outlier: Ints
+) -> int:
+    """Find the outliers as the paper does and set them to NaN in ``points``; return how many.
+
+    From the roots outwards, the distal marker of a link whose length is off by more than
+    ``max_error`` is an outlier. Links that touch an outlier are not looked at.
+    """
+    found = 0
+    for i in range(points.shape[0]):
+        for k in topology.outward:
+            p, d = topology.links[k, 0], topology.links[k, 1]
+            if outlier[i, d] or outlier[i, p]:
+                continue
+            if length_error(points[i], nominal[i], topology.links, k) > max_error:
+                outlier[i, d] = 1
+        for m in range(points.shape[1]):
+            if outlier[i, m]:
+                found += 1
+                points[i, m] = np.nan
+    return found
+
+
+@kernel
+def _exceeds(points: Floats, nominal: Floats, links: Ints, max_error: float) -> bool:
+    """Whether a link's length is off by more than ``max_error``."""
+    for k in range(links.shape[0]):
+        if length_error(points, nominal, links, k) > max_error:
+            return True
+    return False
+
+
+@kernel
+def _reweight(x: Floats, energy: Energy, links: Ints, scale: float, weights: Floats) -> None:
+    """Reduce the weights of markers that moved far (Geman and McClure's estimator)."""
+    for k in range(links.shape[0]):
+        least = 1.0
+        for end in range(2):
+            m = links[k, end]
+            if m >= 0:
+                moved = distance(x[m], energy.start[m]) / scale
+                factor = max(1.0 / (1.0 + moved * moved) ** 2, _LEAST_FACTOR)
+                weights[k, W_PROXIMAL + end] = energy.weights[k, W_PROXIMAL + end] * factor
+                least = min(least, factor)
+        weights[k, W_ORIENTATION] = energy.weights[k, W_ORIENTATION] * least
+
+
+@kernel
+def _fit_robustly(energy: Energy, topology: Topology, scratch: SolverScratch) -> None:
+    """Write to ``scratch.solution`` the pose of least energy when far displacements count less."""
+    steps: Any = np.int64(_SEARCH_STEPS)  # a literal would make a second version of the solver
+    x, weights = scratch.solution, scratch.weights
+    robust = Energy(energy.start, energy.nominal, weights)
+    for k in range(weights.shape[0]):
+        for j in range(4):
+            weights[k, j] = energy.weights[k, j]
+    minimize_one(robust, topology, _SEARCH_TOLERANCE, steps, False, scratch, x)
+    for scale in _SCALES:
+        _reweight(x, energy, topology.links, scale, weights)
+        # Goes on where the last round ended: from the measured place of a marker of little weight,
+        # Newton's steps may lead anywhere.
+        minimize_one(robust, topology, _SEARCH_TOLERANCE, steps, True, scratch, x)
+
+
+@kernel(types.int64(ENERGY, TOPOLOGY, types.float64, J2, SCRATCH))
+def restore_outliers(
+    energy: Energy, topology: Topology, max_error: float, outlier: Ints, scratch: SolverScratch
+) -> int:
+    """Find the outliers by a robust fit and move them, in ``energy.start``; return how many.
+
+    Only people with a link off by more than ``max_error`` are looked at. Which of its ends is
+    wrong, the other links tell: the skeleton is solved, markers that moved far get less weight,
+    and so on. A marker that ends up further than half of ``max_error`` from where it was measured
+    is an outlier, and moves there.
+    """
+    found = 0
+    points, x = energy.start, scratch.solution
+    for i in range(points.shape[0]):
+        if not _exceeds(points[i], energy.nominal[i], topology.links, max_error):
+            continue
+        _fit_robustly(Energy(points[i], energy.nominal[i], energy.weights[i]), topology, scratch)
+        for m in range(points.shape[1]):
+            if distance(x[m], points[i, m]) > 0.5 * max_error:
+                outlier[i, m] = 1
+                found += 1
+                for j in range(3):
+                    points[i, m, j] = x[m, j]
+    return found
+
+
+# Section 3.3.3: the result
+
+
+@kernel
+def _direction(ends: tuple[Floats, Floats], length: float) -> _Vector:
+    """Return the unit vector from the first to the second of two points."""
+    p, d = ends
+    return (d[0] - p[0]) / length, (d[1] - p[1]) / length, (d[2] - p[2]) / length
+
+
+@kernel
+def _align(state: Floats, u: _Vector, v: _Vector) -> None:
+    """Multiply a link's orientation from the left by the least rotation u -> v."""
+    dot = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+    if not dot > -1.0 + 1e-12:
+        return
+    w = 1.0 + dot
+    x = u[1] * v[2] - u[2] * v[1]
+    y = u[2] * v[0] - u[0] * v[2]
+    z = u[0] * v[1] - u[1] * v[0]
+    size = sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / size, x / size, y / size, z / size
+    qx, qy, qz, qw = state[_QX], state[_QY], state[_QZ], state[_QW]
+    state[_QX] = w * qx + x * qw + y * qz - z * qy
+    state[_QY] = w * qy - x * qz + y * qw + z * qx
+    state[_QZ] = w * qz + x * qy - y * qx + z * qw
+    state[_QW] = w * qw - x * qx - y * qy - z * qz
+
+
+@kernel
+def _move_link(
+    state: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats], align: bool
+) -> None:
+    """Move a link's position, and its orientation if asked, with its two ends."""
+    length, new_length = distance(before[0], before[1]), distance(after[0], after[1])
+    if not (length > 1e-9 and new_length > 1e-9):
+        return
+    u, v = _direction(before, length), _direction(after, new_length)
+    share = u[0] * (state[0] - before[0][0]) / length
+    share += u[1] * (state[1] - before[0][1]) / length
+    share += u[2] * (state[2] - before[0][2]) / length
+    share = min(max(share, 0.0), 1.0)
+    for x in range(3):
+        shift_p, shift_d = after[0][x] - before[0][x], after[1][x] - before[1][x]
+        state[x] += (1.0 - share) * shift_p + share * shift_d
+    if align:
+        _align(state, u, v)
+
+
+@kernel(types.void(PEOPLE, ENERGY, F3, J2, J2, types.boolean, types.boolean))
+def write_poses(
+    people: People,
+    energy: Energy,
+    solved: Floats,
+    outlier: Ints,
+    links: Ints,
+    remove: bool,
+    align: bool,
+) -> None:
+    """Write the solved positions (P, M, 3) to markers and links, in place.
+
+    A link of some weight moves with its two ends. With ``align`` it also turns by the least
+    rotation from its measured to its solved direction. With ``remove``, outliers and the links
+    that touch them become absent.
+    """
+    weights = energy.weights
+    for i in range(solved.shape[0]):
+        for k in range(links.shape[0]):
+            p, d = links[k, 0], links[k, 1]
+            if p < 0 or d < 0:
+                continue
+            if remove and (outlier[i, p] or outlier[i, d]):
+                people.links[i, k] = np.nan
+                people.link_confidences[i, k] = np.nan
+            elif weights[i, k, W_LENGTH] + weights[i, k, W_ORIENTATION] > 0.0:
+                before = people.markers[i, p], people.markers[i, d]
+                after = solved[i, p], solved[i, d]
+                _move_link(people.links[i, k], before, after, align)
+        for m in range(solved.shape[1]):
+            if remove and outlier[i, m]:
+                people.markers[i, m] = np.nan
+                people.marker_confidences[i, m] = np.nan
+            else:
+                for j in range(3):
+                    people.markers[i, m, j] = solved[i, m, j]

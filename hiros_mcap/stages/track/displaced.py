@@ -1,0 +1,348 @@
+"""Cameras that show people elsewhere than the others do: a second view of a person is nobody new.
+
+A camera that was moved, stands on its head, has another camera's pose or looks into a mirror shows
+copies of people. Nobody but a copy moves as the person does. The model, with its numbers below:
+
+- Only a track that one camera alone reports may be a copy, and only of a person whom another camera
+  knows. Both are compared at the same instants, over a second and a half.
+- A copy: one rotation and one shift, or one reflection, takes the track onto the person, with
+  sides as they are or swapped. What distance is left is far less than the person moved. So nobody
+  who stands still is evidence.
+- A displaced camera does not show the person in place as well. A mirror does, but it only
+  reflects: the person who walks half a step behind is turned or shifted besides.
+- What displaces one person displaces all whom the camera shows. So the displacement is remembered,
+  and made more precise: it finds copies at once, also of people who stand still, and those that
+  lie near enough to the person to be taken for the person. It is forgotten once the camera shows
+  people in place, or no copy for a while.
+
+Of two cameras without a third, nobody can know which is displaced. Each then shows copies of the
+people whom the other one knows: whoever came first stays.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hiros_mcap.events import Events
+from hiros_mcap.skeletons import Flags, Floats, Ints
+from hiros_mcap.stages.track.likeness import (
+    ALIKE,
+    ALIKE_IF_DISPLACED,
+    FEWEST,
+    UNSEEN,
+    Displacement,
+    Likeness,
+    fit,
+    likeness,
+    mean_marker_distances,
+    median_distance,
+)
+
+DISPLACED = "displaced"
+"""Counts detections, by camera, that were left out as copies."""
+CAMERA_DISPLACED, MIRROR_SEEN = "camera displaced", "mirror seen"
+"""Events: a camera's first copy."""
+
+_INTERVAL = 45_000_000  # ns between two samples of a track
+_PATIENCE, _LATER = 90_000_000, 500_000_000  # ns between two comparisons of a track: at first, and
+_SHARE = 8  # at most; in between, its age divided by this
+_SHORTEST, _LONGEST = 350_000_000, 1_500_000_000  # ns that are compared
+_CROWD = 100  # pairs of a track and a person; of more, too slow to compare, none is
+_NEAR = 0.3  # m from the person, once the displacement is undone
+_BACK = 500_000_000  # ns for which a camera that shows people in place is believed to be back
+_FORGET = 60_000_000_000  # ns since the last copy
+_SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new ones for a new fit
+
+
+class Others(NamedTuple):
+    """The P people whom other cameras know, at the time of a message."""
+
+    numbers: Sequence[int]
+    """Of their tracks."""
+    places: Floats
+    """(P, M, 3) their markers, m."""
+    since: Ints
+    """(P,) time of the first detection, ns; 0 if two cameras agree on the person."""
+    shown: Flags
+    """(P,) whether the message shows the person in place."""
+
+
+class LoneTracks(NamedTuple):
+    """One message of a camera: what it alone shows, beside whom."""
+
+    source: str
+    stamp: int
+    """ns."""
+    tracks: Sequence[int]
+    """Numbers of tracks that no other camera reports."""
+    poses: Floats
+    """(N, M, 3) their detections, m."""
+    others: Others
+    heard: Sequence[str]
+    """The other cameras that send messages at this time."""
+
+
+class _Pairs(NamedTuple):
+    """A track beside a person at K instants."""
+
+    own: Floats
+    """(K, M, 3) m."""
+    other: Floats
+    """(K, M, 3) m."""
+    unseen: float
+    """Share of the instants at which the camera did not show the person in place."""
+    agreed: bool
+    """Whether two cameras agree on the person."""
+
+
+@dataclass(slots=True)
+class _History:
+    """The latest samples of a track that one camera reports, and of the people known elsewhere."""
+
+    first: int
+    """Time of the first sample, ns."""
+    due: int
+    """Time of the next comparison, ns."""
+    samples: deque[tuple[int, Floats, Others]] = field(default_factory=deque)
+    """Time, ns; (M, 3) markers, m; the others."""
+
+    def add(self, stamp: int, pose: Floats, others: Others) -> None:
+        """Add a sample, if the last one is old enough; forget old ones."""
+        if self.samples and stamp - self.samples[-1][0] < _INTERVAL:
+            return
+        self.samples.append((stamp, pose, others))
+        while stamp - self.samples[0][0] > _LONGEST:
+            self.samples.popleft()
+
+    def pairs(self) -> Iterator[_Pairs]:
+        """Yield the track beside each person who was known before it, or is beyond question."""
+        last = self.samples[-1][2]
+        for number, since in zip(last.numbers, last.since.tolist(), strict=True):
+            rows = [
+                (stamp, pose, others, others.numbers.index(number))
+                for stamp, pose, others in self.samples
+                if number in others.numbers
+            ]
+            long_enough = rows[-1][0] - rows[0][0] >= _SHORTEST and len(rows) >= FEWEST
+            if long_enough and since <= self.first:
+                yield _Pairs(
+                    np.stack([pose for _, pose, _, _ in rows]),
+                    np.stack([others.places[i] for _, _, others, i in rows]),
+                    1.0 - float(np.mean([others.shown[i] for _, _, others, i in rows])),
+                    since == 0,
+                )
+
+
+@dataclass(slots=True)
+class _State:
+    """A camera that is displaced."""
+
+    by: Displacement
+    last: int
+    """Time of its last copy, ns."""
+    pairs: deque[tuple[Floats, Floats]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
+    """(M, 3) markers of a copy and of its person, m."""
+    new: int = 0
+    """Pairs since the last fit."""
+    sampled: int = 0
+    """Time of the latest pair, ns."""
+    in_place: int = 0
+    """Time since which it has shown people in place, ns; 0 = it does not."""
+
+    def learn(self, own: Floats, other: Floats, stamp: int, mirror: Ints) -> None:
+        """Make the displacement more precise by one more copy."""
+        if stamp - self.sampled < _INTERVAL:
+            return
+        self.sampled = stamp
+        self.pairs.append((own, other))
+        self.new += 1
+        if self.new >= _REFIT:
+            self.new = 0
+            source, target = (np.stack(some) for some in zip(*self.pairs, strict=True))
+            by, distance = fit(source, target, mirror, self.by.mirrors, self.by.swaps)
+            self.by = by if distance < ALIKE else self.by
+
+    def explains(self, pairs: _Pairs, mirror: Ints) -> bool:
+        """Whether a track is where the displacement puts the person, whom it does not show.
+
+        A displacement that is known from one place is not precise elsewhere. So it is enough that
+        some displacement fits this track and the copies so far; that one is remembered.
+        """
+        if not self.by.mirrors and pairs.unseen < UNSEEN:
+            return False
+        if median_distance(self.by, pairs.own, pairs.other, mirror) < _NEAR:
+            return True
+        own, other = (np.stack(some) for some in zip(*self.pairs, strict=True))
+        together = np.concatenate([own, pairs.own]), np.concatenate([other, pairs.other])
+        by, _ = fit(*together, mirror, self.by.mirrors, self.by.swaps)
+        before = median_distance(by, own, other, mirror)
+        if max(before, median_distance(by, pairs.own, pairs.other, mirror)) > ALIKE_IF_DISPLACED:
+            return False
+        self.by = by
+        self.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        return True
+
+
+class DisplacedCameras:
+    """Finds the copies of people, and remembers what displaces the cameras that show them.
+
+    Parameters
+    ----------
+    mirror : (M,) slot of the marker on the other side.
+    events : where a camera's first copy is noted.
+    """
+
+    def __init__(self, mirror: Ints, events: Events) -> None:
+        self._mirror = mirror
+        self._events = events
+        self._cameras: dict[str, _State] = {}
+        self._histories: dict[str, dict[int, _History]] = {}
+        self._named: set[tuple[str, bool]] = set()
+
+    def __contains__(self, source: str) -> bool:
+        return source in self._cameras
+
+    def __bool__(self) -> bool:
+        return bool(self._cameras)
+
+    def copies(self, source: str, stamp: int, poses: Floats, places: Floats) -> Flags:
+        """Return which detections of a displaced camera are copies of people known elsewhere.
+
+        A detection is a copy if it lies on a person once the displacement is undone, and nearer
+        than it does as it is; nobody has a copy who is shown in place, but for a mirror's.
+
+        Parameters
+        ----------
+        stamp : ns. poses : (N, M, 3) detections, m. places : (P, M, 3) the people, m.
+        """
+        state = self._cameras[source]
+        if stamp - state.last > _FORGET:
+            del self._cameras[source]
+        if source not in self._cameras or not len(poses) or not len(places):
+            return np.zeros(len(poses), np.bool_)
+        back = state.by.undo(poses, self._mirror)
+        given, undone = (
+            mean_marker_distances(some[:, None], places[None]) for some in (poses, back)
+        )
+        in_place = (given < _NEAR) & (given < undone)
+        free = state.by.mirrors | ~in_place.any(axis=0)
+        undone = np.where(free, undone, np.inf)
+        is_copy = np.asarray(undone.min(axis=1) < np.minimum(given.min(axis=1), _NEAR))
+        for j in np.flatnonzero(is_copy).tolist():
+            i = int(undone[j].argmin())
+            state.last = stamp
+            state.learn(poses[j].copy(), places[i].copy(), stamp, self._mirror)
+        self._notice_return(source, stamp, bool(in_place.any()) and not is_copy.any())
+        return is_copy
+
+    def _notice_return(self, source: str, stamp: int, in_place: bool) -> None:
+        """Forget a displacement if the camera has shown people in place for a while."""
+        state = self._cameras[source]
+        if not in_place or state.by.mirrors:
+            state.in_place = 0
+        elif not state.in_place:
+            state.in_place = stamp
+        elif stamp - state.in_place > _BACK:
+            del self._cameras[source]
+
+    def compare(self, lone: LoneTracks) -> list[int]:
+        """Compare what a camera alone shows with the people known elsewhere.
+
+        Returns
+        -------
+        Numbers of the tracks that are copies, of this camera, also of some not in the message.
+        """
+        histories = self._remembered(lone)
+        if not len(lone.others.numbers):
+            return []
+        copies = []
+        for number, history in histories.items():
+            if lone.stamp < history.due or history.samples[-1][0] != lone.stamp:
+                continue
+            age = lone.stamp - history.first
+            history.due = lone.stamp + min(max(_PATIENCE, age // _SHARE), _LATER)
+            if self._is_copy(history, lone):
+                copies.append(number)
+        if copies:
+            state = self._cameras[lone.source]
+            copies += [
+                number
+                for number, history in histories.items()
+                if number not in copies
+                and any(state.explains(pairs, self._mirror) for pairs in history.pairs())
+            ]
+        for number in copies:
+            del histories[number]
+        return copies
+
+    def _remembered(self, lone: LoneTracks) -> dict[int, _History]:
+        """Add a message to the histories of the camera's tracks; return them."""
+        old = self._histories.get(lone.source, {})
+        recent = {
+            number: history
+            for number, history in old.items()
+            if lone.stamp - history.samples[-1][0] < _SHORTEST
+        }
+        histories = self._histories[lone.source] = recent
+        if len(lone.tracks) * len(lone.others.numbers) > _CROWD:
+            return histories
+        for number, pose in zip(lone.tracks, lone.poses, strict=True):
+            new = _History(lone.stamp, lone.stamp + _SHORTEST)
+            histories.setdefault(number, new).add(lone.stamp, pose, lone.others)
+        return histories
+
+    def _is_copy(self, history: _History, lone: LoneTracks) -> bool:
+        """Whether a track is a copy; the camera is then displaced."""
+        state = self._cameras.get(lone.source)
+        if not (state or self._right_ones(lone)):
+            return False
+        copies = []
+        for pairs in history.pairs():
+            if state and state.explains(pairs, self._mirror):
+                state.last = lone.stamp
+                return True
+            like = likeness(pairs.own, pairs.other, self._mirror)
+            same_kind = state and like and state.by.mirrors == like.by.mirrors
+            limit = ALIKE_IF_DISPLACED if same_kind else ALIKE
+            if like and like.is_copy(limit, pairs.unseen):
+                copies.append((like, pairs))
+        if copies:
+            like, pairs = min(copies, key=lambda each: each[0].distance)
+            if like.distance < ALIKE:
+                self._declare(like, pairs, history.first, lone)
+        return bool(copies)
+
+    def _right_ones(self, lone: LoneTracks) -> list[str]:
+        """Return the other cameras that show people where they are."""
+        return [
+            each
+            for each in lone.heard
+            if each not in self._cameras or self._cameras[each].by.mirrors
+        ]
+
+    def _declare(self, like: Likeness, pairs: _Pairs, since: int, lone: LoneTracks) -> None:
+        """Note that a camera is displaced, or displaced anew."""
+        right = sorted(self._right_ones(lone))
+        state = self._cameras[lone.source] = _State(like.by, lone.stamp)
+        state.pairs.extend(zip(pairs.own, pairs.other, strict=True))
+        if not like.by.mirrors and len(lone.heard) == 1:
+            (other,) = lone.heard
+            state = self._cameras[other] = _State(like.by.inverse(), lone.stamp)
+            state.pairs.extend(zip(pairs.other, pairs.own, strict=True))
+        if (lone.source, like.by.mirrors) in self._named:
+            return
+        both = len(lone.heard) == 1
+        self._named |= {(each, like.by.mirrors) for each in (lone.source, *lone.heard[:both])}
+        kind, detail = CAMERA_DISPLACED, f"shows people {like.apart:.2f} m from where "
+        if like.by.mirrors:
+            kind, detail = MIRROR_SEEN, f"shows mirror images of people, {like.apart:.2f} m away"
+        elif pairs.agreed and len(right) > 1:
+            detail += "other cameras see them"
+        else:
+            detail += f"{' or '.join(right)} sees them; which of them is wrong cannot be known"
+        self._events.note(since, kind, source=lone.source, detail=detail)

@@ -1,0 +1,146 @@
+"""Who is who: a confirmed track gets a new id, or the old one of somebody who comes back."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+
+from hiros_mcap.events import Events
+from hiros_mcap.skeletons import UNTRACKED, Ints
+from hiros_mcap.stages.track.reidentify import OVERLAP, Limbs, PersonCues, Verdict, reidentify
+from hiros_mcap.stages.track.track_params import TrackParams
+from hiros_mcap.stages.track.tracked_people import (
+    DetectionGroup,
+    PersonTrack,
+    Present,
+    TrackedPeople,
+)
+
+_PATIENCE = 0.8  # share of the look-ahead for which the evidence of a newcomer is gathered
+
+
+class Identities:
+    """Gives ids, and remembers who left.
+
+    Parameters
+    ----------
+    ends : (L, 2) markers at the ends of each link whose length is learned.
+    mirror : (L,) the link on the other side.
+    """
+
+    def __init__(
+        self, people: TrackedPeople, params: TrackParams, events: Events, ends: Ints, mirror: Ints
+    ) -> None:
+        self._people, self._params, self._events = people, params, events
+        self._limbs = Limbs.of(ends, mirror)
+        self._ids = itertools.count()
+        self._absent: list[PersonCues] = []
+        self._patience = round(_PATIENCE * params.lookahead * 1e9)
+        self._crowd: set[int] = set()
+        """Numbers of the tracks of as many people as were there at once."""
+
+    def name(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
+        """Confirm a track: give it an old or a new id, once enough is known of the person."""
+        kind, remark = "track born", ""
+        if track.former_id == UNTRACKED and self._somebody_absent(track):
+            if group.stamp - track.support.first < self._patience:
+                return
+            verdict = self._reidentify(track, scene)
+            if verdict.accepted:
+                kind, remark = "person re-identified", f"; by {verdict}"
+                self._restore(track, verdict.person, scene)
+            else:
+                track.stranger, remark = True, f"; not re-identified ({verdict})"
+        track.id = next(self._ids) if track.former_id == UNTRACKED else track.former_id
+        scene.admit(track)
+        there = self._there(scene, group.stamp)
+        self._crowd = max(self._crowd, there, key=len)
+        self._events.note(
+            group.stamp, kind, person=track.id, source=group.source,
+            detail=f"seen by {', '.join(sorted(track.support.reports))}{remark}",
+        )  # fmt: skip
+
+    def _there(self, scene: Present, stamp: int) -> set[int]:
+        """Return the numbers of the persons who are there."""
+        return {person.number for person in scene.persons if person.is_there(stamp)}
+
+    def leave(self, track: PersonTrack) -> None:
+        """Remember a person who was not seen for t_m."""
+        self._absent.append(self._cues_of(track))
+
+    def leave_crowd(self, track: PersonTrack) -> None:
+        """Note that a track was no person, or the same as another one."""
+        self._crowd.discard(track.number)
+
+    def _cues_of(self, track: PersonTrack) -> PersonCues:
+        past, row = self._people.bank.past, track.row
+        lengths, counts = past.lengths[row].copy(), past.length_counts[row].copy()
+        return PersonCues(track.id, track.seen, self._people.centre(track), lengths, counts)
+
+    def forget_absent(self, stamp: int) -> None:
+        """Forget people who left too long ago."""
+        longest = self._params.reidentify * 1e9
+        if self._absent and stamp - self._absent[0].stamp > longest:
+            self._absent = [old for old in self._absent if stamp - old.stamp <= longest]
+
+    def _is_unseen_since(self, person: PersonTrack, track: PersonTrack) -> bool:
+        """Whether a person was last seen before a track began, and not for a while.
+
+        Where cameras disagree for a moment, the old track may also outlive the beginning of the
+        one that goes on; then no camera shows both.
+        """
+        disagree = self._params.merge_tracks and person.number not in track.beside
+        latest = track.support.first + (OVERLAP if disagree else 0)
+        return person.seen < latest and not person.is_there(track.seen)
+
+    def _somebody_absent(self, track: PersonTrack) -> bool:
+        """Whether a newcomer may be anybody known."""
+        if not self._params.reidentify:
+            return False
+        return any(old.stamp < track.support.first for old in self._absent) or any(
+            each.confirmed and self._is_unseen_since(each, track) for each in self._people.tracks
+        )
+
+    def _absent_before(self, track: PersonTrack, scene: Present) -> list[PersonCues]:
+        """Whoever left, or is unseen, since before a track began, oldest first."""
+        left = [old for old in self._absent if old.stamp < track.support.first]
+        unseen = [each for each in scene.persons if self._is_unseen_since(each, track)]
+        return sorted([*left, *map(self._cues_of, unseen)], key=lambda old: old.stamp)
+
+    def _reidentify(self, track: PersonTrack, scene: Present) -> Verdict:
+        """Weigh whether a newcomer is one of the absent people, with all other newcomers.
+
+        Those who came before, with a new id, are newcomers still: whom they fit best by now is
+        less probably this one.
+        """
+        others = [each for each in self._people.tentative() if each is not track]
+        rivals = [each for each in others if each.support.confirms(each.seen, self._params)]
+        rivals += [person for person in scene.persons if person.stranger]
+        newcomers = [
+            replace(
+                self._cues_of(each),
+                person=each.number,
+                stamp=each.support.first,
+                place=each.support.origin,
+            )
+            for each in [track, *rivals]
+        ]
+        missing = len(self._crowd) - len(self._there(scene, track.seen))
+        absent = self._absent_before(track, scene)
+        return reidentify(newcomers, absent, missing, self._limbs)[track.number]
+
+    def _restore(self, track: PersonTrack, person: int, scene: Present) -> None:
+        """Give a newcomer the id of an absent person; what is known of the limbs is joined."""
+        past, row = self._people.bank.past, track.row
+        (old,) = [each for each in self._absent_before(track, scene) if each.person == person]
+        counts = old.counts + past.length_counts[row]
+        total = old.counts * old.lengths + past.length_counts[row] * past.lengths[row]
+        past.lengths[row] = total / np.maximum(counts, 1.0)
+        past.length_counts[row] = counts
+        track.former_id = person
+        self._absent = [each for each in self._absent if each.person != person]
+        for each in [each for each in scene.persons if each.id == person]:
+            scene.dismiss(each)
+            self._people.remove(each)

@@ -1,0 +1,139 @@
+"""Who counts as a person: the support of a track confirms it, or withdraws its id.
+
+Every report of a camera supports a track. A message of another camera that looks at the place, with
+nobody in between, and reports nobody there contradicts it. A second view of a person is nobody new.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hiros_mcap.events import Events
+from hiros_mcap.skeletons import UNTRACKED, Floats, Stamps
+from hiros_mcap.stages.track.coverage import Coverage
+from hiros_mcap.stages.track.identity import Identities
+from hiros_mcap.stages.track.track_params import TrackParams
+from hiros_mcap.stages.track.tracked_people import (
+    DetectionGroup,
+    PersonTrack,
+    Present,
+    TrackedPeople,
+)
+
+_DOUBT = 800_000_000  # ns for which a track beside a person may be a second view of that person
+_YOUNG = 2_400_000_000  # ns for which a track may be merged into an older one
+_DOUBTFUL = 1.5  # gates: cameras whose views of a person differ by more are not calibrated
+
+
+class Confirmation:
+    """Decides message by message which tracks count.
+
+    Parameters
+    ----------
+    cameras : source -> (3,) position in the fixed frame, m.
+    """
+
+    def __init__(
+        self, people: TrackedPeople, identities: Identities, params: TrackParams, events: Events,
+        cameras: Mapping[str, Floats],
+    ) -> None:  # fmt: skip
+        self._people, self._identities = people, identities
+        self._params, self._events = params, events
+        self._coverage = Coverage(cameras)
+
+    def confirm(self, group: DetectionGroup) -> None:
+        """Weigh what the message says about every track that is not certain yet."""
+        due = self._coverage.is_due(group.source, group.stamp)
+        shown = set(group.tracks)
+        numbers = frozenset(track.number for track in shown if track is not None)
+        scene = Present(shown, numbers, self._people.confirmed())
+        for track in list(self._people.tracks):
+            if track.number not in self._people.bank.rows:  # merged into another one by now
+                continue
+            if not track.certain:
+                self._weigh(track, group, scene)
+                self._decide(track, group, scene)
+                self._merge_into_person(track, group, scene)
+            elif due and track in scene.shown:
+                self._coverage.learn(group.source, [self._people.centre(track)], group.stamp)
+
+    def _weigh(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
+        """Add the support, or the contradiction, of a camera's message."""
+        support, source = track.support, group.source
+        if track in scene.shown:
+            support.reports[source] = support.reports.get(source, 0) + 1
+            moved = float(np.linalg.norm(self._people.centre(track) - support.origin))
+            support.travelled = max(support.travelled, moved)
+            support.lone = support.misses == 0 and bool(self._people.heard_besides(group))
+            if group.stamp - support.first < _YOUNG:
+                track.beside |= scene.numbers
+        elif source not in support.reports and self._ought_to_see(source, track, scene):
+            support.misses += 1
+
+    def _decide(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
+        """Confirm a track, or withdraw its id."""
+        support = track.support
+        if track.confirmed and support.refuted(self._params):
+            self._events.note(group.stamp, "track withdrawn", person=track.id)
+            track.former_id, track.id = track.id, UNTRACKED
+            self._identities.leave_crowd(track)
+            scene.dismiss(track)
+        elif (
+            not track.confirmed
+            and support.confirms(track.seen, self._params)
+            and not self._is_duplicate(track, group.stamp, scene)
+        ):
+            self._identities.name(track, group, scene)
+
+    def _is_duplicate(self, track: PersonTrack, stamp: int, scene: Present) -> bool:
+        """Whether a tentative track is a second view of a person, nobody new.
+
+        It lies on the person; or it is near one whom no camera has shown beside it: the cameras
+        may disagree for a moment.
+        """
+        distances = self._people.distances(track, scene.persons)
+        if (distances < self._params.min_distance).any():
+            return True
+        if not self._params.merge_tracks or stamp - track.support.first >= _DOUBT:
+            return False
+        near = np.flatnonzero(distances < _DOUBTFUL * self._params.max_distance)
+        return any(self._hides(scene.persons[i], track, stamp) for i in near.tolist())
+
+    def _hides(self, person: PersonTrack, track: PersonTrack, stamp: int) -> bool:
+        """Whether a person is there whom no camera has shown beside a track."""
+        return person.is_there(stamp) and person.number not in track.beside
+
+    def _merge_into_person(self, track: PersonTrack, group: DetectionGroup, scene: Present) -> None:
+        """Merge a young person who is seen no more into the older one who was the same all along.
+
+        Cameras that disagreed now agree, and no camera ever showed both.
+        """
+        if not (self._params.merge_tracks and track.confirmed):
+            return
+        if group.stamp - track.support.first >= _YOUNG or track.is_there(group.stamp):
+            return
+        distances = self._people.distances(track, scene.persons)
+        for person, distance in zip(scene.persons, distances, strict=True):
+            is_older = person.support.first < track.support.first
+            is_near = distance < _DOUBTFUL * self._params.max_distance
+            if is_older and is_near and self._hides(person, track, group.stamp):
+                scene.dismiss(track)
+                self._people.remove(track)
+                self._identities.leave_crowd(track)
+                detail = f"was person {track.id}"
+                self._events.note(group.stamp, "tracks merged", person=person.id, detail=detail)
+                track.id = person.id  # also in messages that are held
+                return
+
+    def _ought_to_see(self, source: str, track: PersonTrack, scene: Present) -> bool:
+        if scene.centres is None:
+            centres = [self._people.centre(person) for person in scene.persons]
+            scene.centres = np.reshape(centres, (-1, 3))
+        return self._coverage.sees(source, self._people.centre(track), scene.centres)
+
+    def learn(self, source: str, stamp: int, centres: Floats, tracks: Stamps) -> None:
+        """Learn what a camera looks at from people (P, 3), m, of certain tracks, by their order."""
+        if self._coverage.is_due(source, stamp):
+            self._coverage.learn(source, centres[np.argsort(tracks, kind="stable")], stamp)

@@ -1,0 +1,222 @@
+"""The tracks of people, and one message of a camera with the tracks that it was given."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hiros_mcap.frames import Block
+from hiros_mcap.kernels.compile import direct
+from hiros_mcap.kernels.distance import mean_distances
+from hiros_mcap.skeletons import UNTRACKED, Floats, People, SkeletonModel
+from hiros_mcap.stages.bank import Bank
+from hiros_mcap.stages.track import tracking as kernels
+from hiros_mcap.stages.track.track_params import TrackParams
+
+INSISTENCE = 500_000_000
+"""ns for which a camera's leaps are left out, and for which a silent camera still counts."""
+_NOW = 200_000_000  # ns since the last detection of a person who is there
+_STANDS = 0.3  # m from its start; a coat on a stand never moves as far
+
+_centre = direct(kernels.centre)
+
+
+@dataclass(slots=True, eq=False)
+class Support:
+    """What speaks for and against a track.
+
+    Every report of a camera supports it. A message of another camera that looks at the place, with
+    nobody in between, and reports nobody there contradicts it.
+    """
+
+    first: int
+    """Time of the first report, ns."""
+    origin: Floats
+    """(3,) mean marker position of the first report, m."""
+    reports: dict[str, int] = field(default_factory=dict)
+    """Camera to number of reports."""
+    misses: int = 0
+    travelled: float = 0.0
+    """Greatest distance from the origin so far, m."""
+    lone: bool = False
+    """Whether there are other cameras, none of which has looked at the place."""
+
+    def confirms(self, stamp: int, params: TrackParams) -> bool:
+        """Whether a track that was last seen at ``stamp``, ns, has enough support."""
+        total = sum(self.reports.values())
+        if total < params.confirm_detections:
+            return False
+        by_others = total - max(self.reports.values())  # than the camera that reports most
+        if by_others >= min(2, params.confirm_detections - 1) > 0:
+            return True
+        still = self.lone and self.travelled <= _STANDS
+        needed = params.confirm_alone if still else params.confirm_seconds
+        return (stamp - self.first) * 1e-9 >= needed and not self.refuted(params)
+
+    def refuted(self, params: TrackParams) -> bool:
+        """Whether a single camera reports the track, others miss it, and it does not move."""
+        total = sum(self.reports.values())
+        contradicted = len(self.reports) < 2 and self.misses > params.contradiction * total
+        return contradicted and self.travelled <= _STANDS
+
+
+@dataclass(slots=True, eq=False)
+class PersonTrack:
+    """A person, or what may become one."""
+
+    number: int
+    """Its name in the bank."""
+    row: int
+    """Its row in the bank."""
+    seen: int
+    """Time of the last detection, ns."""
+    support: Support
+    id: int = UNTRACKED
+    """UNTRACKED while the track is tentative."""
+    former_id: int = UNTRACKED
+    """The id before it was withdrawn, which the track gets back if it is confirmed again."""
+    beside: set[int] = field(default_factory=set)
+    """Numbers of the persons whom a message showed beside it, before it was certain."""
+    leaps: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Camera to the times, ns, of the first and last of its latest leaps."""
+    stranger: bool = False
+    """Whether it has a new id although somebody was absent: it may yet be one of them."""
+    is_copy: bool = False
+    """Whether it was left out as a displaced camera's view of somebody else."""
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it counts as a person."""
+        return self.id != UNTRACKED
+
+    @property
+    def certain(self) -> bool:
+        """Whether nothing can contradict it any more: two cameras have reported the person."""
+        return self.confirmed and len(self.support.reports) > 1
+
+    def is_there(self, stamp: int) -> bool:
+        """Whether a camera has just shown it, at ``stamp``, ns."""
+        return stamp - self.seen < _NOW
+
+    def is_lone(self, source: str) -> bool:
+        """Whether no camera but one reports it."""
+        return self.support.reports.keys() <= {source}
+
+
+@dataclass(slots=True, eq=False)
+class DetectionGroup:
+    """One message of a camera: the detection group of eq 3, with the tracks it was given."""
+
+    block: Block
+    place: int
+    """Its place in the block."""
+    stamp: int
+    source: str
+    people: People
+    """Views of its people in the block."""
+    tracks: list[PersonTrack | None]
+    reasons: list[str]
+    """Why a detection has no track and starts none; "" if there is no reason."""
+
+    @classmethod
+    def of(cls, block: Block, place: int) -> DetectionGroup:
+        """Return the message at a place of a block; it shares the block's arrays."""
+        people = block.people.at(slice(*block.rows[place].tolist()))
+        n = len(people.ids)
+        stamp, source = int(block.stamps[place]), block.source(place)
+        return cls(block, place, stamp, source, people, [None] * n, [""] * n)
+
+    @property
+    def unmatched(self) -> list[int]:
+        """Detections that still need a track."""
+        return [j for j, track in enumerate(self.tracks) if track is None and not self.reasons[j]]
+
+    @property
+    def decided(self) -> bool:
+        """Whether nothing that is still to come can change an id."""
+        return all(track is None or track.certain for track in self.tracks)
+
+    def give(self, j: int, track: PersonTrack) -> None:
+        """Note that detection ``j`` is of a track."""
+        self.tracks[j] = track
+        track.seen = max(track.seen, self.stamp)
+
+
+@dataclass(slots=True, eq=False)
+class Present:
+    """Who is there while a message is weighed."""
+
+    shown: set[PersonTrack | None]
+    """Tracks that the message shows."""
+    numbers: frozenset[int]
+    """Their numbers."""
+    persons: list[PersonTrack]
+    """The confirmed tracks."""
+    centres: Floats | None = None
+    """(N, 3) mean marker position of each person, m, once somebody has asked for it."""
+
+    def admit(self, track: PersonTrack) -> None:
+        """Note that a track was confirmed."""
+        self.persons.append(track)
+        self.centres = None
+
+    def dismiss(self, track: PersonTrack) -> None:
+        """Note that a track is not confirmed any more."""
+        self.persons.remove(track)
+        self.centres = None
+
+
+class TrackedPeople:
+    """All tracks, the states of their filters, and the cameras that send messages."""
+
+    def __init__(self, model: SkeletonModel) -> None:
+        self.tracks: list[PersonTrack] = []
+        self.bank = Bank(kernels.Tracks.allocate(0, model.n_markers, model.n_links))
+        self.heard: dict[str, int] = {}
+        """Camera to the time of its latest message, ns, where it matters."""
+        self._numbers = itertools.count()
+
+    def confirmed(self) -> list[PersonTrack]:
+        """Those who count as persons."""
+        return [track for track in self.tracks if track.confirmed]
+
+    def tentative(self) -> list[PersonTrack]:
+        """Those who do not count yet."""
+        return [track for track in self.tracks if not track.confirmed]
+
+    def start(self, stamp: int, support: Support) -> PersonTrack:
+        """Add a tentative track."""
+        number = next(self._numbers)
+        row = self.bank.row(number, stamp)
+        self.bank.past.positions[row] = self.bank.past.orientations[row] = np.nan
+        self.tracks.append(PersonTrack(number, row, stamp, support))
+        return self.tracks[-1]
+
+    def remove(self, track: PersonTrack) -> None:
+        """Delete a track."""
+        self.tracks.remove(track)
+        self.bank.forget(track.number)
+
+    def centre(self, track: PersonTrack) -> Floats:
+        """(3,) mean marker position of a track, m."""
+        centre = np.empty(3)
+        _centre(self.bank.past.positions, track.row, centre)
+        return centre
+
+    def distances(self, track: PersonTrack, persons: list[PersonTrack]) -> Floats:
+        """Mean distance, m, of a track's markers from each person."""
+        others = [person.row for person in persons]
+        positions, distances = self.bank.past.positions, np.empty((1, len(others)))
+        mean_distances(positions[[track.row]], positions[others], distances)
+        row: Floats = distances[0]
+        return row
+
+    def heard_besides(self, group: DetectionGroup) -> list[str]:
+        """Return the other cameras that send messages at this time."""
+        return [
+            source
+            for source, stamp in self.heard.items()
+            if source != group.source and group.stamp - stamp < INSISTENCE
+        ]
