@@ -56,11 +56,14 @@ def view_offsets(
     fused = np.flatnonzero(rows >= 0)
     own = rows[fused]
     later = (views.stamps[fused] - stamps[own])[:, None, None] * 1e-9
-    residuals = views.positions[fused] - poses.positions[own] - later * poses.velocities[own]
+    residuals = views.positions[fused]  # in place: these arrays are large
+    residuals -= poses.positions[own]
+    residuals -= later * poses.velocities[own]
     there = ~np.isnan(residuals[:, :, 0])
     weights = np.where(there, 1.0 / variances[fused], 0.0)
     total = weights.sum(axis=1)
-    sums = np.einsum("nm,nmi->ni", weights, np.where(there[:, :, None], residuals, 0.0))
+    residuals[~there] = 0.0
+    sums = np.einsum("nm,nmi->ni", weights, residuals)
     with np.errstate(invalid="ignore"):
         offsets[fused] = sums / total[:, None]
     return offsets
