@@ -1,6 +1,7 @@
 """Clock faults of one camera: what is used, the error against the truth, and what is named.
 
     python benchmarks/clocks.py [--quick] [LOG TRUTH ...]
+    python benchmarks/clocks.py offsets    what is found of offsets that the log times hide
 
 Without a log, two people walk before three simulated cameras. Every fault is put into each of the
 first three cameras in turn. A row holds: messages of the other cameras and of this one that were
@@ -14,16 +15,21 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import scenes
 
+from hiros_mcap.config import load_config
 from hiros_mcap.evaluate import Truth, load_truth
 from hiros_mcap.evaluate.logs import evaluate_log
 from hiros_mcap.io.codec import Decoder, Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.preparation import prepare
+from hiros_mcap.running.stopwatch import Stopwatch
 from hiros_mcap.simulate import SimulateParams
 from hiros_mcap.simulate.write_log import write_log
 from hiros_mcap.skeletons import Frame
@@ -146,7 +152,47 @@ def table(log: Path, truth: Truth, folder: Path, faults: dict[str, Change]) -> N
     print(f"{failed} of {3 * len(faults)} rows failed\n")
 
 
+OFFSETS_MS = (0, 5, -6, 8, -10, 12, 40, 800)
+ROOMS = ((1, 2, 30.0), (1, 3, 30.0), (2, 3, 15.0), (3, 4, 30.0), (6, 4, 30.0), (2, 4, 60.0))
+"""People, cameras, messages per second."""
+
+
+def offsets(seeds: range) -> None:
+    """Print by how much the clock that a run measures is off, for one camera's offset."""
+    for people, cameras, rate in ROOMS:
+        cells = []
+        for ms in OFFSETS_MS:
+            found, corrected = [], 0
+            for seed in seeds:
+                params = {
+                    "people": people,
+                    "cameras": cameras,
+                    "rig": {"rate": rate},
+                    "seconds": 20.0,
+                }
+                scene = scenes.published(seed, **params, rig={"rate": rate})
+                frames = [
+                    scenes.late(f, ms / 1000.0) if f.source == "camera_1" else f
+                    for f in scene.frames
+                ]
+                with tempfile.TemporaryDirectory() as folder:
+                    log = Path(folder) / "log.mcap"
+                    replace(scene, frames=frames).write(log, transforms=True)
+                    with open_log(log) as opened:
+                        done = prepare(opened, load_config(), ProcessOptions(), Stopwatch())
+                clocks = {pose.name: pose.clock_ms for pose in done.poses.cameras}
+                rest = [clock for name, clock in clocks.items() if name != "camera_1"]
+                found.append(float(np.median(rest) - clocks["camera_1"]) - ms)
+                corrected += any(fault.corrected for fault in done.clocks.faults)
+            worst = max(found, key=abs)
+            cells.append(f"{ms:+} ms: off by {worst:+.1f} at most, {corrected} corrected")
+        print(f"{people} people, {cameras} cameras, {rate:g} Hz: {'; '.join(cells)}", flush=True)
+
+
 def main() -> None:
+    if sys.argv[1:] == ["offsets"]:
+        offsets(range(700, 704))
+        return
     arguments = [a for a in sys.argv[1:] if a != "--quick"]
     faults = {k: f for k, f in FAULTS.items() if "--quick" not in sys.argv or k in QUICK}
     with tempfile.TemporaryDirectory() as name:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Concatenate, ParamSpec
+from typing import Concatenate, NamedTuple, ParamSpec
 
 import numpy as np
 
 from hiros_mcap.kernels.gathering import gather
-from hiros_mcap.skeletons import Frame, People, Stage, Stamps, Uncertainty
+from hiros_mcap.skeletons import STATE, Frame, People, Stage, Stamps, Uncertainty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,22 +134,56 @@ class CameraNumbers(dict[str, int]):
 
 
 def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
-    """Return the frames of blocks, one block behind the other; arrays are copied.
+    """Return the frames of blocks, one block behind the other; arrays are copied, to all columns.
 
     ``order`` : which frames, counted through all blocks, come in which order; None = all.
     """
-    if len(blocks) == 1:
-        return _copied(blocks[0] if order is None else blocks[0].select(order))
+    return _joined(list(map(_Packed.as_is, blocks)), order)
+
+
+class _Packed(NamedTuple):
+    """A block whose markers and links have some columns of a KinematicState only."""
+
+    block: Block
+    markers: Stamps
+    links: Stamps
+    """Which columns these are."""
+
+    @classmethod
+    def as_is(cls, block: Block) -> _Packed:
+        """Take all columns of a block, without a copy."""
+        people = block.people
+        return cls(block, *[_ALL[: each.shape[2]] for each in (people.markers, people.links)])
+
+    @classmethod
+    def of(cls, block: Block) -> _Packed:
+        """Copy the columns that hold numbers."""
+        people = block.people
+        states = people.markers, people.links
+        used = [np.flatnonzero(~np.isnan(each).all(axis=(0, 1))) for each in states]
+        markers, links = (np.take(s, c, axis=2) for s, c in zip(states, used, strict=True))
+        return cls(replace(block, people=people._replace(markers=markers, links=links)), *used)
+
+
+_ALL = np.arange(STATE)
+
+
+def _joined(packed: Sequence[_Packed], order: Stamps | None) -> Block:
+    """Do what :func:`join` does, with all columns."""
+    blocks = [one.block for one in packed]
+    if len(packed) == 1:
+        block = blocks[0] if order is None else blocks[0].select(order)
+        return _copied(packed[0]._replace(block=block))
     of_block = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     wanted = np.arange(len(of_block)) if order is None else order
     of_block, rows = of_block[wanted], np.concatenate([block.rows for block in blocks])[wanted]
     ends = np.cumsum(rows[:, 1] - rows[:, 0])
     targets = ends - (rows[:, 1] - rows[:, 0])
     some = blocks[0].people
-    joined = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
-    for k, block in enumerate(blocks):
+    people = People.allocate(int(ends[-1]), some.markers.shape[1], some.links.shape[1])
+    for k, (block, *columns) in enumerate(packed):
         own = of_block == k
-        gather(rows[own], targets[own], block.people, joined)
+        gather(rows[own], targets[own], block.people, *columns, people)
     names, sources, frame_ids = _common_names(blocks)
     return Block(
         np.concatenate([block.stamps for block in blocks])[wanted],
@@ -158,27 +192,33 @@ def join(blocks: Sequence[Block], order: Stamps | None = None) -> Block:
         frame_ids[wanted],
         names,
         np.stack([targets, ends], axis=1),
-        joined,
+        people,
         _join_uncertainty(blocks, of_block, rows),
     )
 
 
-def _copied(block: Block) -> Block:
+def _copied(packed: _Packed) -> Block:
     """Return a copy of the people of a block's frames, which lie one behind the other in it."""
+    block, *columns = packed
     ends = np.cumsum(block.sizes)
     targets = ends - block.sizes
     people, known = block.people, block.uncertainty
     copy = People.allocate(int(ends[-1]), people.markers.shape[1], people.links.shape[1])
-    gather(block.rows, targets, people, copy)
+    gather(block.rows, targets, people, *columns, copy)
     known = known and known.at(_rows_between(block.rows))
     return replace(block, rows=np.stack([targets, ends], axis=1), people=copy, uncertainty=known)
 
 
 class HeldFrames:
-    """Frames that wait, numbered as they come."""
+    """Frames that wait, numbered as they come.
 
-    def __init__(self) -> None:
-        self._blocks: list[tuple[Stamps, Block]] = []
+    ``packed`` : of their markers and links, only the columns that hold numbers are kept, as copies:
+    for frames that wait for long.
+    """
+
+    def __init__(self, *, packed: bool = False) -> None:
+        self._is_packed = packed
+        self._blocks: list[tuple[Stamps, _Packed]] = []
         """Numbers of the frames that wait in a block, and these frames."""
         self.count = 0
         """Frames so far: the number of the next one."""
@@ -187,7 +227,8 @@ class HeldFrames:
         """Hold the frames of a block; return the number of the first."""
         first, self.count = self.count, self.count + len(block)
         if len(block):
-            self._blocks.append((np.arange(first, self.count), block))
+            packed = _Packed.of(block) if self._is_packed else _Packed.as_is(block)
+            self._blocks.append((np.arange(first, self.count), packed))
         return first
 
     def copies(self, numbers: Sequence[int]) -> Block:
@@ -196,19 +237,20 @@ class HeldFrames:
         first, last = wanted.min(), wanted.max()
         held = [pair for pair in self._blocks if first <= pair[0][-1] and pair[0][0] <= last]
         every = np.concatenate([own for own, _ in held])
-        return join([block for _, block in held], np.searchsorted(every, wanted))
+        return _joined([packed for _, packed in held], np.searchsorted(every, wanted))
 
     def keep(self, numbers: Sequence[int]) -> None:
         """Let go of all frames but these."""
         kept, blocks = np.array(sorted(numbers), np.int64), self._blocks
         self._blocks = []
-        for own, block in blocks:
+        for own, packed in blocks:
             begin, end = np.searchsorted(kept, [own[0], own[-1] + 1])
             if end - begin == len(own):
-                self._blocks.append((own, block))
+                self._blocks.append((own, packed))
             elif end > begin:
                 places = np.searchsorted(own, kept[begin:end])
-                self._blocks.append((own[places], block.select(places)))
+                some = packed._replace(block=packed.block.select(places))
+                self._blocks.append((own[places], some))
 
 
 def _common_names(blocks: Sequence[Block]) -> tuple[tuple[str, ...], Stamps, Stamps]:

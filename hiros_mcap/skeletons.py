@@ -29,7 +29,10 @@ VELOCITY = slice(7, 10)
 ANGULAR_VELOCITY = slice(10, 13)
 ACCELERATION = slice(13, 16)
 ANGULAR_ACCELERATION = slice(16, 19)
+POSE = 7
+"""Columns of position and orientation."""
 STATE = 19
+"""All columns."""
 BOX = STATE + 3  # a Box is the KinematicState of its centre, then height, length, width
 
 UNTRACKED = -1
@@ -111,11 +114,14 @@ class People(NamedTuple):
     confidences: Floats
     """(P,) 0..1, NaN = not given."""
     markers: Floats
-    """(P, M, 19) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2."""
+    """(P, M, W) KinematicState of each marker; m, m/s, rad/s, m/s2, rad/s2.
+
+    W is 19, or 7 in what is read with ``slim``: velocities and accelerations are absent then.
+    """
     marker_confidences: Floats
     """(P, M) 0..1, NaN = not given."""
     links: Floats
-    """(P, L, 19) KinematicState of each link."""
+    """(P, L, W) KinematicState of each link."""
     link_confidences: Floats
     """(P, L) 0..1, NaN = not given."""
     boxes: Floats
@@ -126,10 +132,10 @@ class People(NamedTuple):
         return f"<People {n} rows, {m} markers, {links} links>"
 
     @classmethod
-    def allocate(cls, n_people: int, n_markers: int, n_links: int) -> People:
-        """Return arrays whose numbers are still to be set."""
+    def allocate(cls, n_people: int, n_markers: int, n_links: int, width: int = STATE) -> People:
+        """Return arrays whose numbers are still to be set; ``width`` is W."""
         p, m, n = n_people, n_markers, n_links
-        shapes = (p,), (p, m, STATE), (p, m), (p, n, STATE), (p, n), (p, BOX)
+        shapes = (p,), (p, m, width), (p, m), (p, n, width), (p, n), (p, BOX)
         numbers = [np.empty(shape) for shape in shapes]
         return cls(np.empty(p, np.int32), np.empty(p, np.int64), *numbers)
 
@@ -238,13 +244,13 @@ class Frame:
 
     @property
     def velocities(self) -> Floats:
-        """(P, M, 3) view of the marker velocities, m/s."""
-        return self.markers[:, :, VELOCITY]
+        """(P, M, 3) marker velocities, m/s; a view where there are any."""
+        return widened(self.markers)[:, :, VELOCITY]
 
     @property
     def accelerations(self) -> Floats:
-        """(P, M, 3) view of the marker accelerations, m/s2."""
-        return self.markers[:, :, ACCELERATION]
+        """(P, M, 3) marker accelerations, m/s2; a view where there are any."""
+        return widened(self.markers)[:, :, ACCELERATION]
 
     def tracked(self) -> Iterator[tuple[int, int]]:
         """Yield row and id of everybody who has an id."""
@@ -288,6 +294,15 @@ class Frame:
 
 
 _OWN = Frame.__slots__
+
+
+def widened(states: Floats) -> Floats:
+    """(..., 19) KinematicStates (..., W) with all columns; those that were left out are NaN."""
+    if states.shape[-1] == STATE:
+        return states
+    whole = np.full((*states.shape[:-1], STATE), np.nan)
+    whole[..., : states.shape[-1]] = states
+    return whole
 
 
 def nearest_stamps(stamps: Stamps, asked: Stamps) -> Stamps:

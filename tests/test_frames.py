@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hiros_mcap.frames import Block, join
+from hiros_mcap.frames import Block, HeldFrames, join
 from hiros_mcap.skeletons import UNTRACKED, Frame, People, SkeletonModel
 
 MODEL = SkeletonModel.of("ab", [("ab", 0, 1)])
@@ -66,3 +66,22 @@ def test_joined_frames_keep_their_people_in_this_order() -> None:
     assert joined.rows.tolist() == [[0, 3], [3, 3], [3, 5], [5, 8]]
     assert joined.people.ids.tolist() == [30, 31, 32, 20, 21, 30, 31, 32]
     assert joined.people.markers[:, 1, 4].tolist() == joined.people.ids.tolist()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("width", [7, 19])
+def test_held_frames_come_back_with_all_columns(packed: bool, width: int) -> None:
+    held, frames = HeldFrames(packed=packed), [numbered(n, 10 * n) for n in (2, 1, 3)]
+    for frame in frames:
+        frame.markers[:, :, 3:7] = frame.markers[:, :, 8:] = np.nan
+        frame.links[:, :, 1] = 5.0
+        slim = [np.ascontiguousarray(each[..., :width]) for each in (frame.markers, frame.links)]
+        held.add(Block.of(frame.replace(markers=slim[0], links=slim[1])))
+    held.keep([0, 2])
+    for frame, number in zip(held.copies([2, 0]).frames(), (2, 0), strict=True):
+        expected = frames[number]
+        assert frame.ids.tolist() == expected.ids.tolist()
+        assert frame.markers.shape == expected.markers.shape
+        np.testing.assert_array_equal(frame.markers[..., :width], expected.markers[..., :width])
+        np.testing.assert_array_equal(frame.links, expected.links)
+        assert np.isnan(frame.markers[..., width:]).all()

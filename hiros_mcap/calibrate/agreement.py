@@ -77,20 +77,15 @@ def compare_bodies(residuals: RigResiduals, points: Points) -> Bodies:
     of one size, their middles drift apart, or their limbs swing out of step.
     """
     n = len(residuals.weights)
-    total = residuals.weights.sum(axis=0)
     sizes, wander, inside = np.ones(n), np.full(n, np.inf), residuals.velocities.copy()
-    for c, weights in enumerate(residuals.weights):
-        rest = total - weights
-        seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
-        whole = np.bincount(points.people[seen], minlength=1) >= WHOLE
-        kept = seen[whole[points.people[seen]]]
+    for c, (seen, apart, sure) in enumerate(residuals.against_others()):
+        whole = (np.bincount(points.people[seen], minlength=1) >= WHOLE)[points.people[seen]]
+        kept, apart, sure = seen[whole], apart[whole], sure[whole, None]
         if not len(kept):
             continue
         people = np.unique(points.people[kept], return_inverse=True)[1]
-        apart = residuals.offsets[c, kept] * (total[kept] / rest[kept])[:, None]
         own = residuals.means[kept] + residuals.offsets[c, kept]
         other = own - apart
-        sure = np.minimum(weights, rest)[kept, None]
         spans = [np.sum(sure * (one - _middles(one, people)[people]) ** 2) for one in (own, other)]
         sizes[c] = np.sqrt(spans[0] / spans[1])
         wander[c] = np.median(np.linalg.norm(_middles(apart, people), axis=1))

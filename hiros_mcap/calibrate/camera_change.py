@@ -38,10 +38,8 @@ STRETCHES = 6
 """A log is looked at in so many stretches of equal length, and in those between them."""
 LEAST_DEG, LEAST_M = 0.7, 0.03
 """Poses that are nearer to each other than both are the same."""
-BETTER = 0.85
-"""With the change, the sum of distances is at most this share of that without."""
-BIN_S = 1.0
-"""Between two times of a change that are compared by :func:`two_pose_gains`."""
+BIN_S, LEAST_BINS = 1.0, 2
+"""Between two times of a change that are compared by :func:`second_poses`, and from the ends."""
 
 
 class CameraChange(NamedTuple):
@@ -236,60 +234,57 @@ def _without_short(path: Stamps, instants: Floats, step: float) -> Stamps:
     return np.asarray(path[kept][nearest])
 
 
-def located(
-    pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints, better: float = BETTER
-) -> CameraChange | None:
+def located(pair: Sequence[CameraView], early: Rig, late: Rig, mirror: Ints) -> CameraChange:
     """Find the time at which one pose of the second camera replaces another one.
 
-    None if the distances with the change are more than the share ``better`` of those without.
+    It begins at -inf or ends at inf if one of both fits throughout.
     """
     instants = instants_of(pair[:1], CHANGE_INSTANTS)
     before, after = (_distances(pair, rig, instants, mirror) for rig in (early, late))
     known = ~np.isnan(before + after)
-    instants, before, after = instants[known], before[known], after[known]
-    if not len(instants):
-        return None
-    sums = np.concatenate([[0.0], np.cumsum(before)]) + np.concatenate(
-        [np.cumsum(after[::-1])[::-1], [0.0]]
-    )
-    k = int(sums.argmin())
-    if sums[k] > better * min(before.sum(), after.sum()):
-        return None
-    gains = (after - before)[:k], (before - after)[k:]
-    return CameraChange(
-        float(instants[k - 1]) if k else -np.inf,
-        float(instants[k]) if k < len(instants) else np.inf,
-        early,
-        late,
-        min((float(gain.mean()) for gain in gains if len(gain)), default=0.0),
-    )
+    edges = np.concatenate([[-np.inf], instants[known], [np.inf]])
+    gains = np.concatenate([[0.0], np.cumsum((before - after)[known])])
+    k = int(gains.argmin())
+    return CameraChange(float(edges[k]), float(edges[k + 1]), early, late)
 
 
-def two_pose_gains(residuals: RigResiduals, points: Points) -> Floats:
-    """(C,) by which share the misfit of each camera falls if it may change its pose once.
+class SecondPose(NamedTuple):
+    """What another pose of a camera from some time on would change."""
+
+    share: float = 0.0
+    """Of the misfit that is gone then."""
+    metres: float = 0.0
+    """How far one pose for all puts people off in the part that is seen less, root mean square."""
+    seconds: float = 0.0
+    """From when on, common time."""
+
+
+def second_poses(residuals: RigResiduals, points: Points) -> list[SecondPose]:
+    """Return what each of C cameras would gain by a second pose.
 
     The misfit is the sum of squares about the best rigid fit to the other cameras (Kabsch 1976),
-    whose moments add up over time. The change may be anywhere :data:`LEAST_PART_S` from the ends.
+    whose moments add up over time. Each part has :data:`LEAST_BINS` seconds with people.
     """
-    total = residuals.weights.sum(axis=0)
-    bins = np.floor((points.seconds - points.seconds.min(initial=np.inf)) / BIN_S).astype(np.int64)
-    first, last = int(LEAST_PART_S / BIN_S), int(bins.max(initial=0) + 1 - LEAST_PART_S / BIN_S)
-    gains = np.zeros(len(residuals.weights))
-    if first > last:
-        return gains
-    for c, weights in enumerate(residuals.weights):
-        rest = total - weights
-        seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
+    start = points.seconds.min(initial=np.inf)
+    bins = np.floor((points.seconds - start) / BIN_S)
+    found = []
+    for c, (seen, apart, weights) in enumerate(residuals.against_others()):
         own = (residuals.means + residuals.offsets[c])[seen]
-        apart = residuals.offsets[c, seen] * (total[seen] / rest[seen])[:, None]
-        moments = _moments(own, own - apart, np.minimum(weights, rest)[seen])
-        sums = np.zeros((int(bins.max()) + 1, moments.shape[1]))
-        np.add.at(sums, bins[seen], moments)
-        early = np.cumsum(sums, axis=0)[first - 1 : last]
-        both = _misfits(early) + _misfits(sums.sum(axis=0) - early)
-        whole = float(_misfits(sums.sum(axis=0)[None])[0])
-        gains[c] = 1.0 - float(both.min()) / whole if whole > 0.0 else 0.0
-    return gains
+        moments = _moments(own, own - apart, weights)
+        filled, rows = np.unique(bins[seen], return_inverse=True)
+        sums = np.zeros((len(filled), moments.shape[1]))
+        np.add.at(sums, rows, moments)
+        total, early = sums.sum(axis=0), np.cumsum(sums, axis=0)[LEAST_BINS - 1 : -LEAST_BINS]
+        both = _misfits(early) + _misfits(total - early)
+        whole = float(_misfits(total[None])[0])
+        if not len(both) or whole <= 0.0:
+            found.append(SecondPose())
+            continue
+        k = int(both.argmin())
+        better, mass = whole - float(both[k]), min(early[k, 0], total[0] - early[k, 0])
+        at = float(start + BIN_S * filled[k + LEAST_BINS])
+        found.append(SecondPose(better / whole, float(np.sqrt(max(better, 0.0) / mass)), at))
+    return found
 
 
 def _moments(ones: Floats, others: Floats, weights: Floats) -> Floats:

@@ -9,7 +9,7 @@ mean of what the cameras see. Without it the normal equations are ``sum w J'J - 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,6 +88,18 @@ class RigResiduals(NamedTuple):
         """(P, 3) of all cameras, m/s."""
         sums = np.einsum("cp,cpi->pi", self.weights, self.velocities)
         return np.asarray(sums / self.weights.sum(axis=0)[:, None])
+
+    def against_others(self) -> Iterator[tuple[Stamps, Floats, Floats]]:
+        """Yield how each camera differs from the mean of the others.
+
+        (K,) which points others see, too; (K, 3) its distance from them, m; (K,) weights.
+        """
+        total = self.weights.sum(axis=0)
+        for weights, offsets in zip(self.weights, self.offsets, strict=True):
+            rest = total - weights
+            seen = np.flatnonzero((weights > 0.0) & (rest > 1e-12))
+            apart = offsets[seen] * (total[seen] / rest[seen])[:, None]
+            yield seen, apart, np.minimum(weights, rest)[seen]
 
 
 def refine(
@@ -351,18 +363,10 @@ def common_motion(residuals: RigResiduals) -> Floats:
 
     Without motion it is about 0: velocities are then noise, and no clock can be read from them.
     """
-    weights, speeds = residuals.weights, residuals.velocities
-    total = weights.sum(axis=0)
-    sums = np.einsum("cp,cpi->pi", weights, speeds)
-    found = np.zeros(len(weights))
-    for c, weight in enumerate(weights):
-        rest = total - weight
-        seen = (weight > 0.0) & (rest > 1e-12)
-        if not seen.any():
-            continue
-        own = speeds[c, seen]
-        others = (sums[seen] - weight[seen, None] * own) / rest[seen, None]
-        w = np.minimum(weight[seen], rest[seen])[:, None]
-        norm = np.sqrt(np.sum(w * own**2) * np.sum(w * others**2))
-        found[c] = np.sum(w * own * others) / norm if norm > 0.0 else 0.0
-    return found
+    found, speeds = [], residuals.velocities
+    relative = residuals._replace(offsets=speeds - residuals.mean_velocities)
+    for own, (seen, apart, weights) in zip(speeds, relative.against_others(), strict=True):
+        ones, others, w = own[seen], own[seen] - apart, weights[:, None]
+        norm = np.sqrt(np.sum(w * ones**2) * np.sum(w * others**2))
+        found.append(np.sum(w * ones * others) / norm if norm > 0.0 else 0.0)
+    return np.array(found)

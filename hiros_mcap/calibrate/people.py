@@ -237,6 +237,8 @@ def _solve(views: Sequence[CameraView], fits: Fits, mirror: Ints) -> Solution:
             return None
         start = chained(tree, fits, len(views)).select(cameras)
         found = refine_together([views[c] for c in cameras], start, mirror, FROM_PAIRS)
+        if not len(found.points.seconds):
+            return None
         rivals = [_only_ambiguous(c, tree, fits) for c in cameras]
         return FittingRig(cameras, found, full_evidence(found, mirror, rivals))
 

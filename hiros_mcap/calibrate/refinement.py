@@ -19,7 +19,7 @@ import numpy as np
 
 from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.calibrate.agreement import camera_distances, shared_view
-from hiros_mcap.calibrate.camera_change import two_pose_gains
+from hiros_mcap.calibrate.camera_change import SecondPose, second_poses
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
 from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.gauge import moved, on_transforms
@@ -270,8 +270,8 @@ class Estimate(NamedTuple):
     """What the people tell about cameras with given poses."""
 
     cameras: list[CalibratedCamera]
-    gains: list[float]
-    """By which share the misfit of each falls if it may have been moved once."""
+    gains: list[SecondPose]
+    """What each would gain by a second pose: it may have been moved."""
 
 
 def refine_poses(
@@ -297,7 +297,7 @@ def refine_poses(
         CalibratedCamera(v.name, v.frame, reason=UNLINKED if v.tracks else NO_VIEW, pose=pose)
         for v, pose in zip(views, given, strict=True)
     ]
-    gains = [0.0] * len(views)
+    gains = [SecondPose()] * len(views)
 
     def refined(some: list[int]) -> FittingRig | None:
         if len(some) < 2:
@@ -319,8 +319,10 @@ def refine_poses(
         if fit is not None:
             kept = [k for k, c in enumerate(fit.cameras) if c == anchor or not movable[c]]
             better = _better(fit, [given[c] for c in fit.cameras], kept, mirror)
-            shares = two_pose_gains(fit.refined.residuals, fit.refined.points)
-            for c, one, gain in zip(fit.cameras, better, shares.tolist(), strict=True):
+            some, rig = fit.refined, fit.refined.rig
+            wide = common_points(some.views, rig, some.instants, mirror, FROM_GIVEN.gates[0])
+            second = second_poses(residuals_of(wide, rig), wide)
+            for c, one, gain in zip(fit.cameras, better, second, strict=True):
                 cameras[c], gains[c] = one, gain
     return Estimate(cameras, gains)
 

@@ -91,14 +91,11 @@ def path_distances(residuals: RigResiduals, points: Points) -> Floats:
     windows = np.floor((points.seconds - points.seconds.min(initial=0.0)) / WINDOW_S)
     n_markers = int(points.joints.max(initial=0)) + 1
     cells = windows.astype(np.int64) * n_markers + points.joints
-    total = residuals.weights.sum(axis=0)
-    found = np.zeros(len(residuals.weights))
-    for c, weights in enumerate(residuals.weights):
-        rest = total - weights
-        seen = np.flatnonzero(moving & (weights > 0.0) & (rest > 1e-12))
-        apart = residuals.offsets[c, seen] * (total[seen] / rest[seen])[:, None]
-        found[c] = _common_part(_cell_means(cells[seen], apart, n_markers))
-    return found
+    found = []
+    for seen, apart, _ in residuals.against_others():
+        kept = moving[seen]
+        found.append(_common_part(_cell_means(cells[seen[kept]], apart[kept], n_markers)))
+    return np.array(found)
 
 
 def _cell_means(cells: Stamps, vectors: Floats, n_markers: int) -> Floats:

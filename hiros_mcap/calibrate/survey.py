@@ -109,7 +109,9 @@ class Survey:
 
     def _read(self, spans: Sequence[Span], times: list[Stamps] | None = None) -> dict[str, Seen]:
         parts: dict[str, list[Seen]] = {}
-        blocks = self.log.read(fixed=self.fixed, spans=spans, step=SPACING_NS, times=times)
+        blocks = self.log.read(
+            fixed=self.fixed, spans=spans, step=SPACING_NS, times=times, slim=True
+        )
         for _, block in blocks:
             inside = np.zeros(len(block), np.bool_)
             for begin, end in spans:

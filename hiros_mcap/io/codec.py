@@ -29,7 +29,7 @@ from hiros_mcap.kernels import cdr, cleaning, encode
 from hiros_mcap.kernels.record_index import CHANNEL, COLUMNS, LOG_TIME, START, STOP
 from hiros_mcap.skeletons import (
     BOX,
-    ORIENTATION,
+    POSE,
     STATE,
     Flags,
     Floats,
@@ -236,6 +236,7 @@ class Decoder:
     poses : people whose message names one of these frames are moved to the fixed frame.
     exact : keep every bit. By default numbers that cannot be true are taken out
         (see :func:`hiros_mcap.kernels.cleaning.clean`), and a person's time before 1970 becomes 0.
+    slim : leave out the columns of velocities and accelerations until a message holds one.
     """
 
     _MOST = 64 * 2**20  # bytes of people; a larger batch is decoded in parts
@@ -247,11 +248,13 @@ class Decoder:
         layouts: Mapping[int, Layout] | None = None,
         poses: RestPoses | None = None,
         exact: bool = False,
+        slim: bool = False,
     ) -> None:
         self.model = model
         self._layouts = {i: how for i, how in (layouts or {}).items() if not how.is_published}
         self._poses = poses or RestPoses()
         self._exact = exact
+        self._width = POSE if slim else STATE
         self._tables = model_tables(model)
         self._slots = model.n_markers, model.n_links
         self._scratch = np.empty(sum(self._slots), np.int64)
@@ -268,15 +271,10 @@ class Decoder:
         (decoded,) = self.decode(Batch([Records(data, row, 0)], None))
         if decoded.faults:
             raise LogError(decoded.faults[0])
+        people, stamp = decoded.people, decoded.stamps[0]
         return [
-            Frame(
-                decoded.stamps[0],
-                log_time,
-                part.source,
-                part.frame_id,
-                decoded.people.at(slice(part.begin, part.end)),
-            )
-            for part in decoded.parts[0]
+            Frame(stamp, log_time, source, frame_id, people.at(slice(begin, end)))
+            for source, frame_id, begin, end in decoded.parts[0]
         ]
 
     def decode(self, batch: Batch) -> Iterator[Decoded]:
@@ -357,7 +355,7 @@ class Decoder:
     ) -> tuple[People, batch_kernels.Results]:
         """Decode, clean and move the people of all messages, whose headers were read."""
         n, n_people = len(data), int(first[-1])
-        people = People.allocate(n_people, *self._slots)
+        people = People.allocate(n_people, *self._slots, self._width)
         frames = reports[:, [cdr.FRAME, cdr.FRAME_END]].tolist()
         poses = [self._poses.find(bytes(d[a:b])) for d, (a, b) in zip(data, frames, strict=True)]
         results = batch_kernels.Results(
@@ -369,10 +367,13 @@ class Decoder:
             np.empty((n_people, 2), np.int64),
         )
         for section in sections:
-            batch_kernels.decode_messages(
+            is_whole = batch_kernels.decode_messages(
                 *section, self._tables, results, people, self._poses.arrays, self._scratch,
                 self._exact,
             )  # fmt: skip
+            if not is_whole:
+                self._width = STATE
+                return self._people(sections, data, first, reports)
         if not self._exact:
             np.maximum(people.stamps, 0, out=people.stamps)
         return people, results
@@ -526,7 +527,7 @@ class Encoder:
         self._hierarchy = encode.Hierarchy(
             np.array([model.max_markers, model.max_links], np.int64), *model_tables(model)
         )
-        columns = STATE if derivatives else ORIENTATION.stop
+        columns = STATE if derivatives else POSE
         dropped = 0 if precision == "full" else _DROPPED
         self._format = encode.Format(columns, dropped, int(boxes))
         self._out = np.empty(0, np.uint8)

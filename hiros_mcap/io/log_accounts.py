@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hiros_mcap.io.channels import CameraChannel
 from hiros_mcap.io.codec import Decoded, MessagePart
-from hiros_mcap.skeletons import People
+from hiros_mcap.skeletons import People, widened
 
 STALE = "stale repeat"
 DAMAGED = "cannot be decoded"
@@ -134,4 +134,4 @@ def _repeats_last(people: People, begin: int, times: Sequence[int], last: _LastM
 
 
 def _bits(people: People, row: int, time: int) -> tuple[int, bytes, bytes]:
-    return time, people.markers[row].tobytes(), people.links[row].tobytes()
+    return time, widened(people.markers[row]).tobytes(), widened(people.links[row]).tobytes()

@@ -46,11 +46,13 @@ class Reading:
     """
 
     def __init__(
-        self, log: Log, *, fixed: bool, spans: Spans | None, step: int, times: list[Stamps] | None
-    ) -> None:
+        self, log: Log, *, fixed: bool, spans: Spans | None, step: int, times: list[Stamps] | None,
+        slim: bool,
+    ) -> None:  # fmt: skip
         self.log = log
         self.accounts: dict[str, Account] = {}
         self._fixed, self._spans, self._step, self._times = fixed, spans, step, times
+        self._slim = slim
         self._inputs: dict[int, CameraInput] = {}
         self._layouts: dict[int, Layout] = {}
         self._names: dict[str, int] = {}
@@ -93,7 +95,7 @@ class Reading:
     def _blocks(self, poses: RestPoses | None) -> Iterator[tuple[Sequence[str], Block]]:
         """Yield the messages, those of cameras at rest moved to ``poses``."""
         reader, times = self.log.reader, self._times
-        decoder = Decoder(self.log.model, layouts=self._layouts, poses=poses)
+        decoder = Decoder(self.log.model, layouts=self._layouts, poses=poses, slim=self._slim)
         batches = reader.batches(self._inputs, spans=self._spans if times is None else None)
         if self._step:
             spans = None if times is None else self._spans
@@ -328,6 +330,7 @@ class Log:
         spans: Spans | None = None,
         step: int = 0,
         times: list[Stamps] | None = None,
+        slim: bool = False,
     ) -> Reading:
         """Return a reading of the log, which begins when blocks are taken from it.
 
@@ -339,8 +342,9 @@ class Log:
             0 = all.
         times : gets the times of all messages of the log, for :meth:`times`; the whole file is
             then read.
+        slim : without the columns of velocities and accelerations, unless the log has some.
         """
-        return self.reading(self, fixed=fixed, spans=spans, step=step, times=times)
+        return self.reading(self, fixed=fixed, spans=spans, step=step, times=times, slim=slim)
 
     @property
     def has_plain_times(self) -> bool:

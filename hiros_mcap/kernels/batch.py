@@ -13,6 +13,7 @@ from hiros_mcap.kernels.cdr import (
     FRAME_END,
     OK,
     TABLES,
+    TOO_NARROW,
     Bytes,
     Table,
     Tables,
@@ -64,7 +65,7 @@ def read_headers(data: Bytes, places: Table, message: int, first: Table, reports
             reports[i, FRAME] = reports[i, FRAME_END] = 0
 
 
-@kernel(types.void(BYTES, I2, types.int64, TABLES, RESULTS, PEOPLE, POSES, I1, types.boolean))
+@kernel(types.boolean(BYTES, I2, types.int64, TABLES, RESULTS, PEOPLE, POSES, I1, types.boolean))
 def decode_messages(
     data: Bytes,
     places: Table,
@@ -75,11 +76,12 @@ def decode_messages(
     poses: PoseArrays,
     seen: Table,
     exact: bool,
-) -> None:
+) -> bool:
     """Fill the people's arrays from messages, take out numbers that cannot be true, and move.
 
     ``places`` and ``message`` are as for :func:`read_headers`; ``seen`` is scratch of M + L. With
-    ``exact`` the numbers stay as they are in the messages.
+    ``exact`` the numbers stay as they are in the messages. Returns False as soon as a message holds
+    numbers that the arrays have no columns for.
     """
     for k in range(len(places)):
         i = message + k
@@ -93,8 +95,11 @@ def decode_messages(
             seen,
             results.reports[i],
         )
+        if results.codes[i] == TOO_NARROW:
+            return False
         if results.codes[i] != OK or exact:
             continue
         clean(mine, results.cleaned[i])
         if results.pose_of[i] >= 0:
             move(poses, results.pose_of[i], mine)
+    return True

@@ -15,6 +15,7 @@ decoder compares them with the message instead of parsing, the encoder copies th
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ LINK_NAME = 11
 LINK_ENDS = 12
 REPEATED_MARKER = 13
 REPEATED_LINK = 14
+# No fault: the arrays have no columns for numbers that the message holds.
+TOO_NARROW = 15
 
 MAX_PEOPLE = 1000
 MAX_STRING = 65536
@@ -101,6 +104,8 @@ class Slots(NamedTuple):
     """(n,) who had the slot last."""
     states: Floats
     confidences: Floats
+    width: int
+    """Columns of the states: STATE, or as many as come first."""
 
 
 BYTES = types.Array(types.uint8, 1, "C", readonly=True)
@@ -375,13 +380,16 @@ def _identify(
 
 @kernel
 def _numbers(data: Bytes, at: int, swap: bool, slots: Slots, row: int) -> int:
-    """Read the confidence and the KinematicState of a row; return their end, -1 if truncated."""
+    """Read the confidence and the KinematicState of a row; return their end, or minus a fault."""
     at = align8(at)
     if at + 8 * (1 + STATE) > data.size:
-        return -1
+        return -TRUNCATED
     slots.confidences[row] = _double(data, at, swap)
-    _doubles(data, at + 8, swap, slots.states, row * STATE, STATE)
-    return at + 8 * (1 + STATE)
+    _doubles(data, at + 8, swap, slots.states, row * slots.width, slots.width)
+    absent = True
+    for k in range(slots.width, STATE):
+        absent &= math.isnan(_double(data, at + 8 + 8 * k, swap))
+    return at + 8 * (1 + STATE) if absent else -TOO_NARROW
 
 
 @kernel
@@ -392,7 +400,7 @@ def _leave_out(slots: Slots, person: int) -> None:
         if slots.seen[slot] != person:
             row = person * n + slot
             slots.confidences[row] = np.nan
-            for k in range(row * STATE, (row + 1) * STATE):
+            for k in range(row * slots.width, (row + 1) * slots.width):
                 slots.states[k] = np.nan
 
 
@@ -417,7 +425,7 @@ def _markers(
         slots.seen[slot] = person
         at = _numbers(data, at, swap, slots, person * n + slot)
         if at < 0:
-            return TRUNCATED, at
+            return -at, at
     if count < n:
         _leave_out(slots, person)
     return OK, at
@@ -461,7 +469,7 @@ def _links(
         slots.seen[slot] = person
         at = _numbers(data, at + 8, swap, slots, person * n + slot)
         if at < 0:
-            return TRUNCATED, at
+            return -at, at
     if count < n:
         _leave_out(slots, person)
     return OK, at
@@ -488,7 +496,7 @@ def _note_source(data: Bytes, person: int, start: int, end: int, report: Table) 
 def decode(
     data: Bytes, tables: Tables, people: People, sources: Table, seen: Table, report: Table
 ) -> int:
-    """Fill the arrays of a message's people; return OK or a fault.
+    """Fill the arrays of a message's people; return OK, a fault, or TOO_NARROW.
 
     The arrays are for as many people as :func:`read_header` found. ``sources`` (P, 2) gets the
     places of their src_frame. ``seen`` is scratch of M + L. ``report`` says where a fault is, or
@@ -505,11 +513,13 @@ def decode(
     # Flat arrays and a row: a slice per row would cost more than its numbers.
     boxes = people.boxes.reshape(-1)
     markers = Slots(
-        tables.markers, seen[:n], people.markers.reshape(-1), people.marker_confidences.reshape(-1)
-    )
+        tables.markers, seen[:n], people.markers.reshape(-1), people.marker_confidences.reshape(-1),
+        people.markers.shape[2],
+    )  # fmt: skip
     links = Slots(
-        tables.links, seen[n:], people.links.reshape(-1), people.link_confidences.reshape(-1)
-    )
+        tables.links, seen[n:], people.links.reshape(-1), people.link_confidences.reshape(-1),
+        people.links.shape[2],
+    )  # fmt: skip
     for person in range(len(people.ids)):
         report[AT] = at = align4(at)
         report[PERSON] = person

@@ -80,7 +80,7 @@ def _rotation(state: Floats, counts: Stamps) -> None:
 @kernel
 def _state(state: Floats, counts: Stamps) -> None:
     _vector(state, 0, 3, counts)
-    for first in range(VELOCITY.start, STATE, 3):
+    for first in range(VELOCITY.start, min(len(state), STATE), 3):
         _vector(state, first, 3, counts)
     _rotation(state, counts)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import types
 
 from hiros_mcap.kernels.bytes import copy
@@ -16,12 +17,32 @@ def _copy_rows(to: Floats, at: int, source: Floats, begin: int, end: int) -> Non
     copy(to, at * size, source, begin * size, (end - begin) * size)
 
 
-@kernel(types.void(I2, I1, PEOPLE, PEOPLE))
-def gather(rows: Stamps, targets: Stamps, people: People, target: People) -> None:
+@kernel
+def _spread_rows(
+    to: Floats, at: int, source: Floats, begin: int, end: int, columns: Stamps
+) -> None:
+    """Copy some rows of the first axis to these columns of the last one; the others become NaN."""
+    if source.shape[2] == to.shape[2]:
+        _copy_rows(to, at, source, begin, end)
+        return
+    for p in range(end - begin):
+        for m in range(to.shape[1]):
+            for c in range(to.shape[2]):
+                to[at + p, m, c] = np.nan
+            for k in range(len(columns)):
+                to[at + p, m, columns[k]] = source[begin + p, m, k]
+
+
+@kernel(types.void(I2, I1, PEOPLE, I1, I1, PEOPLE))
+def gather(
+    rows: Stamps, targets: Stamps, people: People, marker_columns: Stamps, link_columns: Stamps,
+    target: People,
+) -> None:  # fmt: skip
     """Copy the people of frames into ``target``; neighbours are copied together.
 
     ``rows`` (N, 2): first row of each frame, and the row after the last; ``targets`` (N,): the row
-    that the first one becomes.
+    that the first one becomes. The columns say where those of the markers and links of ``people``
+    belong in a KinematicState; what they lack becomes NaN.
     """
     first = 0
     for k in range(len(rows)):
@@ -33,8 +54,8 @@ def gather(rows: Stamps, targets: Stamps, people: People, target: People) -> Non
         _copy_rows(target.ids, at, people.ids, begin, end)
         _copy_rows(target.stamps, at, people.stamps, begin, end)
         _copy_rows(target.confidences, at, people.confidences, begin, end)
-        _copy_rows(target.markers, at, people.markers, begin, end)
+        _spread_rows(target.markers, at, people.markers, begin, end, marker_columns)
         _copy_rows(target.marker_confidences, at, people.marker_confidences, begin, end)
-        _copy_rows(target.links, at, people.links, begin, end)
+        _spread_rows(target.links, at, people.links, begin, end, link_columns)
         _copy_rows(target.link_confidences, at, people.link_confidences, begin, end)
         _copy_rows(target.boxes, at, people.boxes, begin, end)

@@ -31,6 +31,8 @@ def _move_state(poses: PoseArrays, k: int, states: Floats, p: int, n: int) -> No
     """Move state (p, n). Most of a state is absent: a NaN at the front stands for its vector."""
     matrix = poses.matrices
     for at in (0, 7, 10, 13, 16):  # position, velocities, accelerations
+        if at >= states.shape[2]:
+            break
         x, y, z = states[p, n, at], states[p, n, at + 1], states[p, n, at + 2]
         if math.isnan(x):
             for i in range(3):

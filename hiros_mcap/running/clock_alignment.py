@@ -41,7 +41,7 @@ from hiros_mcap.summary import ClockFault, PoseSummary
 _WORTH_A_WARNING = 0.05  # s
 _LIKELY_NO_DELAY = 0.2  # s: deliveries of cameras usually differ by less
 _MARGIN = 0.1  # s
-_LEAST_CLOCK_MS = 10.0  # smaller offsets stay: a person who walks is then off by 1 cm
+_LEAST_CLOCK_MS = 5.0  # smaller offsets stay: a person who walks is then off by 5 mm
 _SURE_CLOCK = 3.0  # standard errors that an offset has to be long
 STILL = "nobody moves enough to tell"
 """Why an offset that the lags suggest is not measured."""

@@ -17,6 +17,7 @@ from hiros_mcap.body.rotations import Rigid
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.calibrate.camera_change import (
     CameraChange,
+    SecondPose,
     find_changes,
     located,
     partner_of,
@@ -32,12 +33,18 @@ from hiros_mcap.calibrate.refinement import (
 )
 from hiros_mcap.calibrate.sampling import Rig
 from hiros_mcap.calibrate.survey import FixedCamera, Survey, seen_by
+from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import SURE
+from hiros_mcap.events import Event
 from hiros_mcap.running.clock_alignment import ClockAlignment
 from hiros_mcap.skeletons import Ints
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
 GAIN = 0.3
 """A camera whose misfit falls by this share with a second pose may have been moved."""
+LATE_GAIN, LATE_M = 0.12, 0.05
+"""So much less misfit, and people so far off in one part, show a camera that was moved for too
+short a time: healthy ones stay below .05 and .045 m."""
 LEAST_M = 0.03
 """A second pose brings people nearer by this, in both parts: views of real detectors differ by
 1 to 2 cm."""
@@ -78,9 +85,11 @@ class PosedViews:
     """With the poses that the log gives."""
     views: list[CameraView]
     found: list[CalibratedCamera]
-    gains: list[float]
-    """By which share the misfit of each falls if it may have been moved once."""
+    gains: list[SecondPose]
+    """What each would gain by a second pose."""
     moves: tuple[Move, ...] = ()
+    late: Event | None = None
+    """A camera that was moved for too short a time to tell a pose."""
 
 
 def split_moved(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> PosedViews:
@@ -88,26 +97,20 @@ def split_moved(survey: Survey, clocks: ClockAlignment, posed: PosedViews) -> Po
 
     Where no camera was moved, or the log does not tell, ``posed`` itself is returned.
     """
-    log = survey.log
-    mirror = symmetry_of(log.model).mirror
-    left = suspects(posed, log.fixed_frame)
+    left, tried = suspects(posed, survey.log.fixed_frame), set[str]()
     if not left:
         return posed
-    seen = survey.many(clocks.corrections)
-    views = [
-        seen_by(camera, seen.get(camera.name, []), mirror, view.shift)
-        for camera, view in zip(posed.cameras, posed.views, strict=True)
-    ]
-    splitter = _Splitter(survey, clocks, mirror, {view.name: view.shift for view in views})
-    result = PosedViews(posed.cameras, views, posed.found, posed.gains)
-    tried: set[str] = set()
+    shifts = {view.name: view.shift for view in posed.views}
+    splitter = _Splitter(survey, clocks, symmetry_of(survey.log.model).mirror, shifts)
+    views = splitter.views_of(posed.cameras, survey.many(clocks.corrections))
+    result = replace(posed, views=views)
     while left:
         tried.add(left[0])
         split = splitter.split(result, left[0])
         # What a moved camera does to the others is over when its parts are known.
-        left = left if split is result else suspects(split, log.fixed_frame)
+        left = left if split is result else suspects(split, survey.log.fixed_frame)
         result, left = split, [name for name in left if name not in tried]
-    return result if result.moves else posed
+    return result if result.moves else replace(posed, late=splitter.moved_late(result))
 
 
 def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
@@ -120,18 +123,36 @@ def suspects(posed: PosedViews, fixed_frame: str) -> list[str]:
     if len(posed.cameras) == 2:
         free = free[-1:]
     odd = [one.name for one, _ in free if not one.fits]
-    rest = {one.name: gain for one, gain in free if one.fits and gain > GAIN}
+    rest = {
+        one.name: gain.share
+        for one, gain in free
+        if one.fits and (gain.share > GAIN or _is_late(gain))
+    }
     return odd + sorted(rest, key=lambda name: -rest[name])
 
 
+def _is_late(gain: SecondPose) -> bool:
+    return gain.share > LATE_GAIN and gain.metres > LATE_M
+
+
+@dataclass(frozen=True, slots=True)
 class _Splitter:
     """Splits the views of cameras that were moved in a log."""
 
-    def __init__(
-        self, survey: Survey, clocks: ClockAlignment, mirror: Ints, shifts: Mapping[str, float]
-    ) -> None:
-        self._survey, self._clocks, self._mirror = survey, clocks, mirror
-        self._fixed, self._shifts = survey.log.fixed_frame, shifts
+    _survey: Survey
+    _clocks: ClockAlignment
+    _mirror: Ints
+    _shifts: Mapping[str, float]
+    """Camera -> s by which its times are later than stated."""
+
+    def views_of(
+        self, cameras: Sequence[FixedCamera], seen: Mapping[str, list[Sighting]]
+    ) -> list[CameraView]:
+        """Return what cameras see."""
+        return [
+            seen_by(one, seen.get(one.name, []), self._mirror, self._shifts[one.name])
+            for one in cameras
+        ]
 
     def split(self, posed: PosedViews, name: str) -> PosedViews:
         """Return the views with those of a camera in two parts, if it was moved."""
@@ -157,6 +178,21 @@ class _Splitter:
             before = after
         return replace(parts, moves=(*posed.moves, *moves))
 
+    def moved_late(self, posed: PosedViews) -> Event | None:
+        """Find the camera whose people are elsewhere from some time on."""
+        given = [placed(posed, k) for k in range(len(posed.views))]
+        gains = refine_poses(posed.views, given, self._mirror).gains
+        c = max(range(len(gains)), key=lambda k: (round(gains[k].metres, 2), k))
+        if not _is_late(gains[c]):
+            return None
+        name, who = posed.cameras[c].name, "other cameras see them"
+        if len(gains) == 2:
+            other = posed.cameras[1 - c].name
+            who = f"{other} sees them; which of them is wrong cannot be known"
+        detail = f"shows people {gains[c].metres:.2f} m from where {who}"
+        first, _ = self._first_message(name, gains[c].seconds)
+        return Event(first, CAMERA_DISPLACED, -1, name, detail)
+
     def _narrowed(
         self, change: CameraChange, posed: PosedViews, pair: tuple[int, int]
     ) -> CameraChange:
@@ -167,18 +203,8 @@ class _Splitter:
             name = posed.cameras[pair[0]].name
             ends = [self._first_message(name, s)[1] for s in (change.begin, change.end)]
             seen = self._survey.between((ends[0], ends[1]), LOOK_S, self._clocks.corrections)
-            views = [
-                seen_by(
-                    posed.cameras[k],
-                    seen.get(posed.cameras[k].name, []),
-                    self._mirror,
-                    posed.views[k].shift,
-                )
-                for k in pair
-            ]
-            nearer = located(views, change.early, change.late, self._mirror, better=1.0)
-            if nearer is None:
-                break
+            views = self.views_of([posed.cameras[k] for k in pair], seen)
+            nearer = located(views, change.early, change.late, self._mirror)
             begin, end = max(change.begin, nearer.begin), min(change.end, nearer.end)
             change = change._replace(begin=begin, end=end)
         return change
@@ -204,7 +230,9 @@ class _Splitter:
         refined = self._placed(*some, [sound.index(k) for k in new])
         for k, pose in zip(new, refined, strict=True):
             given[k] = pose
-        anchor = next((k for k, one in enumerate(cameras) if one.frame == self._fixed), None)
+        frames = [one.frame for one in cameras]
+        fixed = self._survey.log.fixed_frame
+        anchor = frames.index(fixed) if fixed in frames else None
         movable = [camera.movable for camera in cameras]
         found, gains = refine_poses(views, given, self._mirror, anchor, movable)
         if not all(one.fits and one.verdict in SURE for one in found[c : c + n]):

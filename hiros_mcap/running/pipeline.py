@@ -184,7 +184,7 @@ def run_log(
     run, chain = set_up(prepared), chain_of(options.system, options.stages)
     _log.info("%s: system %s: %s", log.path, options.system, ", ".join(chain))
     observer = Observer(chain)
-    reading = log.read()
+    reading = log.read(slim=True)
     report = Report(prepared, run, observer, reading)
     with output(prepared, run) as out:
         sinks = [observer.see, *_shown_to(watcher, log, chain), out.write]

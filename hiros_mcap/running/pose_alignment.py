@@ -21,6 +21,7 @@ from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.body.transforms import TimedPoses, same_place
 from hiros_mcap.calibrate.camera_graph import coarse_clocks
 from hiros_mcap.calibrate.camera_result import CalibratedCamera
+from hiros_mcap.calibrate.camera_views import CameraView
 from hiros_mcap.calibrate.coarse_clock import landmarks_of
 from hiros_mcap.calibrate.refinement import refine_poses
 from hiros_mcap.calibrate.sampling import Rig
@@ -34,11 +35,11 @@ from hiros_mcap.calibrate.survey import (
     moves,
     seen_by,
 )
-from hiros_mcap.calibrate.tracklets import Sighting
 from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
-from hiros_mcap.events import Events
+from hiros_mcap.events import Event, Events
+from hiros_mcap.io.camera_clock import ClockCorrection
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
@@ -54,6 +55,9 @@ CHECKED_S = 10.0
 WRONG_DEG, WRONG_MM = 1.0, 30.0
 """What a quick check reports: such a pose shows in the results if nobody corrects it."""
 
+_APART_MM = 60.0
+"""Where a clock is wrong by most of a second, people who walk slowly may still fit: they are off by
+8 to 11 cm, and not by 4 to 5."""
 _DELAY_S = 0.1
 """Lags of right clocks mostly differ by less."""
 
@@ -79,6 +83,8 @@ class PoseAlignment:
     """Cameras whose people are not where the others see them."""
     moves: tuple[Move, ...] = ()
     """Cameras that were moved in the middle of the log."""
+    late: Event | None = None
+    """A camera that was moved for too short a time to tell a pose."""
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
@@ -110,6 +116,7 @@ class PoseAlignment:
         """Note the cameras that were moved."""
         for move in self.moves:
             events.note(move.stamp, MOVED, source=move.camera, detail=move.distance)
+        events.log += [self.late] if self.late else []
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""
@@ -215,7 +222,7 @@ def _refined_poses(survey: Survey, clocks: ClockAlignment, mode: Calibration) ->
     )
     posed = PosedViews([], [], [], [])
     if len(cameras) > 1:
-        posed = _refined(log, survey.sightings(clocks.corrections), cameras, clocks.lags)
+        posed = _refined(survey, clocks.corrections, cameras, clocks.lags)
     if mode == "off":
         return _aligned(posed, log.span[0], {})
     posed = split_moved(survey, clocks, posed)
@@ -264,7 +271,7 @@ def _aligned(posed: PosedViews, start: int, faults: Mapping[str, str]) -> PoseAl
         if name not in names
     ]
     misfits = frozenset(camera.name for camera, one in pairs if camera.movable and not one.fits)
-    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves)
+    return PoseAlignment(summaries, misfits=misfits, moves=posed.moves, late=posed.late)
 
 
 def _poses_used(posed: PosedViews) -> dict[str, dict[int, Rigid]]:
@@ -303,7 +310,7 @@ def pose_faults(log: Log) -> list[str]:
     cameras = sorted(camera for camera in fixed_cameras(log, faults) if camera.movable)
     if len(cameras) < 2:
         return []
-    posed = _refined(log, Survey(log, CHECKED_S).sightings({}), cameras, {})
+    posed = _refined(Survey(log, CHECKED_S), {}, cameras, {})
     named = []
     for one in posed.found:
         if not one.fits:
@@ -330,8 +337,8 @@ def _require(log: Log, alignment: PoseAlignment) -> None:
 
 
 def _refined(
-    log: Log,
-    seen: Mapping[str, list[Sighting]],
+    survey: Survey,
+    corrections: Mapping[str, ClockCorrection],
     cameras: Sequence[FixedCamera],
     lags: Mapping[str, float],
 ) -> PosedViews:
@@ -340,30 +347,42 @@ def _refined(
     ``lags`` are those of :attr:`ClockAlignment.lags`. Clocks that are far off are searched for if
     people do not fit, or if the lags suggest it.
     """
+    log, seen = survey.log, survey.sightings(corrections)
     mirror = symmetry_of(log.model).mirror
     poses = [camera.pose for camera in cameras]
     anchor = next((k for k, one in enumerate(cameras) if one.frame == log.fixed_frame), None)
 
-    def refined(shifts: Sequence[float]) -> PosedViews:
-        views = [
+    def views_at(shifts: Sequence[float]) -> list[CameraView]:
+        return [
             seen_by(camera, seen.get(camera.name, []), mirror, shift)
             for camera, shift in zip(cameras, shifts, strict=True)
         ]
+
+    def refined(shifts: Sequence[float]) -> PosedViews:
+        views = views_at(shifts)
         found = refine_poses(views, poses, mirror, anchor, [c.movable for c in cameras])
         return PosedViews(list(cameras), views, *found)
 
     posed = refined([0.0] * len(cameras))
     hints = [lags.get(camera.name, 0.0) for camera in cameras]
-    if _fitting(posed) == len(cameras) and np.ptp(hints) < _DELAY_S:
+    fitting, nearness = _fit(posed)
+    if fitting == len(cameras) and -nearness < _APART_MM and np.ptp(hints) < _DELAY_S:
         return posed
-    shifts = coarse_clocks(posed.views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
+    # All of the log: at the right lag, short stretches overlap less than at a wrong one.
+    seen = survey.many(corrections)
+    views = views_at([0.0] * len(cameras))
+    shifts = coarse_clocks(views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
     again = refined(shifts.tolist()) if shifts.any() else posed
-    return again if _fitting(again) >= _fitting(posed) else posed
+    return max(posed, again, key=_fit)
 
 
-def _fitting(posed: PosedViews) -> int:
-    """Return how many cameras see the people where others see them."""
-    return sum(one.fits and one.reason != UNLINKED for one in posed.found)
+def _fit(posed: PosedViews) -> tuple[int, float]:
+    """Return how many cameras see the people where others see them, and minus the worst residual.
+
+    The residual is in mm.
+    """
+    fitting = [one for one in posed.found if one.fits and one.reason != UNLINKED]
+    return len(fitting), -max((one.residual_mm for one in fitting), default=0.0)
 
 
 def _from_nothing(

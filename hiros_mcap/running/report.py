@@ -215,7 +215,7 @@ class Report:
             if len(displaced) == 1:  # of two cameras that disagree, copies of both are left out
                 n = events.total(DISPLACED)
             left_out = f"hiros left out {quantity(n, 'such detection')}"
-            done = left_out if n else "its views count less"
+            done = left_out if n else "its pose is not known"
             yield (
                 f"{event.source} {event.detail}. From {self._seconds(event):.1f} s on {done}; "
                 f"{_DISPLACED[event.kind]}"

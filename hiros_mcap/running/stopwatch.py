@@ -52,5 +52,6 @@ class Stopwatch:
             sink(block)
             switch(before)
             yield block
+            del block  # else it would lie in memory until the next one is made
             before = switch(name)
         switch(before)

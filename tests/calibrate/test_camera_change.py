@@ -17,7 +17,7 @@ CLOCK_S = 0.5
 """The second camera's clock is slow."""
 
 
-def change_of(moved_s: float) -> CameraChange | None:
+def change_of(moved_s: float) -> CameraChange:
     """What two cameras with 1 cm of noise tell of a second pose that holds from a time on.
 
     They see one person walk for 20 s; the time is that of the second camera.
@@ -40,12 +40,11 @@ def change_of(moved_s: float) -> CameraChange | None:
 
 def test_the_time_is_that_of_the_camera_that_was_moved() -> None:
     change = change_of(2.0)
-    assert change is not None
     assert change.seconds == pytest.approx(2.0, abs=0.15)
-    assert change.metres > 0.05
+    assert change.end - change.begin < 0.2
 
 
 @pytest.mark.parametrize("moved_s", [-20.0, 20.0])
-def test_a_second_pose_has_to_beat_the_better_one_alone(moved_s: float) -> None:
-    """One of both poses fits throughout, however badly the other does."""
-    assert change_of(moved_s) is None
+def test_a_pose_that_fits_throughout_is_never_replaced(moved_s: float) -> None:
+    change = change_of(moved_s)
+    assert not np.isfinite([change.begin, change.end]).all()

@@ -789,6 +789,49 @@ def test_a_batch_that_needs_much_memory_is_decoded_in_parts(
     assert all(gen.same(f, full(stick(), 3, seed)) for seed, f in enumerate(found))
 
 
+def without_motion(frame: Frame) -> Frame:
+    for states in (frame.markers, frame.links):
+        states[..., 7:] = np.nan
+    return frame
+
+
+def test_slim_people_have_poses_only_until_a_message_holds_a_velocity_or_acceleration() -> None:
+    model, still = stick(), without_motion(full(stick()))
+    decoder = Decoder(model, slim=True)
+    (first,) = decoder.decode_message(Encoder(model).encode(still))
+    np.testing.assert_array_equal(first.markers, still.markers[..., :7])
+    np.testing.assert_array_equal(first.links, still.links[..., :7])
+    assert np.isnan(first.velocities).all()
+    assert np.isnan(first.accelerations).all()
+    still.links[0, 0, 16:] = 0.5
+    (second,) = decoder.decode_message(Encoder(model).encode(still))
+    assert gen.same(second, still)
+
+
+def test_a_slim_batch_says_what_another_says() -> None:
+    model = stick(4)
+    messages = [Encoder(model).encode(without_motion(full(model, 2))), *odd_messages(model)]
+    slim = Decoder(model, slim=True).decode(Batch([records_of(messages)], None))
+    (part,), whole = slim, batch_of(model, messages)
+    assert (part.faults, part.cleaned, part.parts) == (whole.faults, whole.cleaned, whole.parts)
+    for i in range(len(messages)):
+        pairs = zip(frames_of(part, i), frames_of(whole, i), strict=True)
+        assert all(gen.same(a, b) for a, b in pairs)
+
+
+def test_slim_people_move_as_others_do() -> None:
+    turn = Rigid(np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]), np.array([1.0, 2.0, 3.0]))
+    data = Encoder(stick()).encode(without_motion(full(stick(), 2)))
+    moved = []
+    for slim in (False, True):
+        decoder = Decoder(stick(), poses=RestPoses("hall", {"map": turn}.get), slim=slim)
+        moved += decoder.decode_message(data)
+    for name in ("markers", "links"):
+        whole, part = (getattr(frame, name) for frame in moved)
+        np.testing.assert_array_equal(whole[..., :7], part)
+        assert part.shape[-1] == 7
+
+
 def test_the_halves_of_a_batch_are_the_earlier_and_the_later_messages() -> None:
     backwards = records_of([b"a"] * 4)
     backwards.messages[:, 2] = [40, 10, 30, 20]

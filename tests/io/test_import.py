@@ -16,6 +16,7 @@ import pytest
 from detector_logs import Scene
 
 from hiros_cli.app import run
+from hiros_mcap import open_result
 from hiros_mcap.errors import ConfigError
 from hiros_mcap.io.detectors.body_models import body_model, linked
 from hiros_mcap.io.joints.importing import RELATIVE_START, import_joints
@@ -365,6 +366,24 @@ def test_what_is_wrong_is_refused(
     with pytest.raises(ConfigError, match=re.escape(fault)):
         import_joints([tmp_path / name], tmp_path / "log.mcap", tmp_path / "map.toml")
     assert not (tmp_path / "log.mcap").exists()
+
+
+def test_what_hiros_exported_comes_back_without_a_mapping(tmp_path: Path, crossing: Path) -> None:
+    result, table, log = (tmp_path / name for name in ("result.mcap", "lab.csv", "log.mcap"))
+    process(crossing, result)
+    assert run(["export", str(result), "-o", str(table), "--least-confidence", "0", "-q"]) == 0
+    assert import_joints([table], log) == {"/lab/skeletons": 150}
+    with open_log(log) as back:
+        frames, names = list(back.frames()), list(back.model.marker_names)
+    exported = open_result(result)
+    slots = [names.index(name) for name in exported.model.marker_names]
+    assert len(exported.motions) == 2
+    for motion in exported.motions.values():
+        rows = [(f, f.ids.tolist().index(motion.person)) for f in frames if motion.person in f.ids]
+        positions = np.stack([frame.positions[row] for frame, row in rows])[:, slots]
+        sure = np.stack([frame.marker_confidences[row] for frame, row in rows])[:, slots]
+        assert positions == pytest.approx(motion.positions, abs=1e-6, nan_ok=True)
+        assert sure == pytest.approx(motion.confidences, abs=1e-6, nan_ok=True)
 
 
 def test_a_start_with_a_zone_means_the_same_everywhere(tmp_path: Path) -> None:

@@ -201,6 +201,17 @@ def test_an_offset_that_log_times_hide_is_found_with_the_poses_and_corrected(
     assert error(out, walk) == pytest.approx(error(tmp_path / "healthy", walk), rel=0.02)
 
 
+def test_an_offset_of_most_of_a_second_is_found_in_a_crowd(tmp_path: Path) -> None:
+    """Six people walk at one pace: where each is fits others a moment later, and steps repeat."""
+    params = SimulateParams(people=6, cameras=4, seconds=20.0, seed=8)
+    write_log(tmp_path / "crowd.mcap", params)
+    source = shifted_whole(tmp_path / "crowd.mcap", tmp_path / "w.mcap", {"camera_1": 0.8})
+    summary = process(source)
+    (fault,) = summary.cameras[1].clock
+    assert fault.corrected
+    assert fault.seconds == pytest.approx(0.8, abs=0.008)
+
+
 def test_a_clock_that_the_user_gave_is_right_and_the_others_are_compared_with_it(
     walk: Path, tmp_path: Path
 ) -> None:
@@ -238,7 +249,8 @@ def three(**lags: float) -> ClockAlignment:
     ("ms", "error_ms", "verdict", "corrected"),
     [
         (40, 1, "good", True),
-        (9, 1, "good", None),
+        (4, 1, "good", None),
+        (6, 1, "good", True),
         (40, 14, "good", None),
         (40, 1, "doubtful", False),
     ],

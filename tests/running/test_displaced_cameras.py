@@ -25,7 +25,7 @@ from hiros_mcap.skeletons import Frame
 
 STEP = Rigid(from_vector(np.radians([6.0, -8.0, 0.0])), np.array([0.3, 0.0, 0.27]))
 """10 degrees and 40 cm, in the camera's own frame."""
-SECONDS, AT_S = 8.0, 6.4
+SECONDS, AT_S, SECOND = 8.0, 6.4, 1_000_000_000
 
 Change = Callable[[Frame], Frame]
 
@@ -185,3 +185,28 @@ def test_the_verdict_says_from_when_on_a_pose_does_not_fit(
 def test_healthy_cameras_are_not_displaced(scene: Simulation, tmp_path: Path) -> None:
     log = faulty("healthy", tmp_path, scene)
     assert process(log, options=ProcessOptions(calibrate="off")).warnings == ()
+
+
+@pytest.mark.parametrize("cameras", [2, 3])
+@pytest.mark.parametrize("metres", [0.1, 0.2])
+def test_a_move_before_the_last_fifth_is_told_in_verdict_and_warning(
+    cameras: int, metres: float, tmp_path: Path
+) -> None:
+    """Too short a part for a pose, and people too near to be taken for others."""
+
+    def late(frame: Frame) -> Frame:
+        people = frame.people.copy()
+        people.markers[:, :, 0] += metres * (frame.stamp > SimulateParams().start + 12 * SECOND)
+        return frame.replace(people=people)
+
+    params = {"cameras": cameras, "seconds": 15.0, "seed": 31}
+    walk = simulate(SimulateParams.model_validate(params))
+    summary = process(write(tmp_path / "log.mcap", walk, late))
+    doubtful = [c for c in summary.poses if c.verdict == "doubtful"]
+    (warning,) = summary.warnings
+    (reason,) = {c.reason for c in doubtful}
+    when = re.match(r"shows people 0\.\d\d m from where .* from (\S+) s on", reason)
+    assert when is not None
+    assert float(when[1]) == pytest.approx(12.0, abs=1.0)
+    assert warning.startswith(f"{doubtful[0].name} shows people ")
+    assert cameras == 2 or doubtful[0].name == "camera_1"

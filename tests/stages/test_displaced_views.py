@@ -14,6 +14,7 @@ from hiros_mcap.skeletons import Floats, Frame, SkeletonModel
 from hiros_mcap.stages.fuse.displaced_views import LIMIT, SHARE, DisplacedViews, excess_of
 from hiros_mcap.stages.fuse.fuse import FuseParams, fuse_blocks
 from hiros_mcap.stages.fuse.fusing import Sightings
+from hiros_mcap.stages.fuse.sightings import joined
 from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
 fuse = by_frame(fuse_blocks)
@@ -62,6 +63,19 @@ def test_each_second_and_each_person_counts_alone() -> None:
     np.testing.assert_array_equal(lost, (views.cameras == 2) & (views.stamps >= SECOND))
     others = views._replace(people=np.where(views.stamps >= SECOND, 1, 0))
     np.testing.assert_array_equal(excess_of(others, offsets, 3) > 0, lost)
+
+
+@pytest.mark.parametrize("n_displaced", [1, 4])
+def test_a_camera_that_was_moved_shows_everybody_elsewhere(n_displaced: int) -> None:
+    """Of people who touch, one camera may see some wrong for seconds."""
+    views, events = DisplacedViews(), Events()
+    views.name(("a", "b", "c"))
+    seen = joined([views_of(3, seconds=4.0, person=person) for person in range(4)])
+    is_off = (seen.cameras == 1) & (seen.people < n_displaced)
+    views.count(seen, np.where(is_off, SHARE * 0.1**2, 0.0), np.ones(len(is_off), np.bool_))
+    views.tell(events)
+    told = [(event.source, event.kind) for event in events.log]
+    assert told == ([("b", CAMERA_DISPLACED)] if n_displaced == 4 else [])
 
 
 def after(seconds: float, *, off: float, then: float = 0.0) -> Floats:

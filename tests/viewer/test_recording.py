@@ -60,6 +60,17 @@ def recording(processed: Path) -> Path:
     return target
 
 
+def test_a_viewer_shows_two_layouts_of_a_log_side_by_side(processed: Path, recording: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    other = processed.with_suffix(".stages.rrd")
+    for layout in ("stages", "overview"):
+        command = ["view", str(processed), "--save", str(other), "--layout", layout, "-q", "-f"]
+        assert run(command) == 0
+        (first,), (second,) = (RrdReader(str(path)).recordings() for path in (recording, other))
+        assert (first.recording_id == second.recording_id) == (layout == "overview")
+
+
 def rows(recording: Path, entity: str, component: str, timeline: str = "stamp") -> Rows:
     """Time, ns -> values of a component of an entity."""
     import rerun.chunk

@@ -429,6 +429,7 @@ def numbered_axis(high: float, most: float) -> tuple[float, float]:
     return -0.04 * top, top
 
 
-def recording_name(logs: list[Path | str]) -> str:
-    """Return the name that a recording goes by in the viewer."""
-    return " + ".join(os.path.basename(str(log)) for log in logs)  # noqa: PTH119
+def recording_name(logs: list[Path | str], layout: str) -> str:
+    """Return the name that a recording goes by in the viewer, which shows each name once."""
+    names = " + ".join(os.path.basename(str(log)) for log in logs)  # noqa: PTH119
+    return names if layout == ViewOptions().layout else f"{names}, {layout}"

@@ -77,7 +77,7 @@ def view(
     from hiros_viewer.replay import ViewOptions, recording_name, replay
 
     options = ViewOptions(layout, window, extrinsics, stage or "", truth, calibration, uncertainty)
-    name = recording_name(list(logs))
+    name = recording_name(list(logs), layout)
 
     def draw(recording: RecordingStream, is_open: Callable[[], bool] = lambda: True) -> None:
         replay(logs, recording, options, is_open)

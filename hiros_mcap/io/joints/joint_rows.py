@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hiros_mcap.errors import ConfigError
-from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping
+from hiros_mcap.io.joints.mapping import SECONDS, ColumnMapping, FileMapping, of_export
 from hiros_mcap.io.joints.trc import METRES, lines_of, number_of, read_markers, text_of
 from hiros_mcap.outside import parse
 
@@ -59,10 +59,11 @@ def _csv_rows(path: Path, mapping: FileMapping) -> Iterator[JointRow]:
         columns, rows = list(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
         raise ConfigError(f"{path}: not CSV: {error}") from error
+    mapping = of_export(mapping, columns)
     c = mapping.columns
     names = _wide_names(columns, c)
     needed = [] if mapping.time.rate else [mapping.time.column]
-    needed += [column for n in names for column in _wide_columns(n, c)] or [c.joint, c.x, c.y, c.z]
+    needed += [column for n in names for column in c.numbers_of(n)[:3]] or [c.joint, c.x, c.y, c.z]
     if "person" in c.model_fields_set:
         needed.append(c.person)
     if missing := [name for name in needed if name not in columns]:
@@ -98,20 +99,12 @@ def _wide_names(columns: Sequence[str], mapping: ColumnMapping) -> list[str]:
     ]
 
 
-def _wide_columns(name: str, mapping: ColumnMapping) -> list[str]:
-    """Columns of a joint's x, y, z, in a file that has a row per instant and person."""
-    pattern = mapping.position or "{joint}_{axis}"
-    return [pattern.format(joint=name, axis=axis) for axis in (mapping.x, mapping.y, mapping.z)]
-
-
 def _wide(
     row: dict[str, str], names: Sequence[str], time: float, mapping: FileMapping, where: str
 ) -> Iterator[JointRow]:
     c = mapping.columns
-    pattern = c.position or "{joint}_{axis}"
     for name in names:
-        x, y, z = (number_of(row[column], where) for column in _wide_columns(name, c))
-        sure = number_of(row.get(pattern.format(joint=name, axis=c.confidence)), where)
+        x, y, z, sure = (number_of(row.get(column), where) for column in c.numbers_of(name))
         yield _row(time, row.get(c.person) or "0", name, (x, y, z), sure, mapping)
 
 

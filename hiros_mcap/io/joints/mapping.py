@@ -25,6 +25,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -95,6 +96,7 @@ class ColumnMapping(BaseModel):
     y: str = "y"
     z: str = "z"
     confidence: str = "confidence"
+    """Where a row has all joints of a person: with {joint}, or the {axis} of the position."""
     position: str = ""
     """A CSV file with a row per instant and person: name of a column, with {joint} and {axis}."""
     frames: str = "frames"
@@ -105,6 +107,14 @@ class ColumnMapping(BaseModel):
     def numbers(self) -> tuple[str, ...]:
         """Names of the numbers of a joint: three coordinates and the confidence."""
         return self.x, self.y, self.z, self.confidence
+
+    def numbers_of(self, joint: str) -> tuple[str, ...]:
+        """Names of these columns in a file that has a row per instant and person."""
+        pattern = self.position or "{joint}_{axis}"
+        x, y, z, confidence = (pattern.format(joint=joint, axis=axis) for axis in self.numbers)
+        if "{joint}" in self.confidence:
+            confidence = self.confidence.replace("{joint}", joint)
+        return x, y, z, confidence
 
     @field_validator("position")
     @classmethod
@@ -174,6 +184,15 @@ def rotation_of(axes: list[str]) -> Floats:
     for row, axis in zip(rows, axes, strict=True):
         row[_AXES.index(axis.removeprefix("-"))] = -1.0 if axis.startswith("-") else 1.0
     return rows
+
+
+def of_export(mapping: FileMapping, columns: Sequence[str]) -> FileMapping:
+    """Return what a CSV file means: if no mapping names its columns, those of hiros export."""
+    time = TimeMapping(column="time (s)")
+    if {"time", "columns"} & mapping.model_fields_set or time.column not in columns:
+        return mapping
+    joints = ColumnMapping(position="{joint} {axis} (m)", confidence="{joint} confidence")
+    return mapping.model_copy(update={"time": time, "columns": joints})
 
 
 def read_mapping(path: Path | None) -> Mapping:

@@ -76,6 +76,7 @@ def filter_blocks(
     for block in blocks:
         for start in range(0, len(block), _BATCH):
             yield from skeletons.update(block.select(slice(start, start + _BATCH)))
+        del block  # else it lies in memory until the next one is made
     yield from skeletons.rest()
 
 

@@ -53,6 +53,7 @@ def align_blocks(blocks: Iterable[Block], model: SkeletonModel) -> Iterator[Bloc
         people = block.people._replace(links=block.people.links.copy())
         aligning.align_links(people, rows, _variances(block), bones, bank.past)
         yield replace(block, people=people)
+        del block, people  # else they lie in memory until the next block is made
 
 
 def candidates(model: SkeletonModel) -> Ints:

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,9 +26,7 @@ from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, HeldFrames
 from hiros_mcap.skeletons import (
     POSITION,
-    STATE,
     UNTRACKED,
-    Flags,
     Floats,
     Ints,
     SkeletonModel,
@@ -73,53 +72,41 @@ def constrain_blocks(
     params = params or ConstrainParams()
     events = Events() if events is None else events
     bodies = _Bodies(model, params, events, LimbTable() if limbs is None else limbs)
-    waiting: deque[_Waiting] = deque()
-    held, first, begin = HeldFrames(), 0, None
+    waiting: deque[_WaitingWindow] = deque()
+    held, first, begin, end = HeldFrames(packed=True), 0, None, 0
     for block in blocks:
-        for number, (stamp, _, log_time) in enumerate(block.messages(), held.add(block)):
+        for number, (stamp, _, end) in enumerate(block.messages(), held.add(block)):
             begin = stamp if begin is None else begin
-            if stamp - begin >= params.window * 1e9:
-                waiting.append(_Waiting(bodies.measured(held.copies(range(first, number + 1)))))
-                first, begin = number + 1, None
-                while waiting and bodies.can_correct(waiting[0].block, stamp):
-                    yield bodies.corrected(waiting.popleft().whole(), log_time)
-                if waiting:
-                    waiting[-1].pack()
-        held.keep(range(first, held.count))
+            if stamp - begin < params.window * 1e9:
+                continue
+            numbers, first, begin = range(first, number + 1), number + 1, None
+            copied, window = numbers, held.copies(numbers)
+            waiting.append(bodies.measure(window, numbers))
+            while waiting and bodies.can_correct(waiting[0], stamp):
+                numbers = waiting.popleft().numbers
+                if numbers != copied:
+                    copied, window = numbers, held.copies(numbers)
+                yield bodies.corrected(window, end)
+            del window  # it takes more memory than what waits
+        del block  # for the same reason
+        held.keep(range(waiting[0].numbers.start if waiting else first, held.count))
     if held.count > first:
-        waiting.append(_Waiting(bodies.measured(held.copies(range(first, held.count)))))
+        numbers = range(first, held.count)
+        waiting.append(bodies.measure(held.copies(numbers), numbers))
     bodies.end_of_log()
-    end = int(waiting[-1].block.log_times[-1]) if waiting else 0
-    while waiting:
-        yield bodies.corrected(waiting.popleft().whole(), end)
+    for each in waiting:
+        yield bodies.corrected(held.copies(each.numbers), end)
 
 
-class _Waiting:
-    """A window that waits for lengths. Packed, it has only the columns that hold numbers."""
+class _WaitingWindow(NamedTuple):
+    """Frames that are corrected together, and wait for lengths."""
 
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        self._used: list[Flags] = []
-
-    def pack(self) -> None:
-        """Leave out the columns of markers and links that are NaN everywhere."""
-        states = self.block.people.markers, self.block.people.links
-        self._used = [np.asarray(~np.isnan(each).all(axis=(0, 1))) for each in states]
-        self._put(*[each[:, :, used] for each, used in zip(states, self._used, strict=True)])
-
-    def whole(self) -> Block:
-        """Return the block with all columns."""
-        if self._used:
-            packed = self.block.people.markers, self.block.people.links
-            whole = [np.full((*each.shape[:2], STATE), np.nan) for each in packed]
-            for each, used, some in zip(whole, self._used, packed, strict=True):
-                each[:, :, used] = some
-            self._put(*whole)
-        return self.block
-
-    def _put(self, markers: Floats, links: Floats) -> None:
-        people = self.block.people._replace(markers=markers, links=links)
-        self.block = replace(self.block, people=people)
+    numbers: range
+    """Of these frames."""
+    begin: int
+    """Time of the first, ns."""
+    people: list[int]
+    """Who has an id in them."""
 
 
 @dataclass
@@ -152,11 +139,11 @@ class _Bodies:
         self._limbs = PairLimbs(model, self._pairs, limbs)
         self._people: dict[int, _Body] = {}
 
-    def measured(self, out: Block) -> Block:
-        """Measure everybody in a window, as long as the lengths are not well known; return it."""
-        variances = own_variances(out)
+    def measure(self, out: Block, numbers: range) -> _WaitingWindow:
+        """Measure everybody in a window, as long as the lengths are not well known."""
+        variances, people = own_variances(out), list(_tracked(out))
         stamps = np.repeat(out.stamps, out.sizes)
-        for person, rows in _tracked(out):
+        for person, rows in people:
             body = self._body(person, int(stamps[rows[0]]))
             body.last = int(stamps[rows[-1]])
             begun = (int(stamps[rows[0]]) - body.first) * 1e-9
@@ -166,7 +153,7 @@ class _Bodies:
             if not body.known and body.last - body.first >= self._params.enough * 1e9:
                 self._keep(person, body)
                 body.known, body.meter = True, self._meter()
-        return out
+        return _WaitingWindow(numbers, int(out.stamps[0]), [person for person, _ in people])
 
     def _body(self, person: int, stamp: int) -> _Body:
         """Return what is known of who is seen at ``stamp``, ns."""
@@ -198,11 +185,11 @@ class _Bodies:
             if not body.known:
                 self._keep(person, body)
 
-    def can_correct(self, window: Block, now: int) -> bool:
+    def can_correct(self, window: _WaitingWindow, now: int) -> bool:
         """Whether nothing more about the people of a window is worth waiting for at ``now``, ns."""
         patience = self._params.enough + self._params.window if self._params.window > 0 else 0.0
-        waited = now - int(window.stamps[0]) >= patience * 1e9
-        return waited or all(self._people[person].known for person, _ in _tracked(window))
+        waited = now - window.begin >= patience * 1e9
+        return waited or all(self._people[person].known for person in window.people)
 
     def corrected(self, out: Block, log_time: int) -> Block:
         """Project a window onto the lengths; move towards what people do; project again."""

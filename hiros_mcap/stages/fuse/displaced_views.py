@@ -33,9 +33,13 @@ MAJORITY = 3
 """Fewer cameras do not tell which one of them is wrong."""
 SECOND = 1_000_000_000  # ns
 _MEMORY = 0.5  # s; time constant of the mean without future views
-_WORTH_S, _WORTH_M = 2.0, 0.06
+_WORTH_S, _WORTH_M = 1.5, 0.06
 """For a warning, people must be off for so long and by so much. Parts of a second that are off by
 less occur with healthy cameras, too: while somebody lies or crouches."""
+_OF_ALL = 0.4
+"""Share of the views in a part of a second: a camera that was moved shows everybody elsewhere, but
+of two who touch one may be seen wrong."""
+_PART, _PAUSE = 250_000_000, 4  # ns, and so many of it without such views end a displacement
 
 
 def view_offsets(
@@ -52,11 +56,14 @@ def view_offsets(
     fused = np.flatnonzero(rows >= 0)
     own = rows[fused]
     later = (views.stamps[fused] - stamps[own])[:, None, None] * 1e-9
-    residuals = views.positions[fused] - poses.positions[own] - later * poses.velocities[own]
+    residuals = views.positions[fused]  # in place: these arrays are large
+    residuals -= poses.positions[own]
+    residuals -= later * poses.velocities[own]
     there = ~np.isnan(residuals[:, :, 0])
     weights = np.where(there, 1.0 / variances[fused], 0.0)
     total = weights.sum(axis=1)
-    sums = np.einsum("nm,nmi->ni", weights, np.where(there[:, :, None], residuals, 0.0))
+    residuals[~there] = 0.0
+    sums = np.einsum("nm,nmi->ni", weights, residuals)
     with np.errstate(invalid="ignore"):
         offsets[fused] = sums / total[:, None]
     return offsets
@@ -134,22 +141,28 @@ class _Span:
     """For how long and how far a camera was displaced."""
 
     def __init__(self) -> None:
-        self.first = 0
-        self._seconds: set[int] = set()
+        self._parts: set[int] = set()
         self._squares, self._views = 0.0, 0
 
     def add(self, stamps: Stamps, excess: Floats) -> None:
         """Take the times, ns, and the excess, m2, of views."""
         lost = excess > 0
-        if lost.any():
-            self.first = self.first or int(stamps[lost].min())
-            self._seconds.update(np.unique(stamps[lost] // SECOND).tolist())
-            self._squares += float(excess[lost].sum()) / SHARE
-            self._views += int(lost.sum())
+        parts, index = np.unique(stamps // _PART, return_inverse=True)
+        shares = np.bincount(index, lost) / np.maximum(np.bincount(index), 1)
+        self._parts.update(parts[shares >= _OF_ALL].tolist())
+        self._squares += float(excess[lost].sum()) / SHARE
+        self._views += int(lost.sum())
 
     @property
     def seconds(self) -> float:
-        return float(len(self._seconds))
+        return len(self._parts) * _PART / SECOND
+
+    @property
+    def first(self) -> int:
+        """When the longest displacement began, ns."""
+        parts = np.array(sorted(self._parts))
+        spans = np.split(parts, np.flatnonzero(np.diff(parts) > _PAUSE) + 1)
+        return int(max(spans, key=len)[0]) * _PART
 
     @property
     def metres(self) -> float:

@@ -75,14 +75,16 @@ def fuse_blocks(
     smoother = WindowSmoother(model, waiting, noise, params.freedom, pose_error, cameras or {})
     causal = params.window == 0
     residuals = ResidualMeter(model, noise, cameras or {}, events, causal=causal)
+
+    def finished(fused: Block) -> Block:
+        residuals.compare(fused)
+        return residuals.scaled(fused)
+
     for block, sightings, names in views.run(blocks, events, fixed_frame):
         residuals.expect(len(block), sightings, names)
-        for fused in smoother.update(block, sightings, names):
-            residuals.compare(fused)
-            yield residuals.scaled(fused)
-    for fused in smoother.rest():
-        residuals.compare(fused)
-        yield residuals.scaled(fused)
+        # Unlike a loop, map lets go of each window before the next is smoothed.
+        yield from map(finished, smoother.update(block, sightings, names))
+    yield from map(finished, smoother.rest())
     residuals.finish()
     smoother.displaced.tell(events)
 

@@ -73,7 +73,7 @@ class PoseError:
             for camera in np.unique(views.cameras[seen & (views.people == person)]):
                 own = seen & (views.people == person) & (views.cameras == camera)
                 centre = np.nanmean(views.positions[own], axis=(0, 1))
-                assumed = self._assumed(centre, names[camera])
+                assumed = self._assumed(centre, self._place_of(names[camera]))
                 scaled.append(offsets[own].mean(axis=0) / np.sqrt(assumed))
             self._count(np.array(scaled))
 
@@ -91,12 +91,15 @@ class PoseError:
             self._compared += free
             self._most = max(self._most, free)
 
-    def _assumed(self, positions: Floats, name: str) -> Floats:
-        """(...) Assumed variance along each axis of positions (..., 3), m2."""
-        place = self._places.get(name, np.full(3, np.nan))
-        square = ((positions - place) ** 2).sum(axis=-1)
+    def _place_of(self, name: str) -> Floats:
+        """(3,) Position of a camera, m; NaN = unknown."""
+        return self._places.get(name, np.full(3, np.nan))
+
+    def _assumed(self, positions: Floats, places: Floats) -> Floats:
+        """(...) Assumed variance along each axis, m2, of positions from cameras (..., 3), m."""
+        square = ((positions - places) ** 2).sum(axis=-1)
         # A rotation moves what it sees across two of three axes.
-        away = np.nan_to_num(square, nan=_AWAY**2)
+        away = np.where(np.isnan(square), _AWAY**2, square)
         return np.asarray(self._shift**2 + 2 / 3 * self._angle**2 * away)
 
     @property
@@ -110,14 +113,12 @@ class PoseError:
 
         ``seen`` (K, M) has a bit for each camera.
         """
-        alone, refined, count = np.zeros(seen.shape), np.zeros(seen.shape), np.zeros(seen.shape)
-        for k, name in enumerate(names):
-            sees = (seen >> k) & 1
-            count += sees
-            if self._placement is not None and name in self._refined:
-                refined += sees
-            else:
-                alone += sees * self._assumed(positions, name)
+        sees = (seen >> np.arange(len(names))[:, None, None]) & 1
+        agrees = [self._placement is not None and name in self._refined for name in names]
+        own = np.flatnonzero(~np.array(agrees, np.bool_))
+        refined, count = sees[agrees].sum(axis=0), sees.sum(axis=0)
+        places = np.array([self._place_of(names[k]) for k in own.tolist()]).reshape(-1, 1, 1, 3)
+        alone = (sees[own] * self._assumed(positions, places)).sum(axis=0)
         shared = np.zeros(seen.shape)
         if self._placement is not None:
             shared = self._placement.variances(positions)

@@ -124,11 +124,11 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
     frames = np.tile(np.eye(3), (len(positions), 1, 1))
     trunk = positions[:, lateral.ravel()] if len(lateral) else positions
     seen = ~np.isnan(trunk[:, :, :1])
-    origins = np.nan_to_num(trunk).sum(axis=1, keepdims=True)
+    origins = np.where(seen, trunk, 0.0).sum(axis=1, keepdims=True)
     origins /= np.maximum(seen.sum(axis=1, keepdims=True), 1)
     if len(lateral):
         lines = positions[:, lateral[:, 1]] - positions[:, lateral[:, 0]]
-        across = np.nan_to_num(lines).sum(axis=1)
+        across = np.where(np.isnan(lines), 0.0, lines).sum(axis=1)
         norm = np.hypot(across[:, 0], across[:, 1])
         good = norm > 1e-6
         cos = np.where(good, across[:, 0] / np.maximum(norm, 1e-6), 1.0)
@@ -156,10 +156,12 @@ def motion_of(positions: Floats, variances: Floats) -> PoseSpace:
     off = np.where(absent, 0.0, y - mean)
     noise = np.maximum(np.sqrt(np.nanmean(np.where(absent, np.nan, v), axis=0)), _LEAST)
     # P: directions in which the whitened poses vary by more than noise does.
-    _, scales, directions = np.linalg.svd(off / noise, full_matrices=False)
-    excess = scales**2 / len(y) - _EXCESS
+    white = off / noise
+    squares, poses = np.linalg.eigh(white @ white.T)  # half the time of the singular values
+    excess = squares / len(y) - _EXCESS
     used = excess > 0
-    return PoseSpace(mean, noise[:, None] * directions[used].T * np.sqrt(excess[used]))
+    sizes = np.sqrt(excess[used] / squares[used])
+    return PoseSpace(mean, noise[:, None] * (white.T @ (poses[:, used] * sizes)))
 
 
 def estimated(motion: PoseSpace, positions: Floats, variances: Floats) -> Floats:

@@ -80,7 +80,7 @@ class WindowSmoother:
         self._pose_error = pose_error
         self.displaced = DisplacedViews()
         self._names: tuple[str, ...] = ()
-        self._held = HeldFrames()
+        self._held = HeldFrames(packed=True)
         self._stamps: list[int] = []
         """Of the instants that are held and known, ns."""
         self._views: list[Sightings] = []
@@ -152,6 +152,7 @@ class WindowSmoother:
         boundary = self._stamps[min(n, len(self._stamps) - 1)]  # nothing older is merged any more
         out = self._held.copies(range(self._first, self._first + n))
         views = joined(self._views)
+        self._views = [views]
         owners = np.repeat(np.arange(n), out.sizes)
         window = _Window(views, views.stamps >= self._taken, out.people.ids, out.stamps[owners])
         of_views = rows_of(views, self._first + owners, out.people.ids)

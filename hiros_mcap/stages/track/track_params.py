@@ -66,22 +66,12 @@ class TrackParams(Params):
         "Weight of eq 9 against eq 8 in eq 6, m per rad. The paper adds metres and radians one "
         "to one; a detection that faces the wrong way then costs as much as 3 m.",
     )
-    position_weight: ClassVar[float] = 1.0
-    """Weight of the positions in eq 8. 0 leaves them out: velocities and orientations then decide
-    between the tracks within the gate. A detection with left and right swapped has only positions;
-    it costs its distance."""
     velocity_weight: ClassVar[float] = 0.05
     """w_v of eq 8, s. Only detections with velocities use it."""
     angular_velocity_weight: ClassVar[float] = 0.0
     """w_omega of eq 9, s. Only detections with velocities use it."""
     velocity_decay: ClassVar[float] = 0.25
     """gamma of eq 11; 0 = fast markers count like slow ones (0.25: published code)."""
-    exponent: ClassVar[float] = 1.0
-    """alpha of eq 8 and 9 (1: published code)."""
-    weight_by_confidence: ClassVar[bool] = True
-    """Use the confidence weight kappa of eq 11."""
-    weight_by_velocity: ClassVar[bool] = True
-    """Use the velocity weight w_v of eq 11."""
     flip_aware: bool = fixed(
         True, "Also compare detections with left and right swapped; needs marker names."
     )

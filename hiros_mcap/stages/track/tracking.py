@@ -128,11 +128,9 @@ class TrackSettings(NamedTuple):
     max_distance: float
     min_distance: float
     orientation_weight: float
-    position_weight: float
     velocity_weight: float
     angular_velocity_weight: float
     velocity_decay: float
-    exponent: float
     horizon: float
     fade: float
     gate_growth: float
@@ -142,8 +140,6 @@ class TrackSettings(NamedTuple):
     max_speed: float
     min_skeleton_confidence: float
     min_marker_confidence: float
-    weight_by_confidence: bool
-    weight_by_velocity: bool
     flip_aware: bool
 
 
@@ -211,16 +207,12 @@ class TrackWork(NamedTuple):
             PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4)), np.empty(t), np.empty(t)),
             TrackWeights._make(np.empty(shape) for shape in ((t, m), (t, n), (p, m), (p, n))),
             TrackPairs(
-                np.empty(p, np.bool_),
-                np.empty((t, p)),
-                np.empty((t, p), np.bool_),
-                np.empty((t, p)),
-                np.empty(p, np.int64),
-                np.empty(p, np.bool_),
+                np.empty(p, np.bool_), np.empty((t, p)), np.empty((t, p), np.bool_),
+                np.empty((t, p)), np.empty(p, np.int64), np.empty(p, np.bool_),
             ),
             AssignmentWork.allocate(max(t, p)),
             np.empty(p, np.int64),
-        )
+        )  # fmt: skip
 
 
 class SlotOrders(NamedTuple):
@@ -257,7 +249,7 @@ class Followed(NamedTuple):
 
 _F, _I = types.float64, types.int64
 _TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2, F2, F2)
-_SETTINGS = named_tuple(TrackSettings, *17 * [_F], *3 * [types.boolean])
+_SETTINGS = named_tuple(TrackSettings, *15 * [_F], types.boolean)
 _PREDICTED = named_tuple(PredictedTracks, F3, F3, F1, F1)
 _WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
 _PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1, B1)
@@ -388,9 +380,6 @@ def predict(
 @inlined
 def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats) -> None:
     for m in range(len(velocities)):
-        if not settings.weight_by_velocity:
-            out[m] = 1.0
-            continue
         speed = 1.0 + norm3(velocities[m, 0], velocities[m, 1], velocities[m, 2])
         if settings.velocity_decay == 0.25:  # two roots are five times quicker than a power
             out[m] = 1.0 / math.sqrt(math.sqrt(speed))  # eq 11: w_v
@@ -399,11 +388,11 @@ def _weigh_by_velocity(velocities: Floats, settings: TrackSettings, out: Floats)
 
 
 @inlined
-def _weigh_by_confidence(confidences: Floats, settings: TrackSettings, out: Floats) -> None:
+def _weigh_by_confidence(confidences: Floats, out: Floats) -> None:
     for j in range(len(confidences)):
         for m in range(confidences.shape[1]):
-            given = settings.weight_by_confidence and not math.isnan(confidences[j, m])
-            out[j, m] = confidences[j, m] if given else 1.0  # eq 11: kappa
+            unknown = math.isnan(confidences[j, m])
+            out[j, m] = 1.0 if unknown else confidences[j, m]  # eq 11: kappa
 
 
 @inlined
@@ -433,7 +422,7 @@ def _compare(
     mean of their distances. Among many people most pairs need no more than that.
     """
     weights, pairs, bounds = work.weights, work.pairs, work.bounds
-    _weigh_by_confidence(people.marker_confidences, settings, weights.marker_confidences)
+    _weigh_by_confidence(people.marker_confidences, weights.marker_confidences)
     for j in range(len(people.ids)):
         low_high = _bound(people.markers[j])
         for c in range(6):
@@ -503,11 +492,10 @@ def _linear_distance(
         if math.isnan(d):
             continue
         common += 1
-        d *= settings.position_weight
         if settings.velocity_weight > 0.0 and not math.isnan(markers[m, _TO_VELOCITY]):
             d += settings.velocity_weight * point_distance(velocities[m], markers[m, _TO_VELOCITY:])
         total += weights[m] * confidences[m] * d
-    return total / common**settings.exponent  # eq 8
+    return total / common  # eq 8
 
 
 @inlined
@@ -533,7 +521,7 @@ def _angular_distance(
                 velocities[k], links[k, _TO_ANGULAR_VELOCITY:]
             )
         total += weights[k] * confidences[k] * d
-    return total / common**settings.exponent if common else 0.0  # eq 9
+    return total / common if common else 0.0  # eq 9
 
 
 @inlined
@@ -542,7 +530,7 @@ def _fill_cost(
 ) -> None:
     """Fill ``cost`` of the pairs within the gate (eq 6), where a detection wants a track."""
     weights, pairs = work.weights, work.pairs
-    _weigh_by_confidence(people.link_confidences, settings, weights.link_confidences)
+    _weigh_by_confidence(people.link_confidences, weights.link_confidences)
     for i in range(len(rows)):
         velocities = tracks.velocities[rows[i]]
         angular_velocities = tracks.angular_velocities[rows[i]]
@@ -572,9 +560,10 @@ def association_cost(
 ) -> None:
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
-    Fills the ``distances`` of ``work.pairs``, which the gate is for, since unlike eq 8 they depend
-    neither on the exponent nor on velocities; ``mirrored``; and ``cost``, for the ``wanted``
-    detections. The orientations of a mirrored detection are wrong, so its cost is its distance.
+    Eq 8 and 9 are means (alpha = 1, as in the published code). Fills the ``distances`` of
+    ``work.pairs``, which the gate is for, since they depend on no velocities; ``mirrored``; and
+    ``cost``, for the ``wanted`` detections. The orientations of a mirrored detection are wrong, so
+    its cost is its distance.
     """
     _compare(rows, people, tracks, slots, settings, work)
     _fill_cost(rows, people, tracks, settings, work)
@@ -872,16 +861,9 @@ def centre(positions: Floats, row: int, out: Floats) -> None:
 
 @kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, _SLOTS, _SETTINGS, _WORK, _FOLLOWED))
 def follow(
-    stamps: Stamps,
-    spans: Stamps,
-    people: People,
-    tracks: Tracks,
-    confirmed: ConfirmedTracks,
-    slots: SlotOrders,
-    settings: TrackSettings,
-    work: TrackWork,
-    followed: Followed,
-) -> int:
+    stamps: Stamps, spans: Stamps, people: People, tracks: Tracks, confirmed: ConfirmedTracks,
+    slots: SlotOrders, settings: TrackSettings, work: TrackWork, followed: Followed,
+) -> int:  # fmt: skip
     """Take messages in which everybody is of a confirmed track; return how many.
 
     Stops before the first message with anybody else. Ids and velocities are written into
