@@ -373,16 +373,17 @@ def _refined(
     views = views_at([0.0] * len(cameras))
     shifts = coarse_clocks(views, Rig.of(poses), hints, landmarks_of(log.model), mirror)
     again = refined(shifts.tolist()) if shifts.any() else posed
-    return max(posed, again, key=_fit)
+    return max(again, posed, key=_fit)  # a camera that was moved may not fit at the right lag
 
 
 def _fit(posed: PosedViews) -> tuple[int, float]:
     """Return how many cameras see the people where others see them, and minus the worst residual.
 
-    The residual is in mm.
+    The residual is in mm; 0 unless all of them do.
     """
     fitting = [one for one in posed.found if one.fits and one.reason != UNLINKED]
-    return len(fitting), -max((one.residual_mm for one in fitting), default=0.0)
+    all_fit = len(fitting) == len(posed.found)
+    return len(fitting), -max(one.residual_mm for one in fitting) if all_fit else 0.0
 
 
 def _from_nothing(
