@@ -60,7 +60,7 @@ CEILINGS = {
     "kernels": 3013,
     "plan": 570,
     "regression": 1650,
-    "running": 3220,
+    "running": 3252,
     "simulate": 3070,
     "systems": 400,
     "hiros_schemas": 400,

@@ -9,7 +9,7 @@ has no poses, or poses that the people contradict, they are found from nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -39,11 +39,13 @@ from hiros_mcap.calibrate.verdict import CONFIRMED, SURE, UNLINKED, remedy
 from hiros_mcap.config import Config
 from hiros_mcap.errors import LogError
 from hiros_mcap.events import Event, Events
+from hiros_mcap.frames import Block
 from hiros_mcap.io.camera_clock import ClockCorrection
 from hiros_mcap.io.log import Log
 from hiros_mcap.running.clock_alignment import ClockAlignment, align_clocks
 from hiros_mcap.running.moved_cameras import Move, PosedViews, placed, split_moved
 from hiros_mcap.running.process_options import Calibration
+from hiros_mcap.stages.track.displaced import DISPLACED
 from hiros_mcap.summary import PoseSummary
 
 if TYPE_CHECKING:
@@ -58,6 +60,7 @@ WRONG_DEG, WRONG_MM = 1.0, 30.0
 _APART_MM = 60.0
 """Where a clock is wrong by most of a second, people who walk slowly may still fit: they are off by
 8 to 11 cm, and not by 4 to 5."""
+_AT_ONE_TIME, _ENOUGH = 200_000_000, 2  # ns, and cameras
 _DELAY_S = 0.1
 """Lags of right clocks mostly differ by less."""
 
@@ -85,6 +88,8 @@ class PoseAlignment:
     """Cameras that were moved in the middle of the log."""
     late: Event | None = None
     """A camera that was moved for too short a time to tell a pose."""
+    not_used: int = 0
+    """Detections that :meth:`without_late` left out."""
     alike: tuple[list[str], ...] = ()
     """Cameras that the log puts at one place with one orientation, where the people do not."""
     to_given: Mapping[str, Rigid] = field(default_factory=dict)
@@ -112,11 +117,38 @@ class PoseAlignment:
         """Whether the run uses poses other than the log's."""
         return any(camera.used for camera in self.cameras)
 
+    def without_late(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Leave out what a camera sees after it was moved, as long as its pose is not known.
+
+        Where fewer than two other cameras see as many people, its view may be all that shows one.
+        """
+        self.not_used, late = 0, self.late
+        if late is None:
+            yield from blocks
+            return
+        latest: dict[str, tuple[int, int]] = {}  # other camera -> stamp and number of its people
+        for block in blocks:
+            kept = []
+            messages = zip(block.messages(), block.sizes.tolist(), strict=True)
+            for k, ((stamp, source, _), n) in enumerate(messages):
+                if source != late.source:
+                    latest[source] = stamp, n
+                elif stamp >= late.stamp:
+                    others = [m for t, m in latest.values() if abs(stamp - t) <= _AT_ONE_TIME]
+                    if sum(m >= n for m in others) >= _ENOUGH:
+                        self.not_used += n
+                        continue
+                kept.append(k)
+            if kept:
+                yield block if len(kept) == len(block) else block.select(kept)
+
     def tell(self, events: Events) -> None:
         """Note the cameras that were moved."""
         for move in self.moves:
             events.note(move.stamp, MOVED, source=move.camera, detail=move.distance)
-        events.log += [self.late] if self.late else []
+        if self.late:
+            events.log.append(self.late)
+            events.count(DISPLACED, self.late.source, self.not_used)
 
     def warnings(self) -> Iterator[str]:
         """Yield what makes the poses doubtful, and the remedy."""

@@ -48,7 +48,7 @@ class Prepared:
         ``reading`` is one of the log; None begins another. Raises LogError where it is damaged.
         """
         reading = reading or self.log.read()
-        blocks = self.clocks.correct(reading.blocks())
+        blocks = self.poses.without_late(self.clocks.correct(reading.blocks()))
         if _follows_poses(self.config, self.options):
             blocks = PoseFollower(reading, self.poses).correct(blocks)
         return blocks

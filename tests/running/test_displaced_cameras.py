@@ -13,15 +13,18 @@ from hiros_cli.app import run
 from hiros_mcap.body.rotations import Rigid, from_vector, rotate
 from hiros_mcap.body.transforms import pose_arrays
 from hiros_mcap.config import load_config
-from hiros_mcap.events import events_from_json
+from hiros_mcap.events import Event, events_from_json
+from hiros_mcap.frames import Block
 from hiros_mcap.io.channels import EVENTS_ATTACHMENT, add_skeleton_channel, add_static_poses
 from hiros_mcap.io.codec import Encoder
 from hiros_mcap.io.container import McapWriter
 from hiros_mcap.io.log import open_log
 from hiros_mcap.kernels.transforming import move
 from hiros_mcap.running.pipeline import ProcessOptions, process
+from hiros_mcap.running.pose_alignment import PoseAlignment
 from hiros_mcap.simulate import SimulateParams, Simulation, simulate
-from hiros_mcap.skeletons import Frame
+from hiros_mcap.skeletons import Frame, SkeletonModel
+from hiros_mcap.stages.track.displaced import CAMERA_DISPLACED
 
 STEP = Rigid(from_vector(np.radians([6.0, -8.0, 0.0])), np.array([0.3, 0.0, 0.27]))
 """10 degrees and 40 cm, in the camera's own frame."""
@@ -210,3 +213,22 @@ def test_a_move_before_the_last_fifth_is_told_in_verdict_and_warning(
     assert float(when[1]) == pytest.approx(12.0, abs=1.0)
     assert warning.startswith(f"{doubtful[0].name} shows people ")
     assert cameras == 2 or doubtful[0].name == "camera_1"
+    # Nothing of a camera of unknown pose is used where two others see the person.
+    left_out = re.search(r"hiros left out (\d+) such detections", warning)
+    assert (left_out is None) == (cameras == 2)
+    assert left_out is None or int(left_out[1]) == pytest.approx(90, abs=15)
+
+
+@pytest.mark.parametrize("others", [(2, 2), (3, 2), (3, 0), (2, 1), (2,)])
+def test_who_is_seen_by_a_camera_of_unknown_pose_alone_stays(others: tuple[int, ...]) -> None:
+    """A camera that sees two people is moved in the middle of six instants."""
+    model = SkeletonModel.of(["a", "b"], [])
+    late = Event(3 * SECOND, CAMERA_DISPLACED, -1, "c", "")
+    poses, blocks = PoseAlignment(late=late), []
+    for second in range(6):
+        for name, n in [*zip("ab", others, strict=False), ("c", 2)]:
+            frame = Frame.empty(n, model, stamp=second * SECOND, source=name, frame_id="world")
+            blocks.append(Block.of(frame))
+    kept = [block for block in poses.without_late(blocks) if block.source(0) == "c"]
+    is_left_out = others in ((2, 2), (3, 2))
+    assert [len(kept), poses.not_used] == ([3, 6] if is_left_out else [6, 0])
