@@ -26,8 +26,8 @@ from pathlib import Path
 
 NOTICE = "compiling kernels for this machine, once (about a minute with two cores)"
 
-# A kernel that states its signature; one without is compiled into its callers.
-_SIGNED = re.compile(r"^@kernel\((?!\s*\w+=)", re.MULTILINE)
+# A kernel that Python calls; the others are compiled into their callers.
+_ENTRY = re.compile(r"^@entry\b", re.MULTILINE)
 _IMPORT = re.compile(r"^from (hiros_mcap[\w.]*) import (?:\(([^)]*)\)|(.*)$)", re.MULTILINE)
 _PACKAGE = Path(__file__).parent.parent
 _PLACES = ("kernels/*.py", "stages/*/*.py")
@@ -39,7 +39,7 @@ def sources() -> Mapping[str, str]:
     for path in sorted(path for place in _PLACES for path in _PACKAGE.glob(place)):
         parts = path.relative_to(_PACKAGE.parent).with_suffix("").parts
         texts[".".join(parts)] = path.read_text()
-    return {name: text for name, text in texts.items() if _SIGNED.search(text)}
+    return {name: text for name, text in texts.items() if _ENTRY.search(text)}
 
 
 def imported(source: str) -> list[str]:

@@ -11,10 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import B1, F1, F2, I1, inlined, kernel, named_tuple
-from hiros_mcap.skeletons import Flags, Floats, Stamps
+from hiros_mcap.kernels.compile import B1, F1, F2, I1, entry, inlined, kernel
+from hiros_mcap.skeletons import Floats, Stamps
 
 _INFINITE = 1e18
 
@@ -25,15 +24,12 @@ class AssignmentWork(NamedTuple):
     Rows and columns count from 1; column 0 is the start of a path: (N + 1,).
     """
 
-    row_potential: Floats
-    column_potential: Floats
-    least: Floats
-    """Reduced cost of the cheapest way to a column."""
-    row_of: Stamps
-    """Row of each column, 0 = none."""
-    before: Stamps
-    """Column before each on the cheapest way."""
-    visited: Flags
+    row_potential: F1
+    column_potential: F1
+    least: F1  # Reduced cost of the cheapest way to a column
+    row_of: I1  # Row of each column, 0 = none
+    before: I1  # Column before each on the cheapest way
+    visited: B1
 
     @classmethod
     def allocate(cls, size: int) -> AssignmentWork:
@@ -41,9 +37,6 @@ class AssignmentWork(NamedTuple):
         n = size + 1
         floats, indices = np.empty((3, n)), np.empty((2, n), np.int64)
         return cls._make([*floats, *indices, np.empty(n, np.bool_)])
-
-
-ASSIGNMENT_WORK = named_tuple(AssignmentWork, F1, F1, F1, I1, I1, B1)
 
 
 @inlined
@@ -106,10 +99,8 @@ def _add_row(cost: Floats, n_columns: int, row: int, price: float, work: Assignm
         j0 = work.before[j0]
 
 
-@kernel(types.void(F2, types.int64, types.int64, ASSIGNMENT_WORK, I1))
-def solve(
-    cost: Floats, n_rows: int, n_columns: int, work: AssignmentWork, row_of_column: Stamps
-) -> None:
+@entry
+def solve(cost: F2, n_rows: int, n_columns: int, work: AssignmentWork, row_of_column: I1) -> None:
     """Do what :func:`assign` does for a part of ``cost``, without new arrays.
 
     ``cost[:n_rows, :n_columns]`` counts; ``row_of_column`` (at least n_columns,) is written.

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, I2, inlined, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, I2, inlined, kernel
 from hiros_mcap.kernels.quaternions import exponential, multiply
-from hiros_mcap.skeletons import STATE, Floats, People, Stamps
+from hiros_mcap.skeletons import STATE, Floats, People
 
 # First columns of what a KinematicState holds (hiros_mcap.skeletons).
 POSITION, ORIENTATION, VELOCITY, ANGULAR_VELOCITY, ACCELERATION = 0, 3, 7, 10, 13
@@ -27,32 +27,25 @@ BEGIN, END, TIME, CAMERA = 0, 1, 2, 3
 class Buffers(NamedTuple):
     """Q buffers of messages to merge, K messages in all, for P people in all."""
 
-    stamps: Stamps
-    """(Q,) mean time of each buffer's messages, ns."""
-    people_ends: Stamps
-    message_ends: Stamps
+    stamps: I1  # (Q,) mean time of each buffer's messages, ns
+    people_ends: I1
+    message_ends: I1
     """(Q + 1,) first person and first message of each buffer; the last number is P, or K."""
-    messages: Stamps
+    messages: I2
     """(K, 4) BEGIN and END of each message's people, its TIME in ns and the index of its CAMERA."""
-    past_rows: Stamps
-    """(P,) row of each person in what the merger remembers."""
+    past_rows: I1  # (P,) row of each person in what the merger remembers
 
 
 class Views(NamedTuple):
     """K views of one person; coordinates as in People."""
 
-    cameras: Stamps
-    """(K,) index of the camera."""
-    stamps: Stamps
-    """(K,) time of the message, ns."""
-    confidences: Floats
-    """(K,)."""
-    markers: Floats
-    marker_confidences: Floats
-    """(K, M, 19) and (K, M)."""
-    links: Floats
-    link_confidences: Floats
-    """(K, L, 19) and (K, L)."""
+    cameras: I1  # (K,) index of the camera
+    stamps: I1  # (K,) time of the message, ns
+    confidences: F1  # (K,)
+    markers: F3
+    marker_confidences: F2  # (K, M, 19) and (K, M)
+    links: F3
+    link_confidences: F2  # (K, L, 19) and (K, L)
 
     @classmethod
     def allocate(cls, views: int, n_markers: int, n_links: int) -> Views:
@@ -61,10 +54,6 @@ class Views(NamedTuple):
         shapes = (k,), (k, m, STATE), (k, m), (k, n, STATE), (k, n)
         numbers = [np.empty(shape) for shape in shapes]
         return cls(np.empty(k, np.int64), np.empty(k, np.int64), *numbers)
-
-
-BUFFERS = named_tuple(Buffers, I1, I1, I1, I2, I1)
-VIEWS = named_tuple(Views, I1, I1, F1, F3, F2, F3, F2)
 
 
 @kernel

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import types
-
 from hiros_mcap.kernels.cdr import (
-    BYTES,
     COUNT,
     FRAME,
     FRAME_END,
     OK,
-    TABLES,
     TOO_NARROW,
-    Bytes,
-    Table,
     Tables,
     decode,
     read_header,
 )
 from hiros_mcap.kernels.cleaning import clean
-from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel, named_tuple, rows_of
-from hiros_mcap.kernels.transforming import POSES, PoseArrays, move
+from hiros_mcap.kernels.compile import C1, I1, I2, entry, rows_of
+from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.skeletons import People
 
 START, STOP = 0, 1
@@ -31,26 +25,19 @@ START, STOP = 0, 1
 class Results(NamedTuple):
     """What is found out about N messages and their P people."""
 
-    first: Table
-    """(N + 1,) row of each message's first person, and P."""
-    codes: Table
-    """(N,) OK or a fault of kernels.cdr."""
-    reports: Table
-    """(N, REPORT) report of kernels.cdr."""
-    pose_of: Table
+    first: I1  # (N + 1,) row of each message's first person, and P
+    codes: I1  # (N,) OK or a fault of kernels.cdr
+    reports: I2  # (N, REPORT) report of kernels.cdr
+    pose_of: I1
     """(N,) pose that moves the message's people, -1 = none; chosen between the two kernels."""
-    cleaned: Table
-    """(N, COUNTS) numbers that were taken out, by kind (kernels.cleaning)."""
-    sources: Table
+    cleaned: I2  # (N, COUNTS) numbers that were taken out, by kind (kernels.cleaning)
+    sources: I2
     """(P, 2) first byte of each person's src_frame in its message, and the one after the last."""
 
 
-RESULTS = named_tuple(Results, I1, I1, I2, I1, I2, I2)
-
-
 # As short as it is, giving up the GIL would take longer.
-@kernel(types.void(BYTES, I2, types.int64, I1, I2), nogil=False)
-def read_headers(data: Bytes, places: Table, message: int, first: Table, reports: Table) -> None:
+@entry(nogil=False)
+def read_headers(data: C1, places: I2, message: int, first: I1, reports: I2) -> None:
     """Find out how many people each message holds, 0 where its beginning is damaged.
 
     ``places`` (n, 2) are the first byte of each message in ``data`` and the one after its last.
@@ -65,16 +52,16 @@ def read_headers(data: Bytes, places: Table, message: int, first: Table, reports
             reports[i, FRAME] = reports[i, FRAME_END] = 0
 
 
-@kernel(types.boolean(BYTES, I2, types.int64, TABLES, RESULTS, PEOPLE, POSES, I1, types.boolean))
+@entry
 def decode_messages(
-    data: Bytes,
-    places: Table,
+    data: C1,
+    places: I2,
     message: int,
     tables: Tables,
     results: Results,
     people: People,
     poses: PoseArrays,
-    seen: Table,
+    seen: I1,
     exact: bool,
 ) -> bool:
     """Fill the people's arrays from messages, take out numbers that cannot be true, and move.

@@ -20,10 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import types
 
 from hiros_mcap.kernels.bytes import copy, load32, load64, swap32, swap64, to_double
-from hiros_mcap.kernels.compile import I1, I2, kernel, named_tuple
+from hiros_mcap.kernels.compile import C1, I1, I2, W1, entry, kernel
 from hiros_mcap.skeletons import BOX as BOX
 from hiros_mcap.skeletons import STATE as STATE
 from hiros_mcap.skeletons import Floats, People
@@ -83,13 +82,11 @@ Words = npt.NDArray[np.uint64]
 class Tables(NamedTuple):
     """A skeleton model as messages are compared with it; ids increase from row to row."""
 
-    markers: Table
-    """(M, 3) id, first of its prepared words, how many bytes they are."""
-    links: Table
+    markers: I2  # (M, 3) id, first of its prepared words, how many bytes they are
+    links: I2
     """(L, 5) the same, then the ids of the parent and the child marker; ABSENT + an unused id
     stands for a marker that the log never shows."""
-    words: Words
-    """Prepared bytes of all slots."""
+    words: W1  # Prepared bytes of all slots
 
 
 # Columns of the tables.
@@ -100,17 +97,10 @@ class Slots(NamedTuple):
     """Where the markers, or the links, of a message go; arrays are flat, row after row."""
 
     table: Table
-    seen: Table
-    """(n,) who had the slot last."""
+    seen: Table  # (n,) who had the slot last
     states: Floats
     confidences: Floats
-    width: int
-    """Columns of the states: STATE, or as many as come first."""
-
-
-BYTES = types.Array(types.uint8, 1, "C", readonly=True)
-TABLES = named_tuple(Tables, I2, I2, types.uint64[::1])
-_PAIR = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
+    width: int  # Columns of the states: STATE, or as many as come first
 
 
 @kernel
@@ -172,8 +162,8 @@ def _string(data: Bytes, at: int, swap: bool) -> tuple[int, int, int, int]:
 
 
 # A signature keeps numba from making a version for every smallest size.
-@kernel(_PAIR(BYTES, types.int64, types.boolean, types.int64))
-def _count(data: Bytes, at: int, swap: bool, smallest: int) -> tuple[int, int]:
+@entry
+def _count(data: C1, at: int, swap: bool, smallest: int) -> tuple[int, int]:
     """Return the count of a sequence, -1 if that many elements cannot follow, and its end."""
     at = align4(at)
     if at + 4 > data.size:
@@ -262,8 +252,8 @@ def _element(data: Bytes, at: int, swap: bool, report: Table) -> tuple[int, int]
     return fault, after
 
 
-@kernel(types.int64(BYTES, I2, I1))
-def outline(data: Bytes, rows: Table, report: Table) -> int:
+@entry
+def outline(data: C1, rows: I2, report: I1) -> int:
     """List the markers and the links of a message: ids, names and ends.
 
     ``rows`` is (n, 6), n at least ``data.size // MIN_MARKER + 1``; the first ``report[ROWS]`` rows

@@ -9,9 +9,8 @@ An absent quaternion or vector is NaN throughout. A confidence that is not given
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, I1, kernel
+from hiros_mcap.kernels.compile import F1, I1, entry, kernel
 from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, People, Stamps
 
 LIMIT = 1e4
@@ -41,8 +40,8 @@ _SHORTEST = 1e-6
 
 
 # Signatures keep numba from making a version for every number that a helper is called with.
-@kernel(types.boolean(F1, types.int64, types.int64, I1))
-def _vector(state: Floats, first: int, n: int, counts: Stamps) -> bool:
+@entry
+def _vector(state: F1, first: int, n: int, counts: I1) -> bool:
     """Unset ``n`` numbers that belong together unless all are believable; return if they are."""
     unknown = 0
     absurd = False

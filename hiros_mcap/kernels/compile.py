@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from types import FunctionType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 from numba import njit, types
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
 
 from hiros_mcap.kernels import folder_of, shipped
-from hiros_mcap.skeletons import People
+from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
 # Without numba's reference counts, which kernels that make no arrays have no use for, the code is
 # four times as fast.
@@ -71,21 +75,29 @@ class _KernelCache(caching.FunctionCache):
                 super().save_overload(signature, data)  # type: ignore[no-untyped-call]
 
 
-def kernel(signature: Any, **options: Any) -> Any:
-    """Compile a function that makes no arrays: ``@kernel``, or ``@kernel(signature)``.
+def kernel(function: Any) -> Any:
+    """Compile a function that makes no arrays, for other kernels; see :func:`entry`.
 
-    A private one cannot be called from Python (the process would die of it), only from kernels: to
-    make them callable, too, would take an eighth of the time that compiling all of them takes.
-    One without a signature must not be called from Python: nothing ships it. ``_nrt=True`` is for a
-    kernel that makes arrays after all.
+    A private one cannot be called from Python: the process would die of it. To make those callable,
+    too, would take an eighth of the time that compiling all of them takes. A public one must not be
+    called from Python either: nothing ships it.
     """
-    if not isinstance(signature, FunctionType):
-        return partial(_with_signature, signature, options)
-    private = signature.__name__.startswith("_")
-    return _cached(signature, no_cpython_wrapper=private, no_cfunc_wrapper=private)
+    private = function.__name__.startswith("_")
+    return _cached(function, no_cpython_wrapper=private, no_cfunc_wrapper=private)
 
 
-def _with_signature(signature: Any, options: dict[str, Any], function: FunctionType) -> Any:
+def entry(function: Any = None, *, signature: Any = None, **options: Any) -> Any:
+    """Compile a kernel that Python calls, when its module is imported.
+
+    Its signature is what its annotations name: numba's types, NamedTuples of them, or float, int
+    and bool. ``_nrt=True`` is for a kernel that makes arrays after all.
+    """
+    if function is None:
+        return partial(entry, signature=signature, **options)
+    if signature is None:
+        names = function.__globals__
+        *given, result = [numba_type(name, names) for name in function.__annotations__.values()]
+        signature = result(*given)
     compiled = _cached(function, **options)
     compiled.compile(signature)
     compiled.disable_compile()
@@ -120,21 +132,63 @@ def direct(function: Any) -> Any:
     return compiled.entry_point
 
 
-def named_tuple(kind: type[Any], *fields: Any) -> Any:
-    """Return numba's type of a NamedTuple, for signatures, from those of its fields."""
+def numba_type(annotation: str, names: Mapping[str, Any]) -> Any:
+    """Return the type that an annotation stands for, where a module defines ``names``."""
+    if annotation in _BUILT_IN:
+        return _BUILT_IN[annotation]
+    return named_tuple(kind) if isinstance(kind := names[annotation], type) else kind
+
+
+@cache
+def named_tuple(kind: type[Any]) -> Any:
+    """Return numba's type of a NamedTuple, from the annotations of its fields."""
+    if kind is People:
+        fields = [J1, I1, F1, F3, F2, F3, F2, F2]
+        return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
+    names = vars(sys.modules[kind.__module__])
+    fields = [numba_type(each.__forward_arg__, names) for each in kind.__annotations__.values()]
     if len(set(fields)) == 1:  # numba has a type of its own for equal fields
         return types.NamedUniTuple(fields[0], len(fields), kind)  # type: ignore[no-untyped-call]
     return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
 
 
-# C-contiguous arrays: floats, 64-bit integers, 32-bit integers and flags, of 1 to 4 dimensions.
-F1, F2 = types.float64[::1], types.float64[:, ::1]
-F3, F4 = types.float64[:, :, ::1], types.float64[:, :, :, ::1]
-I1, I2 = types.int64[::1], types.int64[:, ::1]
-J1, J2 = types.int32[::1], types.int32[:, ::1]
-B1, B2 = types.boolean[::1], types.boolean[:, ::1]
+_BUILT_IN = {
+    "float": types.float64, "int": types.int64, "bool": types.boolean, "None": types.void,
+    "tuple[int, int]": types.UniTuple(types.int64, 2),  # type: ignore[no-untyped-call]
+}  # fmt: skip
 
-PEOPLE = named_tuple(People, J1, I1, F1, F3, F2, F3, F2, F2)
+# C-contiguous arrays of 1 to 4 dimensions: floats, 64-bit integers, 32-bit integers, flags, floats
+# of 32 bits, bytes (C1: only read) and words of 64 bits. They annotate what a kernel takes.
+if TYPE_CHECKING:
+    F1 = Floats
+    F2 = Floats
+    F3 = Floats
+    F4 = Floats
+    I1 = Stamps
+    I2 = Stamps
+    I3 = Stamps
+    J1 = Ints
+    J2 = Ints
+    J3 = Ints
+    B1 = Flags
+    B2 = Flags
+    S2 = npt.NDArray[np.float32]
+    S3 = npt.NDArray[np.float32]
+    C1 = npt.NDArray[np.uint8]
+    U1 = npt.NDArray[np.uint8]
+    W1 = npt.NDArray[np.uint64]
+else:
+    F1, F2 = types.float64[::1], types.float64[:, ::1]
+    F3, F4 = types.float64[:, :, ::1], types.float64[:, :, :, ::1]
+    I1, I2, I3 = types.int64[::1], types.int64[:, ::1], types.int64[:, :, ::1]
+    J1, J2, J3 = types.int32[::1], types.int32[:, ::1], types.int32[:, :, ::1]
+    B1, B2 = types.boolean[::1], types.boolean[:, ::1]
+    S2, S3 = types.float32[:, ::1], types.float32[:, :, ::1]
+    C1, U1, W1 = (
+        types.Array(types.uint8, 1, "C", readonly=True),
+        types.uint8[::1],
+        types.uint64[::1],
+    )
 
 
 @inlined

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import inlined, kernel
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.kernels.compile import F1, F2, F3, I2, entry, inlined
+from hiros_mcap.skeletons import Floats, Ints
 
 
 @inlined
@@ -67,8 +67,8 @@ def weighted_mean_distance(
     return total / norm if norm > 0.0 else np.inf
 
 
-@kernel("void(float64[:,:,::1], float64[:,:,::1], float64[:,::1])")
-def mean_distances(poses: Floats, others: Floats, out: Floats) -> None:
+@entry
+def mean_distances(poses: F3, others: F3, out: F2) -> None:
     """Write the :func:`mean_distance` of each pair of ``poses`` (P, M, 3) and ``others`` (Q, M, 3).
 
     ``out`` is (P, Q), m.
@@ -78,8 +78,8 @@ def mean_distances(poses: Floats, others: Floats, out: Floats) -> None:
             out[p, q] = mean_distance(poses[p], others[q])
 
 
-@kernel("void(float64[:,:,::1], float64[:,:,::1], int64[:,::1], float64[::1])")
-def nearest(poses: Floats, others: Floats, rows: Stamps, out: Floats) -> None:
+@entry
+def nearest(poses: F3, others: F3, rows: I2, out: F1) -> None:
     """Write each pose's mean distance, m, to the nearest of some of the others (Q, M, 3).
 
     ``rows`` (P, 2) are the first of the others that a pose is compared with, and the one after the

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.kernels.compile import kernel
-from hiros_mcap.skeletons import Floats, Ints, Stamps
+from hiros_mcap.kernels.compile import F2, F3, I1, J1, J2, S2, S3, entry, kernel
 
 Singles = npt.NDArray[np.float32]
 
@@ -21,10 +20,8 @@ def _size(largest: float, confidence: float) -> Any:
     return np.float32(largest * (0.5 + 0.5 * known))
 
 
-@kernel("void(float64[:,:,::1], float64[:,::1], int64[::1], float64[:,:,::1], float64[:,::1])")
-def pick(
-    markers: Floats, confidences: Floats, rows: Stamps, positions: Floats, sure: Floats
-) -> None:
+@entry
+def pick(markers: F3, confidences: F2, rows: I1, positions: F3, sure: F2) -> None:
     """Copy positions (P, M, 3), m, and confidences (P, M) of some rows of markers (N, M, 19)."""
     for p in range(rows.shape[0]):
         n = rows[p]
@@ -34,16 +31,14 @@ def pick(
             sure[p, m] = confidences[n, m]
 
 
-@kernel(
-    "void(float64[:,:,::1], float64[:,::1], int64[::1], float64, float32[:,:,::1], float32[:,::1])"
-)
+@entry
 def draw_joints(
-    poses: Floats,
-    confidences: Floats,
-    rows: Stamps,
+    poses: F3,
+    confidences: F2,
+    rows: I1,
     largest: float,
-    joints: Singles,
-    radii: Singles,
+    joints: S3,
+    radii: S2,
 ) -> None:
     """Write the joints (R, M, 3) and their radii (R, M), m, of some poses (N, M, 3)."""
     for r in range(rows.shape[0]):
@@ -54,8 +49,8 @@ def draw_joints(
             radii[r, m] = _size(largest, confidences[n, m])
 
 
-@kernel("int64(float32[:,:,::1], int32[:,::1], float32[:,:,::1], int32[::1])")
-def draw_bones(joints: Singles, ends: Ints, bones: Singles, counts: Ints) -> int:
+@entry
+def draw_bones(joints: S3, ends: J2, bones: S3, counts: J1) -> int:
     """Write the bones that have both ends, and how many each pose has; return how many in all.
 
     ``joints`` (R, M, 3), ``ends`` (B, 2) slots, ``bones`` (at least R B, 2, 3), ``counts`` (R,).
@@ -75,8 +70,8 @@ def draw_bones(joints: Singles, ends: Ints, bones: Singles, counts: Ints) -> int
     return total
 
 
-@kernel("void(float64[:,:,::1], int64[::1], float64[:,::1])")
-def tops(poses: Floats, rows: Stamps, out: Floats) -> None:
+@entry
+def tops(poses: F3, rows: I1, out: F2) -> None:
     """Write the mean x and y and the largest z of each pose (R, 3), m; NaN if it has no joint."""
     for r in range(rows.shape[0]):
         n, known = rows[r], 0

@@ -12,11 +12,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels.bytes import load64, store32, store64, to_word
 from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
-from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import C1, I1, I2, U1, W1, entry, kernel
 from hiros_mcap.skeletons import ORIENTATION, Floats, People
 
 # Faults of a frame.
@@ -34,23 +33,20 @@ _ONE = np.uint64(1)
 class Hierarchy(NamedTuple):
     """What every message repeats of the skeleton model."""
 
-    most: Table
-    """(2,) max_markers and max_links."""
-    markers: Table
-    links: Table
-    words: Words
+    most: I1  # (2,) max_markers and max_links
+    markers: I2
+    links: I2
+    words: W1
 
 
 class Messages(NamedTuple):
     """What N messages hold besides their people."""
 
-    texts: Bytes
-    places: Table
+    texts: C1
+    places: I2
     """(N, 4) first byte of ``texts`` and the one after the last, of frame_id and of src_frame."""
-    stamps: Table
-    """(N,) ns."""
-    rows: Table
-    """(N, 2) first row of the people, and the row after the last."""
+    stamps: I1  # (N,) ns
+    rows: I2  # (N, 2) first row of the people, and the row after the last
 
 
 class Format(NamedTuple):
@@ -58,15 +54,9 @@ class Format(NamedTuple):
 
     columns: int
     """How many of the numbers of a KinematicState: all, or the pose only. The others are NaN."""
-    dropped: int
-    """How many of the 52 bits of the mantissa are rounded away, the lowest ones."""
+    dropped: int  # How many of the 52 bits of the mantissa are rounded away, the lowest ones
     boxed: int
     """Whether bounding boxes are those of the markers; else they are written as they are given."""
-
-
-_HIERARCHY = named_tuple(Hierarchy, I1, I2, I2, types.uint64[::1])
-_MESSAGES = named_tuple(Messages, types.Array(types.uint8, 1, "C", readonly=True), I2, I1, I2)
-_FORMAT: Any = types.NamedUniTuple(types.int64, 3, Format)  # type: ignore[no-untyped-call]
 
 
 @kernel
@@ -289,20 +279,16 @@ def _fits(people: People, model: Hierarchy) -> bool:
     )  # fmt: skip
 
 
-@kernel(
-    types.int64(
-        types.uint8[::1], types.int64, types.int64, _MESSAGES, _HIERARCHY, PEOPLE, _FORMAT, I1
-    ),
-)
+@entry
 def encode(
-    out: Bytes,
+    out: U1,
     gap: int,
     limit: int,
     messages: Messages,
     model: Hierarchy,
     people: People,
     form: Format,
-    ends: Table,
+    ends: I1,
 ) -> int:
     """Write messages, little-endian, one after the other into ``out``.
 

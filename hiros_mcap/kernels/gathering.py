@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import I1, I2, PEOPLE, kernel
+from hiros_mcap.kernels.compile import I1, I2, entry, kernel
 from hiros_mcap.skeletons import Floats, People, Stamps
 
 
@@ -33,9 +32,9 @@ def _spread_rows(
                 to[at + p, m, columns[k]] = source[begin + p, m, k]
 
 
-@kernel(types.void(I2, I1, PEOPLE, I1, I1, PEOPLE))
+@entry
 def gather(
-    rows: Stamps, targets: Stamps, people: People, marker_columns: Stamps, link_columns: Stamps,
+    rows: I2, targets: I1, people: People, marker_columns: I1, link_columns: I1,
     target: People,
 ) -> None:  # fmt: skip
     """Copy the people of frames into ``target``; neighbours are copied together.

@@ -7,62 +7,44 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, J1, kernel, named_tuple
+from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, J1, entry, kernel
 from hiros_mcap.kernels.distance import norm3
-from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_mcap.skeletons import Floats
 
-_SHARE = 0.75
-"""Of two skeletons' joints, this share with the smallest distances is compared."""
-_LEAST = 4
-"""Skeletons with fewer joints in common are not compared."""
+_SHARE = 0.75  # Of two skeletons' joints, this share with the smallest distances is compared
+_LEAST = 4  # Skeletons with fewer joints in common are not compared
 
 
 class Skeletons(NamedTuple):
     """N skeletons in a common frame, instant by instant."""
 
-    positions: Floats
-    """(N, M, 3) m."""
-    weights: Floats
-    """(N, M) 0 = absent."""
-    cameras: Stamps
-    """(N,) index of the camera."""
-    mirror: Ints
-    """(M,) slot of the joint on the other side."""
+    positions: F3  # (N, M, 3) m
+    weights: F2  # (N, M) 0 = absent
+    cameras: I1  # (N,) index of the camera
+    mirror: J1  # (M,) slot of the joint on the other side
 
 
 class Groups(NamedTuple):
     """Who is who, for N skeletons."""
 
-    people: Stamps
-    """(N,) first row of the group that a skeleton belongs to; its own if it is alone."""
-    mirrored: Flags
-    """(N,) whether its sides are swapped against those of that row."""
-    distances: Floats
-    """(N,) mean distance, m, to the skeleton by which it joined; inf for a first row."""
+    people: I1  # (N,) first row of the group that a skeleton belongs to; its own if it is alone
+    mirrored: B1  # (N,) whether its sides are swapped against those of that row
+    distances: F1  # (N,) mean distance, m, to the skeleton by which it joined; inf for a first row
 
 
 class GroupingWork(NamedTuple):
     """Scratch for instants of up to S skeletons."""
 
-    distances: Floats
-    """(S, S)"""
-    mirrored: Flags
-    """(S, S)"""
-    joints: Floats
-    """(M,)"""
+    distances: F2  # (S, S)
+    mirrored: B2  # (S, S)
+    joints: F1  # (M,)
 
     @classmethod
     def allocate(cls, n_skeletons: int, n_markers: int) -> GroupingWork:
         """Allocate the arrays."""
         square = n_skeletons, n_skeletons
         return cls(np.empty(square), np.empty(square, np.bool_), np.empty(n_markers))
-
-
-SKELETONS = named_tuple(Skeletons, F3, F2, I1, J1)
-GROUPS = named_tuple(Groups, I1, B1, F1)
-GROUPING_WORK = named_tuple(GroupingWork, F2, B2, F1)
 
 
 @kernel
@@ -142,9 +124,9 @@ def _join(groups: Groups, begin: int, end: int, a: int, b: int, mirrored: bool) 
             groups.mirrored[i] ^= swap
 
 
-@kernel(types.void(SKELETONS, I1, types.float64, GROUPING_WORK, GROUPS))
+@entry
 def group_people(
-    skeletons: Skeletons, begins: Stamps, gate: float, work: GroupingWork, groups: Groups
+    skeletons: Skeletons, begins: I1, gate: float, work: GroupingWork, groups: Groups
 ) -> None:
     """Join the skeletons of each instant to people, the nearest first, one of each camera.
 

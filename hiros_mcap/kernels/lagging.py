@@ -5,29 +5,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, entry, kernel
 from hiros_mcap.skeletons import Floats
 
 
 class LagWork(NamedTuple):
     """What is found for each of L lags."""
 
-    correlations: Floats
+    correlations: F1
     """(L,) over all features, each less its mean; NaN where the overlap is too short."""
-    differences: Floats
-    """(L,) root mean square difference, m."""
-    overlaps: Floats
-    """(L,) samples that both have."""
+    differences: F1  # (L,) root mean square difference, m
+    overlaps: F1  # (L,) samples that both have
 
     @classmethod
     def allocate(cls, n_lags: int) -> LagWork:
         """Allocate the arrays."""
         return cls(np.empty(n_lags), np.empty(n_lags), np.empty(n_lags))
-
-
-LAG_WORK = named_tuple(LagWork, F1, F1, F1)
 
 
 @kernel
@@ -49,8 +43,8 @@ def _add_feature(a: Floats, b: Floats, f: int, lag: int, sums: Floats) -> None:
         sums[4] += saa + sbb - 2.0 * sab
 
 
-@kernel(types.void(F2, F2, types.int64, F1, LAG_WORK))
-def correlate(a: Floats, b: Floats, first: int, sums: Floats, work: LagWork) -> None:
+@entry
+def correlate(a: F2, b: F2, first: int, sums: F1, work: LagWork) -> None:
     """Correlate signatures (F, T) and (F, U), NaN = absent, at the lags first, first + 1, ...
 
     At a lag, sample ``i`` of ``a`` belongs to sample ``i + lag`` of ``b``. ``sums`` is (5,)

@@ -4,39 +4,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import types
+from hiros_mcap.kernels.compile import F1, F2, F3, entry, kernel
 
-from hiros_mcap.kernels.compile import F1, F2, F3, kernel, named_tuple
-from hiros_mcap.skeletons import Floats
-
-_LEAST_SPREAD = 1e-4
-"""(SD of the frames' times / half width)^2 below which they give no velocity."""
+_LEAST_SPREAD = 1e-4  # (SD of the frames' times / half width)^2 below which they give no velocity
 
 
 class Lines(NamedTuple):
     """Joints at K instants."""
 
-    positions: Floats
-    """(K, M, 3) m."""
-    velocities: Floats
-    """(K, M, 3) m/s."""
-    weights: Floats
+    positions: F3  # (K, M, 3) m
+    velocities: F3  # (K, M, 3) m/s
+    weights: F2
     """(K, M) information of the position, in frames of weight 1; 0 where it is not known."""
 
 
 class Tracklet(NamedTuple):
     """The frames of one person in one camera."""
 
-    seconds: Floats
-    """(T,) times, s, increasing."""
-    positions: Floats
-    """(T, M, 3) m; any number where the weight is 0, but not NaN."""
-    weights: Floats
-    """(T, M) 0 = absent."""
-
-
-LINES = named_tuple(Lines, F3, F3, F2)
-TRACKLET = named_tuple(Tracklet, F1, F3, F2)
+    seconds: F1  # (T,) times, s, increasing
+    positions: F3  # (T, M, 3) m; any number where the weight is 0, but not NaN
+    weights: F2  # (T, M) 0 = absent
 
 
 @kernel
@@ -72,8 +59,8 @@ def _fit(
     velocities[2] = (s0 * z1 - s1 * z0) * share
 
 
-@kernel(types.void(TRACKLET, F1, types.float64, LINES))
-def fit_lines(track: Tracklet, instants: Floats, half_width: float, lines: Lines) -> None:
+@entry
+def fit_lines(track: Tracklet, instants: F1, half_width: float, lines: Lines) -> None:
     """Fit a line in time to every joint about every instant, by weighted least squares.
 
     A frame counts with its weight times ``1 - (dt / half_width)^2``. The weight of the result is

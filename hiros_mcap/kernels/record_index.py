@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import types
 
-from hiros_mcap.kernels.compile import kernel
+from hiros_mcap.kernels.compile import entry, kernel
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -68,7 +68,7 @@ def _walk(data, messages, definitions):  # type: ignore[no-untyped-def]
     return OK, at, n_messages, n_definitions
 
 
-@kernel(_RESULT(_BYTES), _nrt=True)
+@entry(signature=_RESULT(_BYTES), _nrt=True)
 def index_records(
     data: npt.NDArray[np.uint8],
 ) -> tuple[int, int, npt.NDArray[np.uint64], npt.NDArray[np.uint64]]:

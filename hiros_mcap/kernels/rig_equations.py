@@ -8,10 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, kernel, named_tuple
-from hiros_mcap.skeletons import Floats, Stamps
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, entry, kernel
+from hiros_mcap.skeletons import Floats
 
 UNKNOWNS = 8
 """Of a camera: rotation, shift, clock, drift."""
@@ -21,27 +20,19 @@ CLOCK, DRIFT = 6, 7
 class SeenPoints(NamedTuple):
     """P joints that at least two of C cameras see."""
 
-    seconds: Floats
-    """(P,) common time."""
-    offsets: Floats
-    """(C, P, 3) from the joint's mean, m."""
-    weights: Floats
-    """(C, P) 0 where the camera does not see it."""
-    turned: Floats
-    """(C, P, 3) R x, m."""
-    velocities: Floats
-    """(C, P, 3) common frame, m/s."""
+    seconds: F1  # (P,) common time
+    offsets: F3  # (C, P, 3) from the joint's mean, m
+    weights: F2  # (C, P) 0 where the camera does not see it
+    turned: F3  # (C, P, 3) R x, m
+    velocities: F3  # (C, P, 3) common frame, m/s
 
 
 class RigEquations(NamedTuple):
     """What is summed over all points."""
 
-    hessian: Floats
-    """(8 (C - 1), 8 (C - 1)); the upper triangle of blocks is written."""
-    slopes: Floats
-    """(K, 8 (C - 1)) gradient, summed over each of K clusters of points."""
-    jacobians: Floats
-    """(C - 1, 3, 8) scratch: Jacobians of a point."""
+    hessian: F2  # (8 (C - 1), 8 (C - 1)); the upper triangle of blocks is written
+    slopes: F2  # (K, 8 (C - 1)) gradient, summed over each of K clusters of points
+    jacobians: F3  # (C - 1, 3, 8) scratch: Jacobians of a point
 
     @classmethod
     def zeros(cls, n_cameras: int, n_clusters: int) -> RigEquations:
@@ -49,10 +40,6 @@ class RigEquations(NamedTuple):
         n = UNKNOWNS * (n_cameras - 1)
         scratch = np.zeros((n_cameras - 1, 3, UNKNOWNS))
         return cls(np.zeros((n, n)), np.zeros((n_clusters, n)), scratch)
-
-
-SEEN_POINTS = named_tuple(SeenPoints, F1, F3, F2, F3, F3)
-RIG_EQUATIONS = named_tuple(RigEquations, F2, F2, F3)
 
 
 @kernel
@@ -81,8 +68,8 @@ def _add_block(hessian: Floats, c: int, d: int, factor: float, jacobians: Floats
                     row[b] += scaled * jacobians[d, i, b]
 
 
-@kernel(types.void(SEEN_POINTS, I1, RIG_EQUATIONS))
-def add_points(points: SeenPoints, clusters: Stamps, equations: RigEquations) -> None:
+@entry
+def add_points(points: SeenPoints, clusters: I1, equations: RigEquations) -> None:
     """Add all points to ``sum w J'J - (sum w J)' (sum w J) / sum w`` and to the gradient.
 
     Parameters

@@ -6,24 +6,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F2, F3, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import F2, F3, entry, kernel
 from hiros_mcap.skeletons import Floats, People
 
 
 class PoseArrays(NamedTuple):
     """K poses; the rotation is given twice, since each form is needed."""
 
-    xyzw: Floats
-    """(K, 4) unit quaternions."""
-    matrices: Floats
-    """(K, 3, 3)."""
-    translations: Floats
-    """(K, 3) m."""
-
-
-POSES = named_tuple(PoseArrays, F2, F3, F2)
+    xyzw: F2  # (K, 4) unit quaternions
+    matrices: F3  # (K, 3, 3)
+    translations: F2  # (K, 3) m
 
 
 @kernel
@@ -55,7 +48,7 @@ def _move_state(poses: PoseArrays, k: int, states: Floats, p: int, n: int) -> No
     states[p, n, 6] = aw * bw - ax * bx - ay * by - az * bz
 
 
-@kernel(types.void(POSES, types.int64, PEOPLE))
+@entry
 def move(poses: PoseArrays, k: int, people: People) -> None:
     """Express people in another frame by pose ``k`` (Hi-ROS 2023, eq 5), in place.
 

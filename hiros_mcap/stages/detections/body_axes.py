@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, inlined, kernel
+from hiros_mcap.kernels.compile import F1, F2, F3, entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 PATIENCE = 1.0
@@ -236,8 +235,8 @@ def upright(axes: Floats, up: Floats) -> float:
     return share
 
 
-@kernel(types.void(F2, F3, F1, F1))
-def find_upright(velocities: Floats, axes: Floats, up: Floats, out: Floats) -> None:
+@entry
+def find_upright(velocities: F2, axes: F3, up: F1, out: F1) -> None:
     """Write how upright (N,) the trunks of a whole log are.
 
     Parameters

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import types
-
 from hiros_mcap.kernels.averaging import ACCELERATION, POSITION, VELOCITY, blank, exchange
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, PEOPLE, kernel
-from hiros_mcap.skeletons import Floats, People, Stamps
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, entry, kernel
+from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.detections.body_axes import component
-from hiros_mcap.stages.detections.facing import MARKERS, FacingMarkers
+from hiros_mcap.stages.detections.facing import FacingMarkers
 
 
 @kernel
@@ -29,10 +27,8 @@ def _turn_toes(states: Floats, ankle: int, toes: int, facing: Floats, axes: Floa
         states[toes, first + 2] -= 2.0 * along * z
 
 
-@kernel(types.void(PEOPLE, I1, F2, F3, MARKERS))
-def exchange_sides(
-    people: People, rows: Stamps, facing: Floats, axes: Floats, markers: FacingMarkers
-) -> None:
+@entry
+def exchange_sides(people: People, rows: I1, facing: F2, axes: F3, markers: FacingMarkers) -> None:
     """Exchange left and right of the ``rows`` of ``people``, in place.
 
     A detector that mirrors a person turns the links by a convention of its own, so they become
@@ -65,10 +61,8 @@ def _turn_pair(a: Floats, b: Floats, turn: float, axes: Floats) -> None:
             b[first + c] += change
 
 
-@kernel(types.void(PEOPLE, I1, F1, F3, MARKERS))
-def turn_trunks(
-    people: People, rows: Stamps, turns: Floats, axes: Floats, markers: FacingMarkers
-) -> None:
+@entry
+def turn_trunks(people: People, rows: I1, turns: F1, axes: F3, markers: FacingMarkers) -> None:
     """Turn shoulders and hips of the ``rows`` of ``people`` by ``turns`` (N,), rad, in place.
 
     They turn about the trunk; ``axes`` (N, 3, 3) are those of the views.

@@ -13,24 +13,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels.averaging import copy_row
-from hiros_mcap.kernels.compile import (
-    B1,
-    F1,
-    F2,
-    F3,
-    I1,
-    I2,
-    J1,
-    J2,
-    PEOPLE,
-    inlined,
-    kernel,
-    named_tuple,
-)
-from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
+from hiros_mcap.kernels.compile import B1, F1, F2, F3, I1, I2, J1, J2, entry, inlined, kernel
+from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 from hiros_mcap.stages.detections.body_axes import (
     component,
     follow_line,
@@ -81,43 +67,28 @@ PRIOR_AGREEMENT = (0.8, 0.8, 0.8, 0.5)
 class FacingMarkers(NamedTuple):
     """Slots of markers, as in body.symmetry and body.forward_cues."""
 
-    mirror: Ints
-    """(M,)."""
-    lateral: Ints
-    """(K, 2)."""
-    vectors: Ints
-    """(V, 4)."""
-    feet: Ints
-    """(F, 2)."""
-    trunk: Ints
-    """(T, 2)."""
+    mirror: J1  # (M,)
+    lateral: J2  # (K, 2)
+    vectors: J2  # (V, 4)
+    feet: J2  # (F, 2)
+    trunk: J2  # (T, 2)
 
 
 class Looks(NamedTuple):
     """What N views of anybody show, across the person's trunk."""
 
-    cells: Stamps
-    """(N,) number of the cell of time."""
-    stamps: Stamps
-    """(N,) ns."""
-    cameras: Stamps
-    """(N,) index of the camera."""
-    rows: Stamps
-    """(N,) row of the person in what is remembered."""
-    facing: Floats
-    """(N, 2) unit vector: the facing by the labels left and right; NaN = not known."""
-    widths: Floats
-    """(N,) length of the line that it was measured on, m."""
-    centres: Floats
-    """(N, 3) mean position of the markers, m."""
-    cues: Floats
-    """(N, CUES * 2) vectors that point forwards, m; 0 = not known."""
-    axes: Floats
-    """(N, 3, 3) the person's: two across the trunk, one along it; NaN = not known."""
-    starts: Stamps
+    cells: I1  # (N,) number of the cell of time
+    stamps: I1  # (N,) ns
+    cameras: I1  # (N,) index of the camera
+    rows: I1  # (N,) row of the person in what is remembered
+    facing: F2  # (N, 2) unit vector: the facing by the labels left and right; NaN = not known
+    widths: F1  # (N,) length of the line that it was measured on, m
+    centres: F2  # (N, 3) mean position of the markers, m
+    cues: F2  # (N, CUES * 2) vectors that point forwards, m; 0 = not known
+    axes: F3  # (N, 3, 3) the person's: two across the trunk, one along it; NaN = not known
+    starts: I1
     """(N,) how often they were chosen anew: facings before and after that have no relation."""
-    weights: Floats
-    """(N,) 1 for a camera of 30 Hz or slower, less for a faster one."""
+    weights: F1  # (N,) 1 for a camera of 30 Hz or slower, less for a faster one
 
     @classmethod
     def allocate(cls, n: int) -> Looks:
@@ -142,41 +113,26 @@ class Looks(NamedTuple):
 class FacingPast(NamedTuple):
     """What is remembered of S people, a row each."""
 
-    cells: Stamps
-    """(S,) number of the current cell; 0 = never seen."""
-    beliefs: Floats
-    """(S, BINS) probabilities before the current cell's views."""
-    evidence: Floats
-    """(S, BINS) logarithm of the likelihood of the current cell's views so far."""
-    widths: Floats
-    """(S,) 80 % quantile of Looks.widths, m."""
-    view_stamps: Stamps
-    view_cameras: Stamps
-    """(S, VIEWS) the last views, a ring; stamp 0 = none."""
-    view_looks: Floats
-    """(S, VIEWS, 2 + CUES * 2) their facing and cues."""
-    view_ranges: Floats
+    cells: I1  # (S,) number of the current cell; 0 = never seen
+    beliefs: F2  # (S, BINS) probabilities before the current cell's views
+    evidence: F2  # (S, BINS) logarithm of the likelihood of the current cell's views so far
+    widths: F1  # (S,) 80 % quantile of Looks.widths, m
+    view_stamps: I2
+    view_cameras: I2  # (S, VIEWS) the last views, a ring; stamp 0 = none
+    view_looks: F3  # (S, VIEWS, 2 + CUES * 2) their facing and cues
+    view_ranges: F3
     """(S, VIEWS, 3) their facing, rad, however the axes were turned, and the least and the
     largest one that the camera showed lately without a step; NaN = not known."""
-    next_view: Stamps
-    """(S,) place of the next one in the ring."""
-    way_cells: Stamps
-    """(S, CELLS) the last cells, a ring."""
-    way: Floats
-    """(S, CELLS, 4) sum of the centres of their views, m, and the number of these."""
-    next_cell: Stamps
-    """(S,) place of the next one in the ring."""
-    axes: Floats
-    """(S, 3, 3) as Looks.axes, of the last view."""
-    trunks: Floats
-    """(S, 3) mean of the last unit vectors along the trunk."""
-    trunk_stamps: Stamps
-    """(S,) time of the last view that showed it, ns."""
-    lines: Floats
-    """(S, 3) see body_axes.follow_line; NaN = not known."""
-    starts: Stamps
-    belief_starts: Stamps
-    """(S,) as Looks.starts: of the last view; of the current cell."""
+    next_view: I1  # (S,) place of the next one in the ring
+    way_cells: I2  # (S, CELLS) the last cells, a ring
+    way: F3  # (S, CELLS, 4) sum of the centres of their views, m, and the number of these
+    next_cell: I1  # (S,) place of the next one in the ring
+    axes: F3  # (S, 3, 3) as Looks.axes, of the last view
+    trunks: F2  # (S, 3) mean of the last unit vectors along the trunk
+    trunk_stamps: I1  # (S,) time of the last view that showed it, ns
+    lines: F2  # (S, 3) see body_axes.follow_line; NaN = not known
+    starts: I1
+    belief_starts: I1  # (S,) as Looks.starts: of the last view; of the current cell
 
     @classmethod
     def empty(cls) -> FacingPast:
@@ -194,17 +150,14 @@ class FacingPast(NamedTuple):
 class FacingTables(NamedTuple):
     """What the kernels share."""
 
-    directions: Floats
-    """(BINS, 2) unit vectors."""
-    turns: Floats
+    directions: F2  # (BINS, 2) unit vectors
+    turns: F2
     """(_LONGEST_GAP + 1, _HALF + 1) probability of a turn by so many bins in so many cells."""
-    agreement: Floats
+    agreement: F2
     """(CUES, 2) learned: how often a cue points the same way in views whose labels contradict each
     other, and how often it was asked. It tells physical cues from those that follow the label."""
-    rounds: Floats
-    """(1,) learned: how often labels went round with a person; such labels are honest."""
-    up: Floats
-    """(4,) learned, see body_axes.learn_up."""
+    rounds: F1  # (1,) learned: how often labels went round with a person; such labels are honest
+    up: F1  # (4,) learned, see body_axes.learn_up
 
     @classmethod
     def make(cls) -> FacingTables:
@@ -231,14 +184,10 @@ class FacingTables(NamedTuple):
 class Facings(NamedTuple):
     """What was decided on N views."""
 
-    facing: Floats
-    """(N, 2) the way the person faces; the length, up to 1, tells how sure that is."""
-    swapped: Flags
-    """(N,) whether the view's left and right are exchanged."""
-    turns: Floats
-    """(N,) angle by which shoulders and hips are turned after that, rad."""
-    toes: Floats
-    """(N,) what was known when this was decided: see FacingTables.reliability of the toes."""
+    facing: F2  # (N, 2) the way the person faces; the length, up to 1, tells how sure that is
+    swapped: B1  # (N,) whether the view's left and right are exchanged
+    turns: F1  # (N,) angle by which shoulders and hips are turned after that, rad
+    toes: F1  # (N,) what was known when this was decided: see FacingTables.reliability of the toes
 
     @classmethod
     def allocate(cls, n: int) -> Facings:
@@ -248,15 +197,6 @@ class Facings(NamedTuple):
     def at(self, views: slice) -> Facings:
         """Return what was decided on some of the views; the arrays are shared."""
         return Facings._make(array[views] for array in self)
-
-
-MARKERS = named_tuple(FacingMarkers, J1, J2, J2, J2, J2)
-_LOOKS = named_tuple(Looks, I1, I1, I1, I1, F2, F1, F2, F2, F3, I1, F1)
-_PAST = named_tuple(
-    FacingPast, I1, F2, F2, F1, I2, I2, F3, F3, I1, I2, F3, I1, F3, F2, I1, F2, I1, I1
-)
-_TABLES = named_tuple(FacingTables, F2, F2, F2, F1, F1)
-_FACINGS = named_tuple(Facings, F2, B1, F1, F1)
 
 
 # What a view shows.
@@ -491,9 +431,9 @@ def _measure(
     _learn(looks, i, past, tables)
 
 
-@kernel(types.void(PEOPLE, I1, MARKERS, _LOOKS, _PAST, _TABLES))
+@entry
 def measure(
-    people: People, views: Stamps, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    people: People, views: I1, markers: FacingMarkers, looks: Looks, past: FacingPast,
     tables: FacingTables,
 ) -> None:  # fmt: skip
     """Measure what ``views``, rows of ``people``, show, and learn from one after the other.
@@ -733,10 +673,10 @@ def _decide(looks: Looks, i: int, past: FacingPast, tables: FacingTables, out: F
         out.turns[i] = _turn_back(math.atan2(sine, cosine))
 
 
-@kernel(types.void(PEOPLE, I1, MARKERS, _LOOKS, _PAST, _TABLES, F1, _FACINGS))
+@entry
 def follow(
-    people: People, views: Stamps, markers: FacingMarkers, looks: Looks, past: FacingPast,
-    tables: FacingTables, work: Floats, out: Facings,
+    people: People, views: I1, markers: FacingMarkers, looks: Looks, past: FacingPast,
+    tables: FacingTables, work: F1, out: Facings,
 ) -> None:  # fmt: skip
     """Measure and decide on one view after the other, by the past alone: the forward pass.
 
@@ -764,8 +704,8 @@ def follow(
         out.toes[i] = _toes(tables.agreement)
 
 
-@kernel(types.void(_LOOKS, _PAST, _TABLES, F2))
-def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: Floats) -> None:
+@entry
+def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: F2) -> None:
     """Write the evidence (N, BINS) of each view."""
     for i in range(len(looks.cells)):
         _weigh(looks, i, past, tables, out[i])
@@ -774,22 +714,15 @@ def weigh(looks: Looks, past: FacingPast, tables: FacingTables, out: Floats) -> 
 class SmoothWork(NamedTuple):
     """Scratch for up to N cells of one person, of which the first ones lie in the past."""
 
-    places: Stamps
-    """(N,) place of each view's cell among the cells."""
-    cells: Stamps
-    """(N,) numbers of the cells."""
-    starts: Stamps
-    axes: Floats
-    """(N,) and (N, 3, 3) as in Looks, of the last view of each cell."""
-    way: Floats
-    """(N, 4) as FacingPast.way."""
-    beliefs: Floats
-    evidence: Floats
-    """(N, BINS) before the cell's views; of them."""
-    facing: Floats
-    """(N, 2) as Facings.facing."""
-    bins: Floats
-    """(3, BINS)."""
+    places: I1  # (N,) place of each view's cell among the cells
+    cells: I1  # (N,) numbers of the cells
+    starts: I1
+    axes: F3  # (N,) and (N, 3, 3) as in Looks, of the last view of each cell
+    way: F2  # (N, 4) as FacingPast.way
+    beliefs: F2
+    evidence: F2  # (N, BINS) before the cell's views; of them
+    facing: F2  # (N, 2) as Facings.facing
+    bins: F2  # (3, BINS)
 
     @classmethod
     def of(cls, views: int) -> SmoothWork:
@@ -798,9 +731,6 @@ class SmoothWork(NamedTuple):
         sizes = (n, 3, 3), (n, 4), (n, BINS), (n, BINS), (n, 2), (3, BINS)
         places, cells, starts = np.zeros((3, n), np.int64)
         return cls(places, cells, starts, *[np.zeros(size) for size in sizes])
-
-
-_WORK = named_tuple(SmoothWork, I1, I1, I1, F3, F2, F2, F2, F2, F2)
 
 
 @kernel
@@ -917,18 +847,12 @@ def _keep(past: FacingPast, row: int, first: int, n: int, until: int, work: Smoo
 class FacingWindow(NamedTuple):
     """Views of a stretch of time, for :func:`smooth`."""
 
-    order: Stamps
-    """(N,) the views, person by person, each person's by time."""
-    ends: Stamps
-    """(P + 1,) where each person's views begin in ``order``; the last number is N."""
-    evidence: Floats
-    """(N, BINS) of the views, from :func:`weigh`."""
+    order: I1  # (N,) the views, person by person, each person's by time
+    ends: I1  # (P + 1,) where each person's views begin in ``order``; the last number is N
+    evidence: F2  # (N, BINS) of the views, from :func:`weigh`
 
 
-_WINDOW = named_tuple(FacingWindow, I1, I1, F2)
-
-
-@kernel(types.void(_LOOKS, _WINDOW, types.int64, _PAST, _TABLES, _WORK, _FACINGS))
+@entry
 def smooth(
     looks: Looks, window: FacingWindow, until: int, past: FacingPast, tables: FacingTables,
     work: SmoothWork, out: Facings,

@@ -27,22 +27,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import (
-    B1,
-    F1,
-    F2,
-    I1,
-    I2,
-    J2,
-    PEOPLE,
-    inlined,
-    kernel,
-    named_tuple,
-)
+from hiros_mcap.kernels.compile import B1, F1, F2, I1, I2, J2, entry, inlined, kernel
 from hiros_mcap.kernels.distance import norm3, point_distance
-from hiros_mcap.skeletons import UNTRACKED, Flags, Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import UNTRACKED, Floats, People
 
 _PRIOR = 300.0  # views that the assumed deviation counts as much as: 5 s of two cameras
 _RELATIVE = 0.1  # assumed standard deviation of a length, as a share of it
@@ -66,27 +54,19 @@ OUT, MARKERS = 0, 1
 class LimbLinks(NamedTuple):
     """Links whose lengths are compared."""
 
-    ends: Ints
-    """(K, 2) marker slots."""
-    slots: Stamps
-    """(K,) where the length is kept; both sides share one."""
+    ends: J2  # (K, 2) marker slots
+    slots: I1  # (K,) where the length is kept; both sides share one
 
 
 class LimbPast(NamedTuple):
     """What R people have shown of their limbs."""
 
-    lengths: Floats
-    """(R, K) mean, m."""
-    variances: Floats
-    """(R, K) m2."""
-    counts: Floats
-    """(R, K) views that they are of."""
-    first: Stamps
-    """(R,) when the person was seen first, ns; 0 = never."""
-    refused: Stamps
-    """(R,) since when all views of the person have been left out, ns; 0 = they are not."""
-    seen: Stamps
-    """(R, C) when each camera last had a good view of the person, ns; 0 = never."""
+    lengths: F2  # (R, K) mean, m
+    variances: F2  # (R, K) m2
+    counts: F2  # (R, K) views that they are of
+    first: I1  # (R,) when the person was seen first, ns; 0 = never
+    refused: I1  # (R,) since when all views of the person have been left out, ns; 0 = they are not
+    seen: I2  # (R, C) when each camera last had a good view of the person, ns; 0 = never
 
     @classmethod
     def empty(cls, n_links: int) -> LimbPast:
@@ -99,37 +79,27 @@ class PlausibleSettings(NamedTuple):
     """Parameters of plausible.py."""
 
     max_deviation: float
-    enough: float
-    """s."""
-    patience: float
-    """s."""
+    enough: float  # s
+    patience: float  # s
 
 
 class ComparedMessages(NamedTuple):
     """N messages, in order."""
 
-    stamps: Stamps
-    """(N,) ns."""
-    cameras: Stamps
-    """(N,) index of the camera."""
-    spans: Stamps
-    """(N, 2) first row of its people, and the row after the last."""
-    rows: Stamps
-    """(P,) row of each person in what is remembered; -1 = nobody's."""
+    stamps: I1  # (N,) ns
+    cameras: I1  # (N,) index of the camera
+    spans: I2  # (N, 2) first row of its people, and the row after the last
+    rows: I1  # (P,) row of each person in what is remembered; -1 = nobody's
 
 
 class PlausibleWork(NamedTuple):
     """Scratch for a view, and for the people of a message."""
 
-    largest: Floats
-    second: Floats
-    """(M,) z^2 of the links of each marker; -1 = there is none."""
-    centres: Floats
-    """(P, 3) mean marker position, m."""
-    limit: Floats
-    """(1,) deviation that is still likely of an honest view."""
-    left_out: Flags
-    """(P,) whether a view is distorted."""
+    largest: F1
+    second: F1  # (M,) z^2 of the links of each marker; -1 = there is none
+    centres: F2  # (P, 3) mean marker position, m
+    limit: F1  # (1,) deviation that is still likely of an honest view
+    left_out: B1  # (P,) whether a view is distorted
 
     @classmethod
     def of(cls, n_people: int, n_markers: int) -> PlausibleWork:
@@ -137,13 +107,6 @@ class PlausibleWork(NamedTuple):
         m, p = n_markers, n_people
         some = np.empty(m), np.empty(m), np.empty((p, 3)), np.empty(1)
         return cls(*some, np.zeros(p, np.bool_))
-
-
-_LINKS = named_tuple(LimbLinks, J2, I1)
-_PAST = named_tuple(LimbPast, F2, F2, F2, I1, I1, I2)
-_SETTINGS = named_tuple(PlausibleSettings, *[types.float64] * 3)
-_MESSAGES = named_tuple(ComparedMessages, I1, I1, I2, I1)
-_WORK = named_tuple(PlausibleWork, F1, F1, F2, F1, B1)
 
 
 @inlined
@@ -280,10 +243,10 @@ def _is_left_out(
     return (stamp - past.refused[row]) * 1e-9 < settings.patience
 
 
-@kernel(types.void(_MESSAGES, PEOPLE, F2, _LINKS, _PAST, _SETTINGS, I2, _WORK))
+@entry
 def find_implausible(
-    messages: ComparedMessages, people: People, places: Floats, links: LimbLinks, past: LimbPast,
-    settings: PlausibleSettings, counts: Stamps, work: PlausibleWork,
+    messages: ComparedMessages, people: People, places: F2, links: LimbLinks, past: LimbPast,
+    settings: PlausibleSettings, counts: I2, work: PlausibleWork,
 ) -> None:  # fmt: skip
     """Find distorted views, and lower the confidences of contradictory markers.
 

@@ -83,13 +83,10 @@ class _Piece:
     """Neighbouring frames of a block, and what their views show."""
 
     block: Block
-    views: Stamps
-    """(N,) rows of the people with an id in the block's arrays."""
-    owners: Stamps
-    """(N,) the frame of each view."""
+    views: Stamps  # (N,) rows of the people with an id in the block's arrays
+    owners: Stamps  # (N,) the frame of each view
     looks: kernels.Looks
-    evidence: Floats
-    """(N, BINS), or (0, BINS) before they were weighed."""
+    evidence: Floats  # (N, BINS), or (0, BINS) before they were weighed
 
     def cut(self, k: int) -> tuple[_Piece, _Piece]:
         """Return the first ``k`` frames, and the others."""

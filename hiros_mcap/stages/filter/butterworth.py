@@ -16,15 +16,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, entry, kernel
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.filter.filtering import (
     GROUPS,
-    PAST,
-    SETTINGS,
     SLOT_ACCELERATION,
     SLOT_AGE,
     SLOT_CONFIDENCE,
@@ -32,8 +29,6 @@ from hiros_mcap.stages.filter.filtering import (
     SLOT_METHOD,
     SLOT_POSE,
     SLOT_VELOCITY,
-    STEPS,
-    WINDOW,
     FilterMethod,
     FilterPast,
     FilterSettings,
@@ -70,19 +65,11 @@ SLOT_COLUMNS = SLOT_METHOD + 3
 class ButterworthWork(NamedTuple):
     """The filter, and scratch."""
 
-    polynomial: Floats
-    """(order + 1,) ascending coefficients of the normalized Butterworth polynomial."""
-    state: Floats
-    """(3, order) the output relative to the last one and its derivatives, by component."""
-    adjoint: Floats
-    """(order,)"""
-    weights: Floats
-    """(R,) of the steps of a window."""
-    motion: Floats
-    """(6,) velocity and acceleration."""
-
-
-WORK = named_tuple(ButterworthWork, F1, F2, F1, F1, F1)
+    polynomial: F1  # (order + 1,) ascending coefficients of the normalized Butterworth polynomial
+    state: F2  # (3, order) the output relative to the last one and its derivatives, by component
+    adjoint: F1  # (order,)
+    weights: F1  # (R,) of the steps of a window
+    motion: F1  # (6,) velocity and acceleration
 
 
 @kernel
@@ -211,7 +198,7 @@ def _derive(u: Vector, t: int, step: Step, work: ButterworthWork) -> None:
             slot[SLOT_ACCELERATION + c] = rate * rate * (work.state[c, 2] if n > 2 else top)
 
 
-@kernel(types.void(PEOPLE, STEPS, PAST, SETTINGS, WORK))
+@entry
 def update(
     people: People,
     steps: FilterSteps,
@@ -244,7 +231,7 @@ def update(
                 slot[SLOT_CONFIDENCE] = group.confidences[k]
 
 
-@kernel(types.void(WINDOW, WORK))
+@entry
 def weigh(window: Window, work: ButterworthWork) -> None:
     """Weight of the output of each step of a window in the backward run; their sum is 1."""
     n_steps = window.end - window.first
@@ -299,7 +286,7 @@ def _run_back(group: Group, k: int, window: Window, weights: Floats, motion: Flo
         write_motion(group, k, c, motion[c], motion[3 + c])
 
 
-@kernel(types.void(PEOPLE, STEPS, PAST, SETTINGS, WORK))
+@entry
 def estimate(
     people: People,
     steps: FilterSteps,

@@ -18,10 +18,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels import quaternions
-from hiros_mcap.kernels.compile import F1, F2, F3, F4, I1, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, F3, F4, I1, kernel
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import (
     ACCELERATION,
@@ -32,7 +31,6 @@ from hiros_mcap.skeletons import (
     VELOCITY,
     Floats,
     People,
-    Stamps,
 )
 
 # Columns of a slot of the ring that every method fills.
@@ -56,31 +54,21 @@ GROUPS = 4
 class FilterSteps(NamedTuple):
     """What to do, in order: one person at one step per row."""
 
-    people: Stamps
-    """Row of the person's pose in People."""
-    rows: Stamps
-    """Row of the person in the bank."""
-    steps: Stamps
-    """Number of the step."""
-    ends: Stamps
-    """Number of the first step that is not known yet."""
-    tunings: Floats
-    """What ``FilterMethod.tune`` returned."""
-    periods: Floats
-    """Sample time of the person's source, s."""
+    people: I1  # Row of the person's pose in People
+    rows: I1  # Row of the person in the bank
+    steps: I1  # Number of the step
+    ends: I1  # Number of the first step that is not known yet
+    tunings: F1  # What ``FilterMethod.tune`` returned
+    periods: F1  # Sample time of the person's source, s
 
 
 class FilterPast(NamedTuple):
     """What the filters remember of B people."""
 
-    states: Floats
-    """(B, T, ...) state of each trajectory's recursion; columns of the method."""
-    ring: Floats
-    """(B, R, T, ...) the latest steps."""
-    times: Floats
-    """(B, R) their times since the person's first step, s."""
-    lengths: Floats
-    """(B, R, L, 2) mean length of each link at these steps, m, and the s that it covers."""
+    states: F3  # (B, T, ...) state of each trajectory's recursion; columns of the method
+    ring: F4  # (B, R, T, ...) the latest steps
+    times: F2  # (B, R) their times since the person's first step, s
+    lengths: F4  # (B, R, L, 2) mean length of each link at these steps, m, and the s that it covers
 
 
 class FilterSettings(NamedTuple):
@@ -98,28 +86,18 @@ class FilterMethod(NamedTuple):
     """order, cutoff (Hz), sample time (s), look-ahead (samples) -> tuning."""
     update: Callable[[People, FilterSteps, FilterPast, FilterSettings, Any], None]
     estimate: Callable[[People, FilterSteps, FilterPast, FilterSettings, Any], None]
-    work: Callable[[int, int], Any]
-    """order, R -> constants and scratch of the kernels."""
-    state_columns: Callable[[int], int]
-    """order -> columns of ``FilterPast.states``."""
+    work: Callable[[int, int], Any]  # order, R -> constants and scratch of the kernels
+    state_columns: Callable[[int], int]  # order -> columns of ``FilterPast.states``
     slot_columns: int
-
-
-STEPS = named_tuple(FilterSteps, I1, I1, I1, I1, F1, F1)
-PAST = named_tuple(FilterPast, F3, F4, F2, F4)
-SETTINGS = named_tuple(FilterSettings, types.int64, types.float64, types.float64)
 
 
 class Group(NamedTuple):
     """One of the four groups of a person's trajectories."""
 
-    first: int
-    """Index of its first trajectory."""
+    first: int  # Index of its first trajectory
     angular: bool
-    elements: Floats
-    """(n, 19) KinematicStates."""
-    confidences: Floats
-    """(n,)"""
+    elements: Floats  # (n, 19) KinematicStates
+    confidences: Floats  # (n,)
 
 
 class Step(NamedTuple):
@@ -127,10 +105,8 @@ class Step(NamedTuple):
 
     states: Floats
     slot: Floats
-    before: Floats
-    """Slot of the previous step."""
-    interval: float
-    """s since the previous step; inf at the first."""
+    before: Floats  # Slot of the previous step
+    interval: float  # s since the previous step; inf at the first
     tuning: float
     period: float
 
@@ -138,16 +114,13 @@ class Step(NamedTuple):
 class Window(NamedTuple):
     """The steps of a person that an estimate uses: from ``first`` until before ``end``."""
 
-    ring: Floats
-    times: Floats
+    ring: F3
+    times: F1
     mask: int
     first: int
     end: int
     tuning: float
     period: float
-
-
-WINDOW = named_tuple(Window, F3, F1, *[types.int64] * 3, *[types.float64] * 2)
 
 
 @kernel

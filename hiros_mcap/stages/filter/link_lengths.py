@@ -6,11 +6,10 @@ To filter each marker on its own shortens links that swing.
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, J2, PEOPLE, inlined, kernel
-from hiros_mcap.skeletons import Floats, Ints, People, Stamps
-from hiros_mcap.stages.filter.filtering import PAST, STEPS, FilterPast, FilterSteps, step_of
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, J2, entry, inlined
+from hiros_mcap.skeletons import Floats, People
+from hiros_mcap.stages.filter.filtering import FilterPast, FilterSteps, step_of
 
 # Columns of FilterPast.lengths.
 LENGTH = 0
@@ -31,9 +30,9 @@ def _distance(markers: Floats, a: int, b: int) -> float:
     return float(np.sqrt(square))
 
 
-@kernel(types.void(PEOPLE, STEPS, PAST, J2, types.float64))
+@entry
 def average_lengths(
-    people: People, steps: FilterSteps, past: FilterPast, links: Ints, length_time: float
+    people: People, steps: FilterSteps, past: FilterPast, links: J2, length_time: float
 ) -> None:
     """Continue the mean lengths of everybody's ``links`` (L, 2).
 
@@ -55,9 +54,9 @@ def average_lengths(
             lengths[k, LENGTH], lengths[k, DURATION] = mean, duration
 
 
-@kernel(types.int64(F2, J2, F2, F1, types.int64, types.float64))
+@entry
 def project(
-    markers: Floats, links: Ints, lengths: Floats, variances: Floats, sweeps: int, tolerance: float
+    markers: F2, links: J2, lengths: F2, variances: F1, sweeps: int, tolerance: float
 ) -> int:
     """Move markers (M, 19) by as little as it takes to give every link its length.
 
@@ -87,8 +86,8 @@ def project(
     return sweeps
 
 
-@kernel(types.void(PEOPLE, STEPS, PAST, J2))
-def restore_lengths(people: People, steps: FilterSteps, past: FilterPast, links: Ints) -> None:
+@entry
+def restore_lengths(people: People, steps: FilterSteps, past: FilterPast, links: J2) -> None:
     """Give everybody's ``links`` (L, 2) the mean lengths of the data until the steps' ends."""
     mask = past.ring.shape[1] - 1
     for j in range(len(steps.rows)):
@@ -97,9 +96,9 @@ def restore_lengths(people: People, steps: FilterSteps, past: FilterPast, links:
         project(people.markers[steps.people[j]], links, lengths, equal, SWEEPS, TOLERANCE)
 
 
-@kernel(types.void(F3, I1, F2, J2, F3, types.int64, types.float64))
+@entry
 def project_all(
-    markers: Floats, which: Stamps, variances: Floats, links: Ints, lengths: Floats, sweeps: int,
+    markers: F3, which: I1, variances: F2, links: J2, lengths: F3, sweeps: int,
     tolerance: float,
 ) -> None:  # fmt: skip
     """Do what :func:`project` does with everybody's markers (P, M, 19), variances (P, M).

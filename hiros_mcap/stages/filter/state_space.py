@@ -15,17 +15,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels import kalman_filter
-from hiros_mcap.kernels.compile import F2, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import F2, entry, kernel
 from hiros_mcap.kernels.kalman_filter import Covariance, Gain
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.filter.filtering import (
     GROUPS,
-    PAST,
-    SETTINGS,
     SLOT_ACCELERATION,
     SLOT_AGE,
     SLOT_CONFIDENCE,
@@ -33,7 +30,6 @@ from hiros_mcap.stages.filter.filtering import (
     SLOT_METHOD,
     SLOT_POSE,
     SLOT_VELOCITY,
-    STEPS,
     FilterMethod,
     FilterPast,
     FilterSettings,
@@ -79,11 +75,7 @@ STARTS, UNSEEN, SEEN = 0, 1, 2
 class StateSpaceWork(NamedTuple):
     """Scratch."""
 
-    adjoint: Floats
-    """(3, 3) of position, velocity and acceleration, by component."""
-
-
-WORK = named_tuple(StateSpaceWork, F2)
+    adjoint: F2  # (3, 3) of position, velocity and acceleration, by component
 
 
 class CovarianceStep(NamedTuple):
@@ -176,7 +168,7 @@ def _correct(
     put(slot, PREDICTED_COVARIANCE, step.predicted)
 
 
-@kernel(types.void(PEOPLE, STEPS, PAST, SETTINGS, WORK))
+@entry
 def update(
     people: People,
     steps: FilterSteps,
@@ -285,7 +277,7 @@ def _smooth(
     write_pose(group, k, displace(pose_at(slot, SLOT_POSE), shift, group.angular))
 
 
-@kernel(types.void(PEOPLE, STEPS, PAST, SETTINGS, WORK))
+@entry
 def estimate(
     people: People,
     steps: FilterSteps,
@@ -312,7 +304,7 @@ def estimate(
                 fill_confidence(group, k, slot)
 
 
-@kernel("float64(int64, float64, float64, int64, float64)")
+@entry
 def gain_at(order: int, noise: float, dt: float, ahead: int, frequency: float) -> float:
     """Magnitude response of the steady filter (``ahead`` = 0) or fixed-lag smoother.
 
@@ -348,7 +340,7 @@ def gain_at(order: int, noise: float, dt: float, ahead: int, frequency: float) -
     return float(abs(predicted + before[0] * a0 + before[1] * a1 + before[2] * a2))
 
 
-@kernel("float64(int64, float64, float64, int64)")
+@entry
 def tune(order: int, cutoff: float, dt: float, ahead: int) -> float:
     """Noise ratio that puts the -3 dB point of :func:`gain_at` at ``cutoff``, Hz."""
     low = 2 * order * np.log(2.0 * np.pi * cutoff) + np.log(dt)

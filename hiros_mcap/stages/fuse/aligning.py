@@ -6,9 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F2, F4, I1, PEOPLE, inlined, kernel, named_tuple
+from hiros_mcap.kernels.compile import F2, F4, I1, J3, entry, inlined, kernel
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
     Vector,
@@ -17,7 +16,7 @@ from hiros_mcap.kernels.quaternions import (
     multiply,
     normalize,
 )
-from hiros_mcap.skeletons import Floats, Ints, People, Stamps
+from hiros_mcap.skeletons import Floats, Ints, People
 
 FEWEST, MOST = 30, 1800
 """Poses that show how a bone lies in a link's frame, and those that the mean covers at most."""
@@ -29,12 +28,7 @@ _COUNT = 3  # column of LinkPast.axes
 class LinkPast(NamedTuple):
     """How bones lay in the frames of R people's links; a link has C candidates of bones."""
 
-    axes: Floats
-    """(R, L, C, 4) mean direction of a bone in the link's frame, and the number of poses."""
-
-
-J3 = types.int32[:, :, ::1]
-LINK_PAST = named_tuple(LinkPast, F4)
+    axes: F4  # (R, L, C, 4) mean direction of a bone in the link's frame, and the number of poses
 
 
 @inlined
@@ -134,10 +128,8 @@ def _align(people: People, p: int, k: int, bone: Ints, axis: Floats, variances: 
         people.links[p, k, _ORIENTATION + c] = q[c]
 
 
-@kernel(types.void(PEOPLE, I1, F2, J3, LINK_PAST))
-def align_links(
-    people: People, rows: Stamps, variances: Floats, bones: Ints, past: LinkPast
-) -> None:
+@entry
+def align_links(people: People, rows: I1, variances: F2, bones: J3, past: LinkPast) -> None:
     """Turn the links of people in place, one person after the other.
 
     Parameters

@@ -24,14 +24,7 @@ from hiros_mcap.body.limb_table import LimbTable
 from hiros_mcap.body.symmetry import symmetry_of
 from hiros_mcap.events import Events
 from hiros_mcap.frames import Block, HeldFrames
-from hiros_mcap.skeletons import (
-    POSITION,
-    UNTRACKED,
-    Floats,
-    Ints,
-    SkeletonModel,
-    Stamps,
-)
+from hiros_mcap.skeletons import POSITION, UNTRACKED, Floats, Ints, SkeletonModel, Stamps
 from hiros_mcap.stages.fuse.fuse_params import ConstrainParams
 from hiros_mcap.stages.fuse.pair_lengths import AllPoses, MeasuredLengths, PairLimbs, RunningLengths
 from hiros_mcap.stages.fuse.pose_prior import RecentMotion, local_frames, shrink_noise
@@ -101,12 +94,9 @@ def constrain_blocks(
 class _WaitingWindow(NamedTuple):
     """Frames that are corrected together, and wait for lengths."""
 
-    numbers: range
-    """Of these frames."""
-    begin: int
-    """Time of the first, ns."""
-    people: list[int]
-    """Who has an id in them."""
+    numbers: range  # Of these frames
+    begin: int  # Time of the first, ns
+    people: list[int]  # Who has an id in them
 
 
 @dataclass
@@ -116,12 +106,9 @@ class _Body:
     meter: AllPoses | RunningLengths
     recent: RecentMotion
     first: int
-    last: int = 0
-    """When the person was first and last seen, ns."""
-    measured: MeasuredLengths | None = None
-    """None = not since the last pose."""
-    known: bool = False
-    """Whether the lengths stay as they are."""
+    last: int = 0  # When the person was first and last seen, ns
+    measured: MeasuredLengths | None = None  # None = not since the last pose
+    known: bool = False  # Whether the lengths stay as they are
 
 
 class _Bodies:

@@ -72,10 +72,8 @@ def view_offsets(
 class _Offsets(NamedTuple):
     """Sums over the views of R people by C cameras of late."""
 
-    sums: Floats
-    """(R, C, 3) of the offsets, m."""
-    weights: Floats
-    """(R, C) of the views."""
+    sums: Floats  # (R, C, 3) of the offsets, m
+    weights: Floats  # (R, C) of the views
 
 
 class DisplacedViews:

@@ -15,22 +15,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.averaging import BEGIN, BUFFERS, CAMERA, END, TIME, Buffers
-from hiros_mcap.kernels.compile import (
-    F1,
-    F2,
-    F3,
-    F4,
-    I1,
-    J1,
-    PEOPLE,
-    inlined,
-    kernel,
-    named_tuple,
-)
-from hiros_mcap.skeletons import Floats, Ints, People, Stamps
+from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
+from hiros_mcap.kernels.compile import F1, F2, F3, F4, I1, J1, entry, inlined, kernel
+from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
 POSITION, VELOCITY, OFFSETS = 0, 1, 2
@@ -50,18 +38,12 @@ _CHANGES = 3.0  # 1/s: how often a joint goes over to another level
 class Sightings(NamedTuple):
     """What the cameras saw of people: N views, each of one person, in the order of instants."""
 
-    instants: Stamps
-    """(N,) number of the instant that the view belongs to."""
-    people: Stamps
-    """(N,) id."""
-    cameras: Stamps
-    """(N,) index of the camera."""
-    stamps: Stamps
-    """(N,) time of the camera's message, ns."""
-    positions: Floats
-    """(N, M, 3) m, sides corrected; NaN = not seen."""
-    confidences: Floats
-    """(N, M) 0..1; NaN = not given."""
+    instants: I1  # (N,) number of the instant that the view belongs to
+    people: I1  # (N,) id
+    cameras: I1  # (N,) index of the camera
+    stamps: I1  # (N,) time of the camera's message, ns
+    positions: F3  # (N, M, 3) m, sides corrected; NaN = not seen
+    confidences: F2  # (N, M) 0..1; NaN = not given
 
     @classmethod
     def allocate(cls, views: int, markers: int) -> Sightings:
@@ -75,40 +57,28 @@ class Sightings(NamedTuple):
 class Steps(NamedTuple):
     """T steps of one person, in the order of time."""
 
-    times: Floats
-    """(T,) s."""
-    cameras: Stamps
-    """(T,) which camera measured, POSE = a pose is wanted."""
-    positions: Floats
-    """(T, M, 3) measured, m; NaN = not measured."""
-    variances: Floats
-    """(T, M) of the white noise of a measurement along each axis, m2."""
+    times: F1  # (T,) s
+    cameras: I1  # (T,) which camera measured, POSE = a pose is wanted
+    positions: F3  # (T, M, 3) measured, m; NaN = not measured
+    variances: F2  # (T, M) of the white noise of a measurement along each axis, m2
 
 
 class JointNoise(NamedTuple):
     """How joints move and how offsets wander."""
 
-    accelerations: Floats
-    """(M,) spectral density of the acceleration, m2/s3."""
-    offsets: Floats
-    """(M,) variance of a camera's offset, m2."""
-    time: float
-    """Time constant of the offsets, s."""
-    freedom: float
-    """Degrees of freedom of Student's t."""
+    accelerations: F1  # (M,) spectral density of the acceleration, m2/s3
+    offsets: F1  # (M,) variance of a camera's offset, m2
+    time: float  # Time constant of the offsets, s
+    freedom: float  # Degrees of freedom of Student's t
 
 
 class JointStates(NamedTuple):
     """Filtered states of R people, from which the next window starts."""
 
-    means: Floats
-    """(R, M, 2 + C, 3)."""
-    covariances: Floats
-    """(R, M, 2 + C, 2 + C); 0 = the joint was never seen."""
-    times: Floats
-    """(R, M) s."""
-    levels: Floats
-    """(R, M, LEVELS) probability of each level of the acceleration."""
+    means: F4  # (R, M, 2 + C, 3)
+    covariances: F4  # (R, M, 2 + C, 2 + C); 0 = the joint was never seen
+    times: F2  # (R, M) s
+    levels: F3  # (R, M, LEVELS) probability of each level of the acceleration
 
     @classmethod
     def unknown(cls, people: int, markers: int, cameras: int) -> JointStates:
@@ -121,12 +91,9 @@ class JointStates(NamedTuple):
 class FusedPoses(NamedTuple):
     """Smoothed joints at the K steps that want a pose; NaN = unknown."""
 
-    positions: Floats
-    """(K, M, 3) m."""
-    velocities: Floats
-    """(K, M, 3) m/s."""
-    variances: Floats
-    """(K, M) of the position along each axis, m2."""
+    positions: F3  # (K, M, 3) m
+    velocities: F3  # (K, M, 3) m/s
+    variances: F2  # (K, M) of the position along each axis, m2
 
     @classmethod
     def absent(cls, poses: int, markers: int) -> FusedPoses:
@@ -138,27 +105,18 @@ class FusedPoses(NamedTuple):
 class FusionWork(NamedTuple):
     """Scratch for one joint with states of length N over T steps."""
 
-    intervals: Floats
-    """(T,) s since the step before; _UNKNOWN = no part."""
-    gains: Floats
-    """(T, N) gain of a measurement; the covariances of x at a pose."""
-    velocities: Floats
-    """(T, N) the covariances of v at a pose."""
-    innovations: Floats
-    """(T, 3); the predicted x at a pose."""
-    speeds: Floats
-    """(T, 3) the predicted v at a pose."""
-    information: Floats
-    """(T,) 1 / variance of the innovation; the variance of x at a pose."""
-    mean: Floats
-    covariance: Floats
-    """(N, 3) and (N, N) state; the adjoint and its covariance on the way back."""
-    row: Floats
-    """(N,)."""
-    levels: Floats
+    intervals: F1  # (T,) s since the step before; _UNKNOWN = no part
+    gains: F2  # (T, N) gain of a measurement; the covariances of x at a pose
+    velocities: F2  # (T, N) the covariances of v at a pose
+    innovations: F2  # (T, 3); the predicted x at a pose
+    speeds: F2  # (T, 3) the predicted v at a pose
+    information: F1  # (T,) 1 / variance of the innovation; the variance of x at a pose
+    mean: F2
+    covariance: F2  # (N, 3) and (N, N) state; the adjoint and its covariance on the way back
+    row: F1  # (N,)
+    levels: F2
     """(T, LEVELS) log likelihood of a measurement by level; then the probability of the level."""
-    factors: Floats
-    """(T,) of the density of the acceleration in the interval before a step."""
+    factors: F1  # (T,) of the density of the acceleration in the interval before a step
 
     @classmethod
     def of(cls, steps: int, size: int) -> FusionWork:
@@ -169,17 +127,9 @@ class FusionWork(NamedTuple):
         return cls(*[np.zeros(shape) for shape in (*shapes, *of_levels)])
 
 
-SIGHTINGS = named_tuple(Sightings, I1, I1, I1, I1, F3, F2)
-STEPS = named_tuple(Steps, F1, I1, F3, F2)
-NOISE = named_tuple(JointNoise, F1, F1, types.float64, types.float64)
-STATES = named_tuple(JointStates, F4, F4, F2, F3)
-POSES = named_tuple(FusedPoses, F3, F3, F2)
-WORK = named_tuple(FusionWork, F1, F2, F2, F2, F2, F1, F2, F2, F1, F2, F1)
-
-
-@kernel(types.int64(BUFFERS, PEOPLE, J1, I1, J1, SIGHTINGS))
+@entry
 def gather_sightings(
-    buffers: Buffers, people: People, ids: Ints, sides: Stamps, mirror: Ints, out: Sightings
+    buffers: Buffers, people: People, ids: J1, sides: I1, mirror: J1, out: Sightings
 ) -> int:
     """Write what the messages of buffers show of the people to be merged; return how many views.
 
@@ -557,7 +507,7 @@ def _backward(steps: Steps, m: int, time: float, out: FusedPoses, work: FusionWo
             _unpredict(work.intervals[t], time, work)
 
 
-@kernel(types.void(STEPS, types.int64, NOISE, STATES, types.int64, POSES, WORK))
+@entry
 def smooth_joints(
     steps: Steps, keep: int, noise: JointNoise, states: JointStates, row: int, out: FusedPoses,
     work: FusionWork,

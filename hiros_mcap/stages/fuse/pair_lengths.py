@@ -21,12 +21,9 @@ _FEWEST = 30  # poses that give a length
 class MeasuredLengths(NamedTuple):
     """The K distances of one person."""
 
-    lengths: Floats
-    """(K,) m; 0 = unknown."""
-    deviations: Floats
-    """(K,) Standard deviations of the distances as they were seen, m."""
-    counts: Ints
-    """(K,) poses with both ends."""
+    lengths: Floats  # (K,) m; 0 = unknown
+    deviations: Floats  # (K,) Standard deviations of the distances as they were seen, m
+    counts: Ints  # (K,) poses with both ends
 
 
 def without_noise(squares: Floats, varied: Floats, stated: Floats) -> Floats:

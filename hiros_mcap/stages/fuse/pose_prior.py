@@ -141,8 +141,7 @@ def local_frames(positions: Floats, lateral: Ints) -> tuple[Floats, Floats]:
 class PoseSpace(NamedTuple):
     """In which directions the poses of a window vary by more than noise does."""
 
-    mean: Floats
-    """(N,) mean pose."""
+    mean: Floats  # (N,) mean pose
     basis: Floats
     """(N, R) directions times the standard deviation along each; P = B B' + free variance."""
 

@@ -40,12 +40,9 @@ class _Window(NamedTuple):
     """N views of people, and the K poses that are wanted of them."""
 
     views: Sightings
-    new: Flags
-    """(N,) whether the filters have not taken a view yet."""
-    people: Ints
-    """(K,) whose pose is wanted."""
-    stamps: Stamps
-    """(K,) at which time, ns."""
+    new: Flags  # (N,) whether the filters have not taken a view yet
+    people: Ints  # (K,) whose pose is wanted
+    stamps: Stamps  # (K,) at which time, ns
 
 
 class WindowTimes(NamedTuple):

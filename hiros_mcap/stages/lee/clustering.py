@@ -6,13 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels.averaging import (
-    BUFFERS,
     ORIENTATION,
     POSITION,
-    VIEWS,
     Buffers,
     Views,
     blank_person,
@@ -21,7 +18,7 @@ from hiros_mcap.kernels.averaging import (
     mean_person,
     mean_state,
 )
-from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, I2, J2, PEOPLE, kernel, named_tuple
+from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, I2, J2, entry, kernel
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
@@ -36,11 +33,9 @@ class ClusterSettings(NamedTuple):
 
     medium_confidence: float
     low_confidence: float
-    radius: float
-    """0 = the average of all candidates."""
+    radius: float  # 0 = the average of all candidates
     min_neighbours: int
-    memory: int
-    """ns; -1 = the previous position never joins the candidates."""
+    memory: int  # ns; -1 = the previous position never joins the candidates
     rearrange: bool
     both_sides: bool
     reference_helps: bool
@@ -50,43 +45,31 @@ class ClusterSettings(NamedTuple):
 class ClusterPast(NamedTuple):
     """What is remembered of S people, a row each."""
 
-    seen: Stamps
-    """(S,) time of the last merged position, ns; 0 = never."""
-    positions: Floats
-    """(S, M, 3) that position, m."""
+    seen: I1  # (S,) time of the last merged position, ns; 0 = never
+    positions: F3  # (S, M, 3) that position, m
 
 
 class Joints(NamedTuple):
     """What the names of the markers and links say."""
 
-    pairs: Ints
-    """(K, 2) left and right slots that may be re-arranged."""
-    links: Ints
-    """(L, 2) parent and child of each link."""
-    used: Flags
-    """(M,) markers that are merged; the others stay absent."""
+    pairs: J2  # (K, 2) left and right slots that may be re-arranged
+    links: J2  # (L, 2) parent and child of each link
+    used: B1  # (M,) markers that are merged; the others stay absent
 
 
 class ClusterWork(NamedTuple):
     """Scratch for up to K views of a person. A kernel that makes arrays is twice as slow."""
 
-    reference: Floats
-    """(M, 3) reference positions."""
-    swapped: Flags
-    """(M,) whether the marker was exchanged in the view at hand."""
-    kept: Flags
-    """(K, M) candidates that are averaged."""
-    weights: Floats
-    """(K,) 1 = the view is averaged, 0 = it is not."""
-    points: Floats
-    """(K + 2, 3) the candidates, the reference and the previous position of a joint."""
-    near: Flags
-    """((K + 2)^2,) neighbours."""
-    core: Flags
-    chosen: Flags
-    stack: Stamps
-    labels: Stamps
-    """(K + 2,)."""
+    reference: F2  # (M, 3) reference positions
+    swapped: B1  # (M,) whether the marker was exchanged in the view at hand
+    kept: B2  # (K, M) candidates that are averaged
+    weights: F1  # (K,) 1 = the view is averaged, 0 = it is not
+    points: F2  # (K + 2, 3) the candidates, the reference and the previous position of a joint
+    near: B1  # ((K + 2)^2,) neighbours
+    core: B1
+    chosen: B1
+    stack: I1
+    labels: I1  # (K + 2,)
 
     @classmethod
     def of(cls, views: int, n_markers: int) -> ClusterWork:
@@ -97,14 +80,6 @@ class ClusterWork(NamedTuple):
             np.empty((m, 3)), np.empty(m, np.bool_), np.empty((k, m), np.bool_), np.empty(k),
             np.empty((n, 3)), *flags, np.empty(n, np.int64), np.empty(n, np.int64),
         )  # fmt: skip
-
-
-_SETTINGS = named_tuple(
-    ClusterSettings, *[types.float64] * 3, *[types.int64] * 2, *[types.boolean] * 4
-)
-_PAST = named_tuple(ClusterPast, I1, F3)
-_JOINTS = named_tuple(Joints, J2, J2, B1)
-_WORK = named_tuple(ClusterWork, F2, B1, B2, F1, F2, B1, B1, B1, I1, I1)
 
 
 @kernel
@@ -298,8 +273,8 @@ def _is_one_cluster(points: Floats, n: int, radius: float) -> bool:
     return True
 
 
-@kernel(types.int64(F2, types.float64, types.int64, _WORK))
-def dbscan(points: Floats, radius: float, min_points: int, work: ClusterWork) -> int:
+@entry
+def dbscan(points: F2, radius: float, min_points: int, work: ClusterWork) -> int:
     """Cluster points by density (Ester et al. 1996; Lee, algorithms 1 and 2); number of clusters.
 
     As printed, algorithm 1 searches round ``x`` where it must search round ``z``, and leaves a
@@ -444,7 +419,7 @@ def _average(
     mean_state(states, confidences, m, weights, reference, out, out_confidences)
 
 
-@kernel(types.void(BUFFERS, PEOPLE, VIEWS, _PAST, _SETTINGS, _JOINTS, PEOPLE, I2, _WORK))
+@entry
 def cluster_buffers(
     buffers: Buffers,
     people: People,
@@ -453,7 +428,7 @@ def cluster_buffers(
     settings: ClusterSettings,
     joints: Joints,
     out: People,
-    counts: Stamps,
+    counts: I2,
     work: ClusterWork,
 ) -> None:
     """Merge buffer after buffer.

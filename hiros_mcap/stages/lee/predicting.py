@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import B2, F3, F4, I1, I2, kernel, named_tuple
+from hiros_mcap.kernels.compile import B2, F3, F4, I1, I2, entry, kernel
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
-from hiros_mcap.skeletons import ACCELERATION, POSITION, VELOCITY, Flags, Floats, Stamps
+from hiros_mcap.skeletons import ACCELERATION, POSITION, VELOCITY, Floats
 
 STEP = 1 / 30
 """s: time step of Q, the period of the paper's cameras."""
@@ -21,11 +20,11 @@ _DERIVATIVES = (VELOCITY.start, ACCELERATION.start)
 class PredictedPeople(NamedTuple):
     """The filters of all people: R rows, M joints, S elements of the state."""
 
-    stamps: Stamps  # (R,) time of the state, ns
-    known: Flags  # (R, M) joints that were measured at least once
-    seen: Stamps  # (R, M) time of the last measurement, ns
-    states: Floats  # (R, M, S, 3) position, m, and its derivatives per step
-    covariances: Floats  # (R, M, 6) of ``kalman_filter``, per R and step
+    stamps: I1  # (R,) time of the state, ns
+    known: B2  # (R, M) joints that were measured at least once
+    seen: I2  # (R, M) time of the last measurement, ns
+    states: F4  # (R, M, S, 3) position, m, and its derivatives per step
+    covariances: F3  # (R, M, 6) of ``kalman_filter``, per R and step
 
     @classmethod
     def empty(cls, markers: int, size: int) -> PredictedPeople:
@@ -41,10 +40,6 @@ class PredictSettings(NamedTuple):
     noise_ratio: float
     max_gap: float
     corrected: bool
-
-
-_PAST = named_tuple(PredictedPeople, I1, B2, I2, F4, F3)
-_SETTINGS = named_tuple(PredictSettings, types.float64, types.float64, types.boolean)
 
 
 @kernel
@@ -80,9 +75,9 @@ def _write_derivatives(x: Floats, marker: Floats) -> None:
             marker[_DERIVATIVES[order - 1] + c] = x[order, c] / scale
 
 
-@kernel(types.void(_PAST, F3, I1, I1, _SETTINGS))
+@entry
 def filter_people(
-    past: PredictedPeople, markers: Floats, rows: Stamps, stamps: Stamps, settings: PredictSettings
+    past: PredictedPeople, markers: F3, rows: I1, stamps: I1, settings: PredictSettings
 ) -> None:
     """Replace the measured positions of (P, M, 19) and fill in the derivatives of the state.
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, F3, I1, entry
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
-from hiros_mcap.skeletons import POSITION, Floats, Stamps
+from hiros_mcap.skeletons import POSITION
 
 NOISE_RATE = 30.0
 """Hz: the noise of one second is that of so many steps of the paper's model (33 ms)."""
@@ -22,10 +21,10 @@ _X = POSITION.start
 class Centroids(NamedTuple):
     """The filters K_i of T tracks."""
 
-    stamps: Stamps  # (T,) time of the state, ns
-    states: Floats  # (T, 2, 2) position, m, and velocity, m/s, on the floor
-    covariances: Floats  # (T, 6) of ``kalman_filter``
-    detections: Stamps  # (T,) how many detections were associated
+    stamps: I1  # (T,) time of the state, ns
+    states: F3  # (T, 2, 2) position, m, and velocity, m/s, on the floor
+    covariances: F2  # (T, 6) of ``kalman_filter``
+    detections: I1  # (T,) how many detections were associated
 
     @classmethod
     def empty(cls) -> Centroids:
@@ -42,12 +41,8 @@ class CentroidSettings(NamedTuple):
     acceleration: float
 
 
-_TRACKS = named_tuple(Centroids, I1, F3, F2, I1)
-_SETTINGS = types.NamedUniTuple(types.float64, 3, CentroidSettings)  # type: ignore[no-untyped-call]
-
-
-@kernel(types.void(F3, F2))
-def find_centroids(markers: Floats, centroids: Floats) -> None:
+@entry
+def find_centroids(markers: F3, centroids: F2) -> None:
     """Write the means of the known markers of (P, M, 19) into (P, 3), m; NaN where none is."""
     for p in range(len(markers)):
         known = 0
@@ -61,9 +56,9 @@ def find_centroids(markers: Floats, centroids: Floats) -> None:
             centroids[p, c] = centroids[p, c] / known if known else np.nan
 
 
-@kernel(types.void(_TRACKS, types.int64, types.int64, F1, _SETTINGS))
+@entry
 def start_track(
-    tracks: Centroids, row: int, now: int, centroid: Floats, settings: CentroidSettings
+    tracks: Centroids, row: int, now: int, centroid: F1, settings: CentroidSettings
 ) -> None:
     """Start a track at a centroid (3,), m, at ``now``, ns."""
     covariance = prior(settings.position_noise**2, STARTING_SPEED**2, 0.0)
@@ -71,8 +66,8 @@ def start_track(
     tracks.stamps[row], tracks.detections[row] = now, 1
 
 
-@kernel(types.void(_TRACKS, I1, types.int64, _SETTINGS))
-def predict_tracks(tracks: Centroids, rows: Stamps, now: int, settings: CentroidSettings) -> None:
+@entry
+def predict_tracks(tracks: Centroids, rows: I1, now: int, settings: CentroidSettings) -> None:
     """Carry the tracks in ``rows`` on to ``now``, ns."""
     for row in rows:
         dt = (now - tracks.stamps[row]) * 1e-9
@@ -81,9 +76,9 @@ def predict_tracks(tracks: Centroids, rows: Stamps, now: int, settings: Centroid
         tracks.stamps[row] = now
 
 
-@kernel(types.void(_TRACKS, I1, F2, _SETTINGS, F2))
+@entry
 def association_cost(
-    tracks: Centroids, rows: Stamps, centroids: Floats, settings: CentroidSettings, cost: Floats
+    tracks: Centroids, rows: I1, centroids: F2, settings: CentroidSettings, cost: F2
 ) -> None:
     """Write the cost of every track in ``rows`` and centroid (D, 3) into (T, D).
 
@@ -99,9 +94,9 @@ def association_cost(
             cost[t, d] = distance if distance <= settings.gate else np.inf  # epsilon
 
 
-@kernel(types.void(_TRACKS, I1, F2, _SETTINGS))
+@entry
 def correct_tracks(
-    tracks: Centroids, matches: Stamps, centroids: Floats, settings: CentroidSettings
+    tracks: Centroids, matches: I1, centroids: F2, settings: CentroidSettings
 ) -> None:
     """Correct the track in row ``matches[d]`` by centroid d of (D, 3); -1 = none."""
     for d in range(len(matches)):

@@ -25,12 +25,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, PEOPLE, inlined, kernel, named_tuple
+from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, I3, entry, inlined, kernel
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
-from hiros_mcap.skeletons import POSITION, VELOCITY, Flags, Floats, People, Stamps
+from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, People, Stamps
 from hiros_mcap.stages.malaguti.centroid_filter import NOISE_RATE, STARTING_SPEED
 
 _LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
@@ -44,16 +43,16 @@ Position = tuple[float, float, float]
 class FilteredPeople(NamedTuple):
     """The filters of all people: R rows, M joints, L links."""
 
-    stamps: Stamps  # (R,) time of the state, ns
-    known: Flags  # (R, M) joints that were measured at least once
-    states: Floats  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
-    covariances: Floats  # (R, M, 6) of ``kalman_filter``
-    distances: Floats  # (R, M, N) the last N d of eq 9, m: innovations accepted, or steps made
-    counts: Stamps  # (R, M, 2) distances so far, consecutive outliers
-    confidences: Floats  # (R,) of the newest detection, as are the next three
-    marker_confidences: Floats  # (R, M)
-    links: Floats  # (R, L, 19)
-    link_confidences: Floats  # (R, L)
+    stamps: I1  # (R,) time of the state, ns
+    known: B2  # (R, M) joints that were measured at least once
+    states: F4  # (R, M, 2, 3) position, m, and velocity, m/s (eq 4)
+    covariances: F3  # (R, M, 6) of ``kalman_filter``
+    distances: F3  # (R, M, N) the last N d of eq 9, m: innovations accepted, or steps made
+    counts: I3  # (R, M, 2) distances so far, consecutive outliers
+    confidences: F1  # (R,) of the newest detection, as are the next three
+    marker_confidences: F2  # (R, M)
+    links: F3  # (R, L, 19)
+    link_confidences: F2  # (R, L)
 
     @classmethod
     def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
@@ -77,14 +76,6 @@ class JointFilterSettings(NamedTuple):
     outlier_factor: float
     max_outliers: int
     consecutive: bool
-
-
-_I3 = types.int64[:, :, ::1]
-_PAST = named_tuple(FilteredPeople, I1, B2, F4, F3, F3, _I3, F1, F2, F3, F2)
-_SETTINGS = named_tuple(
-    JointFilterSettings, *[types.float64] * 3, types.boolean, *[types.float64] * 2, types.int64,
-    types.boolean,
-)  # fmt: skip
 
 
 @kernel
@@ -169,9 +160,9 @@ def _copy(target: Floats, source: Floats) -> None:
         target[i] = source[i]
 
 
-@kernel(types.int64(_PAST, PEOPLE, I1, types.int64, F1, _SETTINGS))
+@entry
 def update(
-    past: FilteredPeople, people: People, rows: Stamps, now: int, range_variances: Floats,
+    past: FilteredPeople, people: People, rows: I1, now: int, range_variances: F1,
     settings: JointFilterSettings,
 ) -> int:  # fmt: skip
     """Predict and correct the people of one message; return how many joints are outliers.
@@ -209,8 +200,8 @@ def update(
     return outliers
 
 
-@kernel(types.void(_PAST, I1, types.int64, PEOPLE))
-def write(past: FilteredPeople, rows: Stamps, now: int, people: People) -> None:
+@entry
+def write(past: FilteredPeople, rows: I1, now: int, people: People) -> None:
     """Write the people in ``rows``, carried on to ``now``, ns, into people without markers."""
     for i in range(len(rows)):
         row = rows[i]

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import B1, F2, F3, I1, J2, kernel, named_tuple
-from hiros_mcap.skeletons import Flags, Floats, Ints, Stamps
+from hiros_mcap.kernels.compile import B1, F2, F3, I1, J2, entry, kernel
+from hiros_mcap.skeletons import Floats
 
 _SHORTEST = 1e-6  # m; a shorter link has no direction
 
@@ -16,17 +15,17 @@ _SHORTEST = 1e-6  # m; a shorter link has no direction
 class LimbLengths(NamedTuple):
     """What is known of people's limbs: R rows, L links."""
 
-    lengths: Floats  # (R, L) m
-    squares: Floats  # (R, L) sum of the squared deviations of the first lengths, m2
-    frames: Stamps  # (R,) frames with the whole skeleton that were measured
-    given: Flags  # (R,) whether the lengths are known from before; NaN = a link has none
+    lengths: F2  # (R, L) m
+    squares: F2  # (R, L) sum of the squared deviations of the first lengths, m2
+    frames: I1  # (R,) frames with the whole skeleton that were measured
+    given: B1  # (R,) whether the lengths are known from before; NaN = a link has none
 
 
 class LinkTree(NamedTuple):
     """The hierarchical model (Fig. 2)."""
 
-    ends: Ints  # (L, 2) parent and child marker slot of each link
-    order: Stamps  # Links, a parent's before its children's; those that close a loop are left out
+    ends: J2  # (L, 2) parent and child marker slot of each link
+    order: I1  # Links, a parent's before its children's; those that close a loop are left out
 
 
 class LimbSettings(NamedTuple):
@@ -34,11 +33,6 @@ class LimbSettings(NamedTuple):
 
     frames: int
     rate: float
-
-
-_TREE = named_tuple(LinkTree, J2, I1)
-_PAST = named_tuple(LimbLengths, F2, F2, I1, B1)
-_SETTINGS = named_tuple(LimbSettings, types.int64, types.float64)
 
 
 @kernel
@@ -90,9 +84,9 @@ def _apply(pose: Floats, lengths: Floats, tree: LinkTree) -> None:
             pose[child, c] = start + scale * (pose[child, c] - start)  # eq 12
 
 
-@kernel(types.void(F3, I1, _PAST, _TREE, _SETTINGS))
+@entry
 def straighten(
-    markers: Floats, rows: Stamps, past: LimbLengths, tree: LinkTree, settings: LimbSettings
+    markers: F3, rows: I1, past: LimbLengths, tree: LinkTree, settings: LimbSettings
 ) -> None:
     """Learn the limb lengths of people (P, M, 19), if they are not given, and apply them in place.
 

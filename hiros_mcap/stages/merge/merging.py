@@ -6,16 +6,13 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels.averaging import (
     BEGIN,
-    BUFFERS,
     END,
     ORIENTATION,
     POSITION,
     VELOCITY,
-    VIEWS,
     Buffers,
     Views,
     blank,
@@ -26,21 +23,7 @@ from hiros_mcap.kernels.averaging import (
     mean_person,
     mean_state,
 )
-from hiros_mcap.kernels.compile import (
-    B1,
-    F1,
-    F2,
-    F3,
-    F4,
-    I1,
-    I2,
-    J1,
-    J2,
-    PEOPLE,
-    inlined,
-    kernel,
-    named_tuple,
-)
+from hiros_mcap.kernels.compile import B1, F1, F2, F3, F4, I1, I2, J1, J2, entry, inlined, kernel
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import STATE, Flags, Floats, Ints, People, Stamps
@@ -73,8 +56,7 @@ class MergerSettings(NamedTuple):
     offset_time: float
     bridge: float
     carry: float
-    pelvis_link: int
-    """Slot; -1 = there is none."""
+    pelvis_link: int  # Slot; -1 = there is none
     facing_by_sides: bool
     relabel: bool
     past_votes: bool
@@ -86,19 +68,16 @@ class MergerSettings(NamedTuple):
 class MergerPast(NamedTuple):
     """What is remembered of S people, a row each."""
 
-    seen: Stamps
-    """(S,) time of the last merged pose, ns; 0 = never."""
-    facing_seen: Stamps
-    facing_since: Stamps
+    seen: I1  # (S,) time of the last merged pose, ns; 0 = never
+    facing_seen: I1
+    facing_since: I1
     """(S,) when views last confirmed the way the person faces, and when they first did, ns."""
-    confidences: Floats
-    markers: Floats
-    marker_confidences: Floats
-    links: Floats
-    link_confidences: Floats
-    """(S, ...) the last merged pose; coordinates as in People."""
-    camera_offsets: Floats
-    """(S, C, M, 3) slow offset of each camera's markers from the merged ones, m."""
+    confidences: F1
+    markers: F3
+    marker_confidences: F2
+    links: F3
+    link_confidences: F2  # (S, ...) the last merged pose; coordinates as in People
+    camera_offsets: F4  # (S, C, M, 3) slow offset of each camera's markers from the merged ones, m
 
     @classmethod
     def empty(cls, n_markers: int, n_links: int) -> MergerPast:
@@ -112,35 +91,25 @@ class MergerPast(NamedTuple):
 class Sides(NamedTuple):
     """Left and right, as in hiros_mcap.body.symmetry."""
 
-    mirror: Ints
-    """(M,)."""
-    lateral: Ints
-    """(K, 2)."""
+    mirror: J1  # (M,)
+    lateral: J2  # (K, 2)
 
 
 class MergerWork(NamedTuple):
     """Scratch for up to K views of a person. A kernel that makes arrays is twice as slow."""
 
-    values: Floats
-    """(K + 1, 4) the positions or orientations of the views, then those of the past pose."""
-    sides: Floats
-    """(K + 1, 3) directions from left to right, in the same order."""
-    distances: Floats
-    """((K + 1)^2,) between them."""
-    present: Flags
-    """(K,) views that count."""
-    weights: Floats
-    robust: Floats
-    """(K,)."""
-    marker_weights: Floats
-    link_weights: Floats
-    """(K, M) and (K, L)."""
-    past_positions: Floats
-    past_orientations: Floats
-    reference: Floats
-    """(M, 3), (L, 4) and (M, 3)."""
-    sides_changed: Stamps
-    """(K,) EXCHANGED, LEFT_OUT or 0, by view."""
+    values: F2  # (K + 1, 4) the positions or orientations of the views, then those of the past pose
+    sides: F2  # (K + 1, 3) directions from left to right, in the same order
+    distances: F1  # ((K + 1)^2,) between them
+    present: B1  # (K,) views that count
+    weights: F1
+    robust: F1  # (K,)
+    marker_weights: F2
+    link_weights: F2  # (K, M) and (K, L)
+    past_positions: F2
+    past_orientations: F2
+    reference: F2  # (M, 3), (L, 4) and (M, 3)
+    sides_changed: I1  # (K,) EXCHANGED, LEFT_OUT or 0, by view
 
     @classmethod
     def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
@@ -158,25 +127,13 @@ class MergerWork(NamedTuple):
 class _Slots(NamedTuple):
     """The markers or the links of one person's views."""
 
-    states: Floats
-    """(K, M, 19)."""
-    confidences: Floats
-    """(K, M)."""
-    skeleton_confidences: Floats
-    """(K,) of the views as a whole."""
-    weights: Floats
-    """(K, M)."""
-    past: Floats
-    """(M, 3) positions, or (M, 4) orientations, of the past pose; NaN = no vote."""
+    states: Floats  # (K, M, 19)
+    confidences: Floats  # (K, M)
+    skeleton_confidences: Floats  # (K,) of the views as a whole
+    weights: Floats  # (K, M)
+    past: Floats  # (M, 3) positions, or (M, 4) orientations, of the past pose; NaN = no vote
     merged: Floats
-    merged_confidences: Floats
-    """(M, 19) and (M,), to be written."""
-
-
-_SETTINGS = named_tuple(MergerSettings, *[types.float64] * 8, types.int64, *[types.boolean] * 5)
-_PAST = named_tuple(MergerPast, I1, I1, I1, F1, F3, F2, F3, F2, F4)
-_SIDES = named_tuple(Sides, J1, J2)
-_WORK = named_tuple(MergerWork, F2, F2, F1, B1, F1, F1, *[F2] * 5, I1)
+    merged_confidences: Floats  # (M, 19) and (M,), to be written
 
 
 @kernel
@@ -320,8 +277,8 @@ def _distance(values: Floats, a: int, b: int, orientations: bool) -> float:
     return distance
 
 
-@kernel("int64(float64[:,::1], float64[::1], boolean, float64)")
-def largest_group(distances: Floats, weights: Floats, has_past: bool, limit: float) -> int:
+@entry
+def largest_group(distances: F2, weights: F1, has_past: bool, limit: float) -> int:
     """Return the view whose neighbours, nearer than ``limit``, are the right ones; -1 = no view.
 
     The largest group wins (section 3.2); of equal ones the nearest to the past, then the most
@@ -827,7 +784,7 @@ def _note_sides(
                 n += 1
 
 
-@kernel(types.void(BUFFERS, PEOPLE, VIEWS, _PAST, _SETTINGS, _SIDES, PEOPLE, I2, I1, _WORK))
+@entry
 def merge_buffers(
     buffers: Buffers,
     people: People,
@@ -836,8 +793,8 @@ def merge_buffers(
     settings: MergerSettings,
     sides: Sides,
     out: People,
-    counts: Stamps,
-    changed: Stamps,
+    counts: I2,
+    changed: I1,
     work: MergerWork,
 ) -> None:
     """Merge buffer after buffer.

@@ -10,17 +10,10 @@ from math import atan2, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F1, F2, F3, J2, inlined, kernel, named_tuple
+from hiros_mcap.kernels.compile import F1, F2, F3, J2, entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints
-from hiros_mcap.stages.optimize.normal_equations import (
-    NORMAL_EQUATIONS,
-    TOPOLOGY,
-    NormalEquations,
-    Topology,
-    solve_equations,
-)
+from hiros_mcap.stages.optimize.normal_equations import NormalEquations, Topology, solve_equations
 
 MAX_STEPS = 50
 
@@ -46,27 +39,20 @@ class Energy(NamedTuple):
     A link of zero weights takes no part.
     """
 
-    start: Floats
-    """(P, M, 3) measured positions, m; the minimization starts there."""
-    nominal: Floats
-    """(P, L) calibrated lengths, m."""
-    weights: Floats
-    """(P, L, 4) columns W_LENGTH to W_ORIENTATION."""
+    start: F3  # (P, M, 3) measured positions, m; the minimization starts there
+    nominal: F2  # (P, L) calibrated lengths, m
+    weights: F3  # (P, L, 4) columns W_LENGTH to W_ORIENTATION
 
 
 class LinkGeometry(NamedTuple):
     """Each link at the current positions."""
 
-    length: Floats
-    """(L,) m."""
-    direction: Floats
-    """(L, 3) unit vector from the proximal to the distal marker."""
-    angle: Floats
-    """(L,) phi of eq 16, rad."""
-    tangent: Floats
+    length: F1  # (L,) m
+    direction: F2  # (L, 3) unit vector from the proximal to the distal marker
+    angle: F1  # (L,) phi of eq 16, rad
+    tangent: F2
     """(L, 3) unit vector at a right angle to the direction, towards the direction at the start."""
-    curvature: Floats
-    """(L,) phi cot phi."""
+    curvature: F1  # (L,) phi cot phi
 
 
 class SolverScratch(NamedTuple):
@@ -74,16 +60,11 @@ class SolverScratch(NamedTuple):
 
     equations: NormalEquations
     geometry: LinkGeometry
-    start_direction: Floats
-    """(L, 3) direction of each link at the start."""
-    multiplier: Floats
-    """(L,) predicted force of each length term."""
-    current: Floats
-    """(M, 3) positions that the solver tries."""
-    solution: Floats
-    """(M, 3) result of the search for outliers."""
-    weights: Floats
-    """(L, 4) weights of that search."""
+    start_direction: F2  # (L, 3) direction of each link at the start
+    multiplier: F1  # (L,) predicted force of each length term
+    current: F2  # (M, 3) positions that the solver tries
+    solution: F2  # (M, 3) result of the search for outliers
+    weights: F2  # (L, 4) weights of that search
 
     @classmethod
     def of(cls, topology: Topology) -> SolverScratch:
@@ -92,11 +73,6 @@ class SolverScratch(NamedTuple):
         geometry = map(np.empty, ((n,), (n, 3), (n,), (n, 3), (n,)))
         others = map(np.empty, ((n, 3), (n,), (m, 3), (m, 3), (n, 4)))
         return cls(NormalEquations.of(topology), LinkGeometry(*geometry), *others)
-
-
-ENERGY = named_tuple(Energy, F3, F2, F3)
-_GEOMETRY = named_tuple(LinkGeometry, F1, F2, F1, F2, F1)
-SCRATCH = named_tuple(SolverScratch, NORMAL_EQUATIONS, _GEOMETRY, F2, F1, F2, F2, F2)
 
 
 @kernel
@@ -151,8 +127,8 @@ def paper_weights(energy: Energy, topology: Topology, outlier: Ints, max_error: 
             _free_outliers(outlier[i, links[k, 0]], outlier[i, links[k, 1]], w)
 
 
-@kernel(types.void(ENERGY, TOPOLOGY, J2, F2))
-def exact_weights(energy: Energy, topology: Topology, outlier: Ints, confidences: Floats) -> None:
+@entry
+def exact_weights(energy: Energy, topology: Topology, outlier: J2, confidences: F2) -> None:
     """Write the weights that make lengths rigid; markers (P, M) count by their confidences.
 
     A marker's confidence is shared out among the links that end in it.
@@ -330,9 +306,9 @@ def minimize_one(
     return 1
 
 
-@kernel(types.int64(ENERGY, TOPOLOGY, types.float64, SCRATCH, F3))
+@entry
 def minimize(
-    energy: Energy, topology: Topology, tolerance: float, scratch: SolverScratch, x: Floats
+    energy: Energy, topology: Topology, tolerance: float, scratch: SolverScratch, x: F3
 ) -> int:
     """Write the poses of least energy to ``x`` (P, M, 3); return how many did not converge.
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F2, F3, J1, J2, inlined, kernel, named_tuple
-from hiros_mcap.skeletons import Floats, Ints
+from hiros_mcap.kernels.compile import F2, F3, J1, J2, inlined, kernel
+from hiros_mcap.skeletons import Floats
 
 
 class Topology(NamedTuple):
@@ -19,41 +19,26 @@ class Topology(NamedTuple):
     ``j`` counts the pairs from ``first_pair[k]`` on.
     """
 
-    links: Ints
-    """(L, 2) proximal and distal marker slot, -1 = absent."""
-    degree: Ints
-    """(M,) number of links that end in each marker."""
-    outward: Ints
-    """(up to L,) links from the roots outwards."""
-    order: Ints
-    """(M,) marker slots."""
-    first: Ints
-    """(M + 1,) first block of each step."""
-    row: Ints
-    """(S,) marker slot of each block's row."""
-    first_pair: Ints
-    """(M + 1,) first pair of each step."""
-    target: Ints
-    """(number of pairs,) block that a pair updates."""
-    link_block: Ints
-    """(L,) block of each link, -1 for a link that couples nothing."""
+    links: J2  # (L, 2) proximal and distal marker slot, -1 = absent
+    degree: J1  # (M,) number of links that end in each marker
+    outward: J1  # (up to L,) links from the roots outwards
+    order: J1  # (M,) marker slots
+    first: J1  # (M + 1,) first block of each step
+    row: J1  # (S,) marker slot of each block's row
+    first_pair: J1  # (M + 1,) first pair of each step
+    target: J1  # (number of pairs,) block that a pair updates
+    link_block: J1  # (L,) block of each link, -1 for a link that couples nothing
 
 
 class NormalEquations(NamedTuple):
     """Hessian * step = -gradient, for M markers and S blocks off the diagonal."""
 
-    diagonal: Floats
-    """(M, 3, 3) of the Hessian."""
-    inverse: Floats
-    """(M, 3, 3) of the diagonal blocks, when they are eliminated."""
-    blocks: Floats
-    """(S, 3, 3) of the Hessian, off the diagonal."""
-    scaled: Floats
-    """(S, 3, 3) blocks times the inverse."""
-    gradient: Floats
-    """(M, 3)."""
-    step: Floats
-    """(M, 3)."""
+    diagonal: F3  # (M, 3, 3) of the Hessian
+    inverse: F3  # (M, 3, 3) of the diagonal blocks, when they are eliminated
+    blocks: F3  # (S, 3, 3) of the Hessian, off the diagonal
+    scaled: F3  # (S, 3, 3) blocks times the inverse
+    gradient: F2  # (M, 3)
+    step: F2  # (M, 3)
 
     @classmethod
     def of(cls, topology: Topology) -> NormalEquations:
@@ -61,10 +46,6 @@ class NormalEquations(NamedTuple):
         m, s = len(topology.order), len(topology.row)
         shapes = (m, 3, 3), (m, 3, 3), (s, 3, 3), (s, 3, 3), (m, 3), (m, 3)
         return cls(*map(np.empty, shapes))
-
-
-TOPOLOGY = named_tuple(Topology, J2, *[J1] * 8)
-NORMAL_EQUATIONS = named_tuple(NormalEquations, F3, F3, F3, F3, F2, F2)
 
 
 @inlined

@@ -94,8 +94,7 @@ class _Calibrated(NamedTuple):
     block: Block
     place: int
     log_time: int
-    nominal: Floats
-    """(P, L) calibrated lengths, m, NaN where there are none."""
+    nominal: Floats  # (P, L) calibrated lengths, m, NaN where there are none
 
 
 def _await_calibration(

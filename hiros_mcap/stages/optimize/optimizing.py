@@ -9,13 +9,10 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numba import types
 
-from hiros_mcap.kernels.compile import F2, F3, J2, PEOPLE, kernel
+from hiros_mcap.kernels.compile import F2, F3, J2, entry, kernel
 from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
 from hiros_mcap.stages.optimize.energy import (
-    ENERGY,
-    SCRATCH,
     W_LENGTH,
     W_ORIENTATION,
     W_PROXIMAL,
@@ -25,7 +22,7 @@ from hiros_mcap.stages.optimize.energy import (
     length_error,
     minimize_one,
 )
-from hiros_mcap.stages.optimize.normal_equations import TOPOLOGY, Topology
+from hiros_mcap.stages.optimize.normal_equations import Topology
 
 # The search for outliers: displacements, m, that count a quarter of their weight, round by round
 # of reweighting and solving. With the narrow scales alone, chance decides which marker loses its
@@ -43,10 +40,8 @@ _QX, _QY, _QZ, _QW = range(*ORIENTATION.indices(STATE))
 # Section 3.3.1: calibration
 
 
-@kernel(types.void(F3, F2, J2, F2, F2))
-def measure_lengths(
-    markers: Floats, confidences: Floats, links: Ints, lengths: Floats, weights: Floats
-) -> None:
+@entry
+def measure_lengths(markers: F3, confidences: F2, links: J2, lengths: F2, weights: F2) -> None:
     """Write each link's length (P, L), m, NaN = not seen, and its weight, 0..1.
 
     The weight is the harmonic mean of the markers' confidences: the variances of the two ends add
@@ -137,9 +132,9 @@ def _fit_robustly(energy: Energy, topology: Topology, scratch: SolverScratch) ->
         minimize_one(robust, topology, _SEARCH_TOLERANCE, steps, True, scratch, x)
 
 
-@kernel(types.int64(ENERGY, TOPOLOGY, types.float64, J2, SCRATCH))
+@entry
 def restore_outliers(
-    energy: Energy, topology: Topology, max_error: float, outlier: Ints, scratch: SolverScratch
+    energy: Energy, topology: Topology, max_error: float, outlier: J2, scratch: SolverScratch
 ) -> int:
     """Find the outliers by a robust fit and move them, in ``energy.start``; return how many.
 
@@ -212,13 +207,13 @@ def _move_link(
         _align(state, u, v)
 
 
-@kernel(types.void(PEOPLE, ENERGY, F3, J2, J2, types.boolean, types.boolean))
+@entry
 def write_poses(
     people: People,
     energy: Energy,
-    solved: Floats,
-    outlier: Ints,
-    links: Ints,
+    solved: F3,
+    outlier: J2,
+    links: J2,
     remove: bool,
     align: bool,
 ) -> None:

@@ -62,52 +62,38 @@ _SAMPLES, _REFIT = 90, 10  # samples that make a displacement more precise; new 
 class Others(NamedTuple):
     """The P people whom other cameras know, at the time of a message."""
 
-    numbers: Sequence[int]
-    """Of their tracks."""
-    places: Floats
-    """(P, M, 3) their markers, m."""
-    since: Ints
-    """(P,) time of the first detection, ns; 0 if two cameras agree on the person."""
-    shown: Flags
-    """(P,) whether the message shows the person in place."""
+    numbers: Sequence[int]  # Of their tracks
+    places: Floats  # (P, M, 3) their markers, m
+    since: Ints  # (P,) time of the first detection, ns; 0 if two cameras agree on the person
+    shown: Flags  # (P,) whether the message shows the person in place
 
 
 class LoneTracks(NamedTuple):
     """One message of a camera: what it alone shows, beside whom."""
 
     source: str
-    stamp: int
-    """ns."""
-    tracks: Sequence[int]
-    """Numbers of tracks that no other camera reports."""
-    poses: Floats
-    """(N, M, 3) their detections, m."""
+    stamp: int  # ns
+    tracks: Sequence[int]  # Numbers of tracks that no other camera reports
+    poses: Floats  # (N, M, 3) their detections, m
     others: Others
-    heard: Sequence[str]
-    """The other cameras that send messages at this time."""
+    heard: Sequence[str]  # The other cameras that send messages at this time
 
 
 class _Pairs(NamedTuple):
     """A track beside a person at K instants."""
 
-    own: Floats
-    """(K, M, 3) m."""
-    other: Floats
-    """(K, M, 3) m."""
-    unseen: float
-    """Share of the instants at which the camera did not show the person in place."""
-    agreed: bool
-    """Whether two cameras agree on the person."""
+    own: Floats  # (K, M, 3) m
+    other: Floats  # (K, M, 3) m
+    unseen: float  # Share of the instants at which the camera did not show the person in place
+    agreed: bool  # Whether two cameras agree on the person
 
 
 @dataclass(slots=True)
 class _History:
     """The latest samples of a track that one camera reports, and of the people known elsewhere."""
 
-    first: int
-    """Time of the first sample, ns."""
-    due: int
-    """Time of the next comparison, ns."""
+    first: int  # Time of the first sample, ns
+    due: int  # Time of the next comparison, ns
     samples: deque[tuple[int, Floats, Others]] = field(default_factory=deque)
     """Time, ns; (M, 3) markers, m; the others."""
 
@@ -143,16 +129,12 @@ class _State:
     """A camera that is displaced."""
 
     by: Displacement
-    last: int
-    """Time of its last copy, ns."""
+    last: int  # Time of its last copy, ns
     pairs: deque[tuple[Floats, Floats]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
     """(M, 3) markers of a copy and of its person, m."""
-    new: int = 0
-    """Pairs since the last fit."""
-    sampled: int = 0
-    """Time of the latest pair, ns."""
-    in_place: int = 0
-    """Time since which it has shown people in place, ns; 0 = it does not."""
+    new: int = 0  # Pairs since the last fit
+    sampled: int = 0  # Time of the latest pair, ns
+    in_place: int = 0  # Time since which it has shown people in place, ns; 0 = it does not
 
     def learn(self, own: Floats, other: Floats, stamp: int, mirror: Ints) -> None:
         """Make the displacement more precise by one more copy."""

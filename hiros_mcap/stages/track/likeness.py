@@ -32,13 +32,10 @@ _ROUNDS, _OUTLYING = 3, 1.7  # fits; instants this many medians off are left out
 class Displacement(NamedTuple):
     """What takes the people whom a camera shows to where other cameras see them."""
 
-    rotation: Floats
-    """(3, 3); improper if it mirrors."""
-    shift: Floats
-    """(3,) m."""
+    rotation: Floats  # (3, 3); improper if it mirrors
+    shift: Floats  # (3,) m
     mirrors: bool
-    swaps: bool
-    """Whether left and right are swapped as well."""
+    swaps: bool  # Whether left and right are swapped as well
 
     def inverse(self) -> Displacement:
         """Return what takes people from where the other cameras see them to where this one does."""
@@ -54,15 +51,11 @@ class Displacement(NamedTuple):
 class Likeness(NamedTuple):
     """How much a track looks like a displaced view of a person."""
 
-    distance: float
-    """Median over time of the mean marker distance after the fit, m."""
-    motion: float
-    """SD of the person's markers over time, m."""
-    apart: float
-    """Median distance of the two before the fit, m."""
+    distance: float  # Median over time of the mean marker distance after the fit, m
+    motion: float  # SD of the person's markers over time, m
+    apart: float  # Median distance of the two before the fit, m
     by: Displacement
-    pure: bool
-    """Whether it is a reflection, and that explains how far apart the two are."""
+    pure: bool  # Whether it is a reflection, and that explains how far apart the two are
 
     def is_copy(self, limit: float, unseen: float) -> bool:
         """Whether it is a copy, with a limit of the distance, m.

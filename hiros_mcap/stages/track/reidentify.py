@@ -53,26 +53,19 @@ LIMBS, PLACE, NUMBER = "limb lengths", "place and time", "number of people"
 class PersonCues:
     """What is known of a person at one end of an absence."""
 
-    person: int
-    """Id; of a newcomer any number of its own."""
-    stamp: int
-    """Time of the last detection of one who is absent, of the first of a newcomer, ns."""
-    place: Floats
-    """(3,) mean marker position at that time, m."""
-    lengths: Floats
-    """(L,) mean limb lengths, m."""
-    counts: Floats
-    """(L,) detections that they are of."""
+    person: int  # Id; of a newcomer any number of its own
+    stamp: int  # Time of the last detection of one who is absent, of the first of a newcomer, ns
+    place: Floats  # (3,) mean marker position at that time, m
+    lengths: Floats  # (L,) mean limb lengths, m
+    counts: Floats  # (L,) detections that they are of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limbs:
     """How the lengths of a skeleton's limbs go together."""
 
-    noise: Floats
-    """(L, L) correlation of their lasting noise."""
-    alike: Floats
-    """(L, L) 1 for a limb with itself and with the one on the other side, else 0."""
+    noise: Floats  # (L, L) correlation of their lasting noise
+    alike: Floats  # (L, L) 1 for a limb with itself and with the one on the other side, else 0
 
     @classmethod
     def of(cls, links: Ints, mirror: Ints) -> Limbs:
@@ -92,8 +85,7 @@ class Verdict:
 
     person: int
     probability: float
-    cue: str
-    """What spoke most for this person, against the next best explanation."""
+    cue: str  # What spoke most for this person, against the next best explanation
 
     def __str__(self) -> str:
         return f"{self.cue}, {self.probability:.0%} person {self.person}"

@@ -12,26 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
 from hiros_mcap.kernels import kalman_filter
-from hiros_mcap.kernels.assignment import ASSIGNMENT_WORK, AssignmentWork, solve
-from hiros_mcap.kernels.compile import (
-    B1,
-    B2,
-    F1,
-    F2,
-    F3,
-    I1,
-    I2,
-    J1,
-    J2,
-    PEOPLE,
-    inlined,
-    kernel,
-    named_tuple,
-    rows_of,
-)
+from hiros_mcap.kernels.assignment import AssignmentWork, solve
+from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, I2, J1, J2, entry, inlined, rows_of
 from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.quaternions import (
@@ -50,7 +34,6 @@ from hiros_mcap.skeletons import (
     ANGULAR_VELOCITY,
     ORIENTATION,
     VELOCITY,
-    Flags,
     Floats,
     Ints,
     People,
@@ -86,30 +69,19 @@ class Tracks(NamedTuple):
     A covariance is the upper triangle of :mod:`~hiros_mcap.kernels.kalman_filter`.
     """
 
-    positions: Floats
-    """(T, M, 3) m."""
-    velocities: Floats
-    """(T, M, 3) m/s."""
-    accelerations: Floats
-    """(T, M, 3) m/s2."""
-    covariances: Floats
-    """(T, M, 6)."""
-    seen: Stamps
-    """(T, M) time of each marker's state, ns."""
-    orientations: Floats
-    """(T, L, 4) x y z w."""
-    angular_velocities: Floats
-    """(T, L, 3) rad/s."""
-    angular_accelerations: Floats
-    """(T, L, 3) rad/s2."""
-    link_covariances: Floats
-    """(T, L, 6)."""
-    links_seen: Stamps
-    """(T, L) time of each link's state, ns."""
-    lengths: Floats
+    positions: F3  # (T, M, 3) m
+    velocities: F3  # (T, M, 3) m/s
+    accelerations: F3  # (T, M, 3) m/s2
+    covariances: F3  # (T, M, 6)
+    seen: I2  # (T, M) time of each marker's state, ns
+    orientations: F3  # (T, L, 4) x y z w
+    angular_velocities: F3  # (T, L, 3) rad/s
+    angular_accelerations: F3  # (T, L, 3) rad/s2
+    link_covariances: F3  # (T, L, 6)
+    links_seen: I2  # (T, L) time of each link's state, ns
+    lengths: F2
     """(T, L) mean distance of each link's markers, m; learned if SlotOrders names the markers."""
-    length_counts: Floats
-    """(T, L) detections that the mean length is of."""
+    length_counts: F2  # (T, L) detections that the mean length is of
 
     @classmethod
     def allocate(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
@@ -146,57 +118,42 @@ class TrackSettings(NamedTuple):
 class PredictedTracks(NamedTuple):
     """Poses of T tracks at the time of a message (eq 7); NaN = never seen."""
 
-    positions: Floats
-    """(T, M, 3) m."""
-    orientations: Floats
-    """(T, L, 4) x y z w."""
-    unseen: Floats
-    """(T,) time since the last detection, s."""
-    gates: Floats
-    """(T,) largest distance of a detection, m."""
+    positions: F3  # (T, M, 3) m
+    orientations: F3  # (T, L, 4) x y z w
+    unseen: F1  # (T,) time since the last detection, s
+    gates: F1  # (T,) largest distance of a detection, m
 
 
 class TrackWeights(NamedTuple):
     """The two factors of eq 11, of T tracks and P detections."""
 
-    marker_velocities: Floats
-    """(T, M) w_v."""
-    link_velocities: Floats
-    """(T, L)."""
-    marker_confidences: Floats
-    """(P, M) kappa."""
-    link_confidences: Floats
-    """(P, L)."""
+    marker_velocities: F2  # (T, M) w_v
+    link_velocities: F2  # (T, L)
+    marker_confidences: F2  # (P, M) kappa
+    link_confidences: F2  # (P, L)
 
 
 class TrackPairs(NamedTuple):
     """T tracks compared with P detections."""
 
-    wanted: Flags
-    """(P,) whether a detection needs a track."""
-    distances: Floats
+    wanted: B1  # (P,) whether a detection needs a track
+    distances: F2
     """(T, P) weighted mean distance of the markers, m; right up to both distance parameters."""
-    mirrored: Flags
-    """(T, P) whether that is with the detection's left and right swapped."""
-    cost: Floats
-    """(T, P) eq 6; infinite where a pair is not allowed."""
-    match: Stamps
-    """(P,) index of the track of each detection, -1 = none."""
-    broken: Flags
-    """(P,) whether a detection breaks with the track that ``match`` gives it."""
+    mirrored: B2  # (T, P) whether that is with the detection's left and right swapped
+    cost: F2  # (T, P) eq 6; infinite where a pair is not allowed
+    match: I1  # (P,) index of the track of each detection, -1 = none
+    broken: B1  # (P,) whether a detection breaks with the track that ``match`` gives it
 
 
 class TrackWork(NamedTuple):
     """Scratch for at most T tracks and P detections; its arrays are larger than what counts."""
 
-    bounds: Floats
-    """(P, 6) least and greatest x y z of each detection's markers, m."""
+    bounds: F2  # (P, 6) least and greatest x y z of each detection's markers, m
     predicted: PredictedTracks
     weights: TrackWeights
     pairs: TrackPairs
     assignment: AssignmentWork
-    faults: Stamps
-    """(P,) USABLE, NO_MARKERS or LOW_CONFIDENCE."""
+    faults: I1  # (P,) USABLE, NO_MARKERS or LOW_CONFIDENCE
 
     @classmethod
     def allocate(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
@@ -218,11 +175,9 @@ class TrackWork(NamedTuple):
 class SlotOrders(NamedTuple):
     """Which marker of a detection belongs to which of a track."""
 
-    same: Ints
-    """(M,) 0, 1, 2, ..."""
-    mirror: Ints
-    """(M,) where the detector swapped left and right."""
-    ends: Ints
+    same: J1  # (M,) 0, 1, 2, ..
+    mirror: J1  # (M,) where the detector swapped left and right
+    ends: J2
     """(L, 2) the track's markers at the ends of each link whose length is learned; of no link if
     nobody asks for lengths."""
 
@@ -230,33 +185,16 @@ class SlotOrders(NamedTuple):
 class ConfirmedTracks(NamedTuple):
     """The tracks that :func:`follow` goes on with."""
 
-    rows: Stamps
-    """(T,) their rows in Tracks."""
-    ids: Ints
-    """(T,) their ids."""
-    last_seen: Stamps
-    """(T,) ns; brought up to date."""
+    rows: I1  # (T,) their rows in Tracks
+    ids: J1  # (T,) their ids
+    last_seen: I1  # (T,) ns; brought up to date
 
 
 class Followed(NamedTuple):
     """What :func:`follow` finds out about the P people of its messages."""
 
-    match: Stamps
-    """(P,) index into ConfirmedTracks."""
-    centres: Floats
-    """(P, 3) mean position of the track's markers after the message, m."""
-
-
-_F, _I = types.float64, types.int64
-_TRACKS = named_tuple(Tracks, F3, F3, F3, F3, I2, F3, F3, F3, F3, I2, F2, F2)
-_SETTINGS = named_tuple(TrackSettings, *15 * [_F], types.boolean)
-_PREDICTED = named_tuple(PredictedTracks, F3, F3, F1, F1)
-_WEIGHTS = named_tuple(TrackWeights, F2, F2, F2, F2)
-_PAIRS = named_tuple(TrackPairs, B1, F2, B2, F2, I1, B1)
-_WORK = named_tuple(TrackWork, F2, _PREDICTED, _WEIGHTS, _PAIRS, ASSIGNMENT_WORK, I1)
-_SLOTS = named_tuple(SlotOrders, J1, J1, J2)
-_CONFIRMED = named_tuple(ConfirmedTracks, I1, J1, I1)
-_FOLLOWED = named_tuple(Followed, I1, F2)
+    match: I1  # (P,) index into ConfirmedTracks
+    centres: F2  # (P, 3) mean position of the track's markers after the message, m
 
 
 # Detections
@@ -274,8 +212,8 @@ def _leave_out(states: Floats, confidences: Floats, least: float, person: int) -
     return some
 
 
-@kernel(types.void(PEOPLE, _F, _F, I1))
-def screen(people: People, min_marker: float, min_skeleton: float, faults: Stamps) -> None:
+@entry
+def screen(people: People, min_marker: float, min_skeleton: float, faults: I1) -> None:
     """Make markers and links of too little confidence absent; fill ``faults`` (P,)."""
     for j in range(len(people.ids)):
         some = _leave_out(people.markers, people.marker_confidences, min_marker, j)
@@ -357,10 +295,10 @@ def _predict_orientations(
             out[i, k, 0], out[i, k, 1], out[i, k, 2], out[i, k, 3] = q
 
 
-@kernel(types.void(_I, I1, _TRACKS, _SETTINGS, _PREDICTED))
+@entry
 def predict(
     stamp: int,
-    rows: Stamps,
+    rows: I1,
     tracks: Tracks,
     settings: TrackSettings,
     predicted: PredictedTracks,
@@ -549,9 +487,9 @@ def _fill_cost(
                 pairs.cost[i, j] = linear + settings.orientation_weight * angular  # eq 6
 
 
-@kernel(types.void(I1, PEOPLE, _TRACKS, _SLOTS, _SETTINGS, _WORK))
+@entry
 def association_cost(
-    rows: Stamps,
+    rows: I1,
     people: People,
     tracks: Tracks,
     slots: SlotOrders,
@@ -581,10 +519,10 @@ def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
     return distance > settings.max_jump + _FASTEST * max(unseen - _USUAL_INTERVAL, 0.0)
 
 
-@kernel(types.void(_I, I1, PEOPLE, _TRACKS, _SLOTS, _SETTINGS, _WORK))
+@entry
 def associate(
     stamp: int,
-    rows: Stamps,
+    rows: I1,
     people: People,
     tracks: Tracks,
     slots: SlotOrders,
@@ -813,10 +751,10 @@ def _learn_lengths(
             tracks.lengths[row, k] += (length - tracks.lengths[row, k]) / n
 
 
-@kernel(types.void(_I, I1, _PAIRS, PEOPLE, _TRACKS, _SLOTS, _SETTINGS))
+@entry
 def correct(
     stamp: int,
-    rows: Stamps,
+    rows: I1,
     pairs: TrackPairs,
     people: People,
     tracks: Tracks,
@@ -843,8 +781,8 @@ def correct(
             _correct_links(stamp, row, tracks, people.links[j], settings)
 
 
-@kernel("void(float64[:,:,::1], int64, float64[::1])")
-def centre(positions: Floats, row: int, out: Floats) -> None:
+@entry
+def centre(positions: F3, row: int, out: F1) -> None:
     """Write the mean position (3,) of a track's markers, m; NaN before any was seen."""
     count = x = y = z = 0.0
     for m in range(positions.shape[1]):
@@ -859,9 +797,9 @@ def centre(positions: Floats, row: int, out: Floats) -> None:
 # Many messages at once
 
 
-@kernel(types.int64(I1, I2, PEOPLE, _TRACKS, _CONFIRMED, _SLOTS, _SETTINGS, _WORK, _FOLLOWED))
+@entry
 def follow(
-    stamps: Stamps, spans: Stamps, people: People, tracks: Tracks, confirmed: ConfirmedTracks,
+    stamps: I1, spans: I2, people: People, tracks: Tracks, confirmed: ConfirmedTracks,
     slots: SlotOrders, settings: TrackSettings, work: TrackWork, followed: Followed,
 ) -> int:  # fmt: skip
     """Take messages in which everybody is of a confirmed track; return how many.
