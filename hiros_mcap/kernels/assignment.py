@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import B1, F1, F2, I1, entry, inlined, kernel
+from hiros_mcap.kernels.array_types import B1, F1, F2, I1, arrays
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Stamps
 
 _INFINITE = 1e18
@@ -34,9 +35,7 @@ class AssignmentWork(NamedTuple):
     @classmethod
     def allocate(cls, size: int) -> AssignmentWork:
         """Arrays for at most ``size`` rows and columns."""
-        n = size + 1
-        floats, indices = np.empty((3, n)), np.empty((2, n), np.int64)
-        return cls._make([*floats, *indices, np.empty(n, np.bool_)])
+        return arrays(cls, *6 * [size + 1])
 
 
 @inlined

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1, I2, arrays
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, I2, inlined, kernel
+from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.kernels.quaternions import exponential, multiply
 from hiros_mcap.skeletons import STATE, Floats, People
 
@@ -51,9 +52,7 @@ class Views(NamedTuple):
     def allocate(cls, views: int, n_markers: int, n_links: int) -> Views:
         """Arrays whose contents are still to come."""
         k, m, n = views, n_markers, n_links
-        shapes = (k,), (k, m, STATE), (k, m), (k, n, STATE), (k, n)
-        numbers = [np.empty(shape) for shape in shapes]
-        return cls(np.empty(k, np.int64), np.empty(k, np.int64), *numbers)
+        return arrays(cls, k, k, k, (k, m, STATE), (k, m), (k, n, STATE), (k, n))
 
 
 @kernel

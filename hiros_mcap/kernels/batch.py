@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from hiros_mcap.kernels.array_types import C1, I1, I2
 from hiros_mcap.kernels.cdr import (
     COUNT,
     FRAME,
@@ -15,7 +16,7 @@ from hiros_mcap.kernels.cdr import (
     read_header,
 )
 from hiros_mcap.kernels.cleaning import clean
-from hiros_mcap.kernels.compile import C1, I1, I2, entry, rows_of
+from hiros_mcap.kernels.compile import entry, rows_of
 from hiros_mcap.kernels.transforming import PoseArrays, move
 from hiros_mcap.skeletons import People
 
@@ -54,16 +55,9 @@ def read_headers(data: C1, places: I2, message: int, first: I1, reports: I2) -> 
 
 @entry
 def decode_messages(
-    data: C1,
-    places: I2,
-    message: int,
-    tables: Tables,
-    results: Results,
-    people: People,
-    poses: PoseArrays,
-    seen: I1,
-    exact: bool,
-) -> bool:
+    data: C1, places: I2, message: int, tables: Tables, results: Results, people: People,
+    poses: PoseArrays, seen: I1, exact: bool,
+) -> bool:  # fmt: skip
     """Fill the people's arrays from messages, take out numbers that cannot be true, and move.
 
     ``places`` and ``message`` are as for :func:`read_headers`; ``seen`` is scratch of M + L. With

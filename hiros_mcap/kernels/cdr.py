@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hiros_mcap.kernels.array_types import C1, I1, I2, W1
 from hiros_mcap.kernels.bytes import copy, load32, load64, swap32, swap64, to_double
-from hiros_mcap.kernels.compile import C1, I1, I2, W1, entry, kernel
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import BOX as BOX
 from hiros_mcap.skeletons import STATE as STATE
 from hiros_mcap.skeletons import Floats, People

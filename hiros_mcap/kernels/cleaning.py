@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, I1, entry, kernel
+from hiros_mcap.kernels.array_types import F1, I1
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import BOX, ORIENTATION, STATE, VELOCITY, Floats, People, Stamps
 
 LIMIT = 1e4

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I2, entry, inlined
+from hiros_mcap.kernels.array_types import F1, F2, F3, I2
+from hiros_mcap.kernels.compile import entry, inlined
 from hiros_mcap.skeletons import Floats, Ints
 
 

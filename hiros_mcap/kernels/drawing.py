@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hiros_mcap.kernels.compile import F2, F3, I1, J1, J2, S2, S3, entry, kernel
+from hiros_mcap.kernels.array_types import F2, F3, I1, J1, J2, S2, S3
+from hiros_mcap.kernels.compile import entry, kernel
 
 Singles = npt.NDArray[np.float32]
 
@@ -33,12 +34,7 @@ def pick(markers: F3, confidences: F2, rows: I1, positions: F3, sure: F2) -> Non
 
 @entry
 def draw_joints(
-    poses: F3,
-    confidences: F2,
-    rows: I1,
-    largest: float,
-    joints: S3,
-    radii: S2,
+    poses: F3, confidences: F2, rows: I1, largest: float, joints: S3, radii: S2
 ) -> None:
     """Write the joints (R, M, 3) and their radii (R, M), m, of some poses (N, M, 3)."""
     for r in range(rows.shape[0]):

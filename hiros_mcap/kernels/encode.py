@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import C1, I1, I2, U1, W1
 from hiros_mcap.kernels.bytes import load64, store32, store64, to_word
 from hiros_mcap.kernels.cdr import BOX, MIN_PERSON, NANO, STATE, Bytes, Table, Words, align4, align8
-from hiros_mcap.kernels.compile import C1, I1, I2, U1, W1, entry, kernel
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import ORIENTATION, Floats, People
 
 # Faults of a frame.
@@ -148,15 +149,9 @@ def _put_element(out: Bytes, at: int, table: Table, slot: int, words: Words) -> 
 
 @kernel
 def _put_elements(
-    out: Bytes,
-    at: int,
-    table: Table,
-    words: Words,
-    states: Floats,
-    confidences: Floats,
-    person: int,
-    form: Format,
-) -> int:
+    out: Bytes, at: int, table: Table, words: Words, states: Floats, confidences: Floats,
+    person: int, form: Format,
+) -> int:  # fmt: skip
     """Write the markers or the links of a person that are present, after their count."""
     count_at, count = at, 0
     at += 4
@@ -281,15 +276,9 @@ def _fits(people: People, model: Hierarchy) -> bool:
 
 @entry
 def encode(
-    out: U1,
-    gap: int,
-    limit: int,
-    messages: Messages,
-    model: Hierarchy,
-    people: People,
-    form: Format,
-    ends: I1,
-) -> int:
+    out: U1, gap: int, limit: int, messages: Messages, model: Hierarchy, people: People,
+    form: Format, ends: I1,
+) -> int:  # fmt: skip
     """Write messages, little-endian, one after the other into ``out``.
 
     Parameters

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import I1, I2
 from hiros_mcap.kernels.bytes import copy
-from hiros_mcap.kernels.compile import I1, I2, entry, kernel
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats, People, Stamps
 
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, J1, entry, kernel
+from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, J1, arrays
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Floats
 
@@ -43,8 +44,7 @@ class GroupingWork(NamedTuple):
     @classmethod
     def allocate(cls, n_skeletons: int, n_markers: int) -> GroupingWork:
         """Allocate the arrays."""
-        square = n_skeletons, n_skeletons
-        return cls(np.empty(square), np.empty(square, np.bool_), np.empty(n_markers))
+        return arrays(cls, *2 * [(n_skeletons, n_skeletons)], n_markers)
 
 
 @kernel

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, entry, kernel
+from hiros_mcap.kernels.array_types import F1, F2, arrays
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats
 
 
@@ -21,7 +22,7 @@ class LagWork(NamedTuple):
     @classmethod
     def allocate(cls, n_lags: int) -> LagWork:
         """Allocate the arrays."""
-        return cls(np.empty(n_lags), np.empty(n_lags), np.empty(n_lags))
+        return arrays(cls, n_lags, n_lags, n_lags)
 
 
 @kernel

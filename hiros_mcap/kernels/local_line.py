@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hiros_mcap.kernels.compile import F1, F2, F3, entry, kernel
+from hiros_mcap.kernels.array_types import F1, F2, F3
+from hiros_mcap.kernels.compile import entry, kernel
 
 _LEAST_SPREAD = 1e-4  # (SD of the frames' times / half width)^2 below which they give no velocity
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, entry, kernel
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats
 
 UNKNOWNS = 8
@@ -37,9 +36,8 @@ class RigEquations(NamedTuple):
     @classmethod
     def zeros(cls, n_cameras: int, n_clusters: int) -> RigEquations:
         """Allocate the sums."""
-        n = UNKNOWNS * (n_cameras - 1)
-        scratch = np.zeros((n_cameras - 1, 3, UNKNOWNS))
-        return cls(np.zeros((n, n)), np.zeros((n_clusters, n)), scratch)
+        c, n = n_cameras - 1, UNKNOWNS * (n_cameras - 1)
+        return arrays(cls, (n, n), (n_clusters, n), (c, 3, UNKNOWNS))
 
 
 @kernel

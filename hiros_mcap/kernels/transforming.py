@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F2, F3, entry, kernel
+from hiros_mcap.kernels.array_types import F2, F3
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats, People
 
 

@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, F3, entry, inlined, kernel
+from hiros_mcap.kernels.array_types import F1, F2, F3
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints
 
 PATIENCE = 1.0

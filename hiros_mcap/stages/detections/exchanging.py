@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1
 from hiros_mcap.kernels.averaging import ACCELERATION, POSITION, VELOCITY, blank, exchange
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, entry, kernel
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.detections.body_axes import component
 from hiros_mcap.stages.detections.facing import FacingMarkers

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import B1, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.averaging import copy_row
-from hiros_mcap.kernels.compile import B1, F1, F2, F3, I1, I2, J1, J2, entry, inlined, kernel
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints, People, Stamps
 from hiros_mcap.stages.detections.body_axes import (
     component,
@@ -93,12 +94,8 @@ class Looks(NamedTuple):
     @classmethod
     def allocate(cls, n: int) -> Looks:
         """Make room."""
-        cells, stamps, cameras, rows, starts = np.zeros((5, n), np.int64)
-        facing, centres, cues = np.empty((n, 2)), np.empty((n, 3)), np.zeros((n, CUES * 2))
-        axes, widths, weights = np.empty((n, 3, 3)), np.empty(n), np.empty(n)
-        return cls(
-            cells, stamps, cameras, rows, facing, widths, centres, cues, axes, starts, weights
-        )
+        pair, cues, axes = (n, 2), (n, 2 * CUES), (n, 3, 3)
+        return arrays(cls, n, n, n, n, pair, n, (n, 3), cues, axes, n, n)
 
     @classmethod
     def joined(cls, parts: Sequence[Looks]) -> Looks:
@@ -137,13 +134,10 @@ class FacingPast(NamedTuple):
     @classmethod
     def empty(cls) -> FacingPast:
         """Return arrays with no rows."""
-        n = np.zeros(0, np.int64)
-        views, cells = np.zeros((0, VIEWS), np.int64), np.zeros((0, CELLS), np.int64)
-        return cls(
-            n, np.zeros((0, BINS)), np.zeros((0, BINS)), np.zeros(0), views, views,
-            np.zeros((0, VIEWS, 2 + CUES * 2)), np.zeros((0, VIEWS, 3)), n, cells,
-            np.zeros((0, CELLS, 4)), n, np.zeros((0, 3, 3)), np.zeros((0, 3)), n,
-            np.zeros((0, 3)), n, n,
+        views, cells, bins, three = (0, VIEWS), (0, CELLS), (0, BINS), (0, 3)
+        return arrays(
+            cls, 0, bins, bins, 0, views, views, (*views, 2 + CUES * 2), (*views, 3), 0, cells,
+            (*cells, 4), 0, (0, 3, 3), three, 0, three, 0, 0,
         )  # fmt: skip
 
 
@@ -192,7 +186,7 @@ class Facings(NamedTuple):
     @classmethod
     def allocate(cls, n: int) -> Facings:
         """Make room."""
-        return cls(np.empty((n, 2)), np.zeros(n, np.bool_), np.zeros(n), np.zeros(n))
+        return arrays(cls, (n, 2), n, n, n)
 
     def at(self, views: slice) -> Facings:
         """Return what was decided on some of the views; the arrays are shared."""
@@ -728,9 +722,7 @@ class SmoothWork(NamedTuple):
     def of(cls, views: int) -> SmoothWork:
         """Make room for so many views."""
         n = views + CELLS
-        sizes = (n, 3, 3), (n, 4), (n, BINS), (n, BINS), (n, 2), (3, BINS)
-        places, cells, starts = np.zeros((3, n), np.int64)
-        return cls(places, cells, starts, *[np.zeros(size) for size in sizes])
+        return arrays(cls, n, n, n, (n, 3, 3), (n, 4), (n, BINS), (n, BINS), (n, 2), (3, BINS))
 
 
 @kernel

@@ -28,7 +28,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import B1, F1, F2, I1, I2, J2, entry, inlined, kernel
+from hiros_mcap.kernels.array_types import B1, F1, F2, I1, I2, J2, arrays
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import norm3, point_distance
 from hiros_mcap.skeletons import UNTRACKED, Floats, People
 
@@ -71,8 +72,7 @@ class LimbPast(NamedTuple):
     @classmethod
     def empty(cls, n_links: int) -> LimbPast:
         """Return arrays with no rows."""
-        lengths, never = np.zeros((0, n_links)), np.zeros(0, np.int64)
-        return cls(lengths, lengths, lengths, never, never, np.zeros((0, 4), np.int64))
+        return arrays(cls, *3 * [(0, n_links)], 0, 0, (0, 4))
 
 
 class PlausibleSettings(NamedTuple):
@@ -104,9 +104,7 @@ class PlausibleWork(NamedTuple):
     @classmethod
     def of(cls, n_people: int, n_markers: int) -> PlausibleWork:
         """Make room; nobody is left out yet."""
-        m, p = n_markers, n_people
-        some = np.empty(m), np.empty(m), np.empty((p, 3)), np.empty(1)
-        return cls(*some, np.zeros(p, np.bool_))
+        return arrays(cls, n_markers, n_markers, (n_people, 3), 1, n_people)
 
 
 @inlined

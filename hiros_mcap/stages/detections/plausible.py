@@ -35,12 +35,9 @@ _FORGET = 30.0  # s; longest absence after which somebody gets the old id back (
 
 
 def drop_implausible_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: PlausibleParams | None = None,
-    events: Events | None = None,
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Block]:
+    blocks: Iterable[Block], model: SkeletonModel, params: PlausibleParams | None = None,
+    events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Block]:  # fmt: skip
     """Lower the weight of detections that contradict the limb lengths of their person.
 
     Parameters
@@ -68,12 +65,9 @@ class _KnownLimbs:
     """What is known of everybody's limbs."""
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        params: PlausibleParams,
-        events: Events,
+        self, model: SkeletonModel, params: PlausibleParams, events: Events,
         places: Mapping[str, Floats],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._links = links_of(model)
         self._settings = kernels.PlausibleSettings(
             params.max_deviation, params.enough, params.patience

@@ -49,11 +49,9 @@ def knows_sides(model: SkeletonModel) -> bool:
 
 
 def decide_sides(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: SidesParams | None = None,
+    blocks: Iterable[Block], model: SkeletonModel, params: SidesParams | None = None,
     events: Events | None = None,
-) -> Iterator[Block]:
+) -> Iterator[Block]:  # fmt: skip
     """Bring the views of every person to their right sides.
 
     Parameters

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, entry, kernel
+from hiros_mcap.kernels.array_types import F1, F2
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.filter.filtering import (
@@ -200,12 +201,9 @@ def _derive(u: Vector, t: int, step: Step, work: ButterworthWork) -> None:
 
 @entry
 def update(
-    people: People,
-    steps: FilterSteps,
-    past: FilterPast,
-    settings: FilterSettings,
+    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
     work: ButterworthWork,
-) -> None:
+) -> None:  # fmt: skip
     """Run the trajectories that are measured at each step; hold the others; start new ones."""
     for j in range(len(steps.rows)):
         step = step_of(steps, past, j)
@@ -288,12 +286,9 @@ def _run_back(group: Group, k: int, window: Window, weights: Floats, motion: Flo
 
 @entry
 def estimate(
-    people: People,
-    steps: FilterSteps,
-    past: FilterPast,
-    settings: FilterSettings,
+    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
     work: ButterworthWork,
-) -> None:
+) -> None:  # fmt: skip
     """Write the estimates of steps, given the data until their ends."""
     for j in range(len(steps.rows)):
         window = window_of(steps, past, j)

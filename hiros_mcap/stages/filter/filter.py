@@ -79,13 +79,9 @@ class _SkeletonFilter:
     """Hi-ROS 2023, section 3.4: the filters of all people, and the frames that are held."""
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        params: FilterParams,
-        events: Events,
-        *,
+        self, model: SkeletonModel, params: FilterParams, events: Events, *,
         keep_positions: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._params, self._events, self._method = params, events, _method(params)
         self._keep_positions = keep_positions
         self._settings = FilterSettings(params.order, params.max_gap, params.bridge)

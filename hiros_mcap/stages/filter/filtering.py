@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels import quaternions
-from hiros_mcap.kernels.compile import F1, F2, F3, F4, I1, kernel
+from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1
+from hiros_mcap.kernels.compile import kernel
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import (
     ACCELERATION,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, J2, entry, inlined
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1, J2
+from hiros_mcap.kernels.compile import entry, inlined
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.filter.filtering import FilterPast, FilterSteps, step_of
 

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels import kalman_filter
-from hiros_mcap.kernels.compile import F2, entry, kernel
+from hiros_mcap.kernels.array_types import F2
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.kalman_filter import Covariance, Gain
 from hiros_mcap.kernels.quaternions import Quaternion, Vector
 from hiros_mcap.skeletons import Floats, People
@@ -170,12 +171,9 @@ def _correct(
 
 @entry
 def update(
-    people: People,
-    steps: FilterSteps,
-    past: FilterPast,
-    settings: FilterSettings,
+    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
     work: StateSpaceWork,
-) -> None:
+) -> None:  # fmt: skip
     """Predict every trajectory of every step; correct those that are measured; start new ones."""
     for j in range(len(steps.rows)):
         step = step_of(steps, past, j)
@@ -279,12 +277,9 @@ def _smooth(
 
 @entry
 def estimate(
-    people: People,
-    steps: FilterSteps,
-    past: FilterPast,
-    settings: FilterSettings,
+    people: People, steps: FilterSteps, past: FilterPast, settings: FilterSettings,
     work: StateSpaceWork,
-) -> None:
+) -> None:  # fmt: skip
     """Write the estimates of steps, given the data until their ends."""
     for j in range(len(steps.rows)):
         window, step = window_of(steps, past, j), step_of(steps, past, j)

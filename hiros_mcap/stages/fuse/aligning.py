@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F2, F4, I1, J3, entry, inlined, kernel
+from hiros_mcap.kernels.array_types import F2, F4, I1, J3
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.quaternions import (
     Quaternion,
     Vector,

@@ -37,12 +37,9 @@ _SWEEPS, _TOLERANCE = 20, 1e-3
 
 
 def constrain_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: ConstrainParams | None = None,
-    events: Events | None = None,
-    limbs: LimbTable | None = None,
-) -> Iterator[Block]:
+    blocks: Iterable[Block], model: SkeletonModel, params: ConstrainParams | None = None,
+    events: Events | None = None, limbs: LimbTable | None = None,
+) -> Iterator[Block]:  # fmt: skip
     """Give everybody constant lengths and less noise.
 
     Parameters

@@ -29,16 +29,10 @@ if TYPE_CHECKING:
 
 
 def fuse_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: FuseParams | None = None,
-    events: Events | None = None,
-    *,
-    merging: MergeParams | None = None,
-    fixed_frame: str = "",
-    cameras: Mapping[str, Floats] | None = None,
-    noise: FusionNoise | None = None,
-) -> Iterator[Block]:
+    blocks: Iterable[Block], model: SkeletonModel, params: FuseParams | None = None,
+    events: Events | None = None, *, merging: MergeParams | None = None, fixed_frame: str = "",
+    cameras: Mapping[str, Floats] | None = None, noise: FusionNoise | None = None,
+) -> Iterator[Block]:  # fmt: skip
     """Fuse the tracked skeletons of all cameras.
 
     Parameters
@@ -90,11 +84,9 @@ def fuse_blocks(
 
 
 def noise_of(
-    model: SkeletonModel,
-    params: FuseParams,
-    measured: FusionNoise | None = None,
+    model: SkeletonModel, params: FuseParams, measured: FusionNoise | None = None,
     to_given: Mapping[str, Rigid] | None = None,
-) -> FusionNoise:
+) -> FusionNoise:  # fmt: skip
     """Return what is assumed of cameras and joints, or ``measured``, and how poses were refined."""
     from hiros_mcap.stages.fuse.fusion_noise import FusionNoise
 

@@ -12,12 +12,13 @@ and its covariance, and needs no inverse.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import F1, F2, F3, F4, I1, J1, arrays
 from hiros_mcap.kernels.averaging import BEGIN, CAMERA, END, TIME, Buffers
-from hiros_mcap.kernels.compile import F1, F2, F3, F4, I1, J1, entry, inlined, kernel
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, People
 from hiros_mcap.stages.merge.merging import EXCHANGED, LEFT_OUT
 
@@ -48,10 +49,7 @@ class Sightings(NamedTuple):
     @classmethod
     def allocate(cls, views: int, markers: int) -> Sightings:
         """Return arrays whose numbers are still to be set."""
-        shape = views, markers
-        numbers: list[Any] = [np.zeros(views, np.int64) for _ in range(4)]
-        numbers += [np.empty((*shape, 3)), np.empty(shape)]
-        return cls(*numbers)
+        return arrays(cls, *4 * [views], (views, markers, 3), (views, markers))
 
 
 class Steps(NamedTuple):
@@ -84,8 +82,7 @@ class JointStates(NamedTuple):
     def unknown(cls, people: int, markers: int, cameras: int) -> JointStates:
         """Return states of joints that nobody has seen."""
         r, m, n = people, markers, OFFSETS + cameras
-        shapes = (r, m, n, 3), (r, m, n, n), (r, m), (r, m, LEVELS)
-        return cls(*[np.zeros(shape) for shape in shapes])
+        return arrays(cls, (r, m, n, 3), (r, m, n, n), (r, m), (r, m, LEVELS))
 
 
 class FusedPoses(NamedTuple):
@@ -122,9 +119,8 @@ class FusionWork(NamedTuple):
     def of(cls, steps: int, size: int) -> FusionWork:
         """Make room."""
         t, n = steps, size
-        shapes = (t,), (t, n), (t, n), (t, 3), (t, 3), (t,), (n, 3), (n, n), (n,)
-        of_levels = (t, LEVELS), (t,)
-        return cls(*[np.zeros(shape) for shape in (*shapes, *of_levels)])
+        many, levels = ((t, n), (t, n), (t, 3), (t, 3)), ((t, LEVELS), t)
+        return arrays(cls, t, *many, t, (n, 3), (n, n), n, *levels)
 
 
 @entry

@@ -39,12 +39,9 @@ class FusionNoise:
 
     @classmethod
     def default(
-        cls,
-        model: SkeletonModel,
-        acceleration: float = 3.0,
-        offset: float = 0.01,
+        cls, model: SkeletonModel, acceleration: float = 3.0, offset: float = 0.01,
         time: float = 1.7,
-    ) -> FusionNoise:
+    ) -> FusionNoise:  # fmt: skip
         """Return what is assumed of a log that was not looked at: m2/s3, m, s."""
         names = [split_side(name)[0] for name in model.marker_names]
         factors = np.array([_EXTREMITY_FACTOR if n in _EXTREMITIES else 1.0 for n in names])
@@ -53,12 +50,9 @@ class FusionNoise:
         return cls(white, np.full(m, acceleration), np.full(m, offset), time)
 
     def measured(
-        self,
-        model: SkeletonModel,
-        numbers: Mapping[str, float],
-        joints: Mapping[str, float],
+        self, model: SkeletonModel, numbers: Mapping[str, float], joints: Mapping[str, float],
         cameras: Mapping[str, float],
-    ) -> FusionNoise:
+    ) -> FusionNoise:  # fmt: skip
         """Return the noise with what ``hiros calibrate noise`` has measured.
 
         Parameters

@@ -36,12 +36,9 @@ class PoseError:
     """The variance that the cameras' poses add to a result."""
 
     def __init__(
-        self,
-        angle: float,
-        shift: float,
-        places: Mapping[str, Floats],
+        self, angle: float, shift: float, places: Mapping[str, Floats],
         to_given: Mapping[str, Rigid],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take what is assumed.
 
         Parameters

@@ -50,14 +50,9 @@ class ResidualMeter:
     """
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        noise: FusionNoise,
-        places: Mapping[str, Floats],
-        events: Events,
-        *,
-        causal: bool = False,
-    ) -> None:
+        self, model: SkeletonModel, noise: FusionNoise, places: Mapping[str, Floats],
+        events: Events, *, causal: bool = False,
+    ) -> None:  # fmt: skip
         self._healthy = _HEALTHY_CAUSAL if causal else _HEALTHY
         self._n_markers = model.n_markers
         self._noise, self._places, self._events = noise, places, events

@@ -27,10 +27,7 @@ class SightingGatherer:
     """Instants, and what the cameras saw at them, with corrected sides."""
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        params: MergeParams,
-        cameras: Mapping[str, Floats] | None = None,
+        self, model: SkeletonModel, params: MergeParams, cameras: Mapping[str, Floats] | None = None
     ) -> None:
         self._model, self._params = model, params
         self._cameras = cameras or {}

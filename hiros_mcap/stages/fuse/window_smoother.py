@@ -64,14 +64,9 @@ class WindowSmoother:
     """
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        waiting: WindowTimes,
-        noise: FusionNoise,
-        freedom: float,
-        pose_error: PoseError,
-        cameras: Mapping[str, Floats],
-    ) -> None:
+        self, model: SkeletonModel, waiting: WindowTimes, noise: FusionNoise, freedom: float,
+        pose_error: PoseError, cameras: Mapping[str, Floats],
+    ) -> None:  # fmt: skip
         self._waiting, self._noise, self._places = waiting, noise, cameras
         self._motion = noise.motion(freedom)
         self._pose_error = pose_error

@@ -43,12 +43,9 @@ with four levels (Azure Kinect) give 0, 0.33, 0.66 and 1. A missing confidence i
 
 
 def cluster_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: ClusterParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-) -> Iterator[Block]:
+    blocks: Iterable[Block], model: SkeletonModel, params: ClusterParams | None = None,
+    events: Events | None = None, fixed_frame: str = "",
+) -> Iterator[Block]:  # fmt: skip
     """Merge the tracked skeletons of all cameras (Lee, 2.2.1 and 2.2.2).
 
     Parameters

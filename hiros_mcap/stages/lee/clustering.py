@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, J2, arrays
 from hiros_mcap.kernels.averaging import (
     ORIENTATION,
     POSITION,
@@ -18,7 +19,7 @@ from hiros_mcap.kernels.averaging import (
     mean_person,
     mean_state,
 )
-from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, I2, J2, entry, kernel
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.skeletons import Flags, Floats, Ints, People, Stamps
 
@@ -75,11 +76,7 @@ class ClusterWork(NamedTuple):
     def of(cls, views: int, n_markers: int) -> ClusterWork:
         """Make room."""
         k, m, n = views, n_markers, views + 2
-        flags = np.empty(n * n, np.bool_), np.empty(n, np.bool_), np.empty(n, np.bool_)
-        return cls(
-            np.empty((m, 3)), np.empty(m, np.bool_), np.empty((k, m), np.bool_), np.empty(k),
-            np.empty((n, 3)), *flags, np.empty(n, np.int64), np.empty(n, np.int64),
-        )  # fmt: skip
+        return arrays(cls, (m, 3), m, (k, m), k, (n, 3), n * n, n, n, n, n)
 
 
 @kernel
@@ -421,16 +418,9 @@ def _average(
 
 @entry
 def cluster_buffers(
-    buffers: Buffers,
-    people: People,
-    scratch: Views,
-    past: ClusterPast,
-    settings: ClusterSettings,
-    joints: Joints,
-    out: People,
-    counts: I2,
-    work: ClusterWork,
-) -> None:
+    buffers: Buffers, people: People, scratch: Views, past: ClusterPast, settings: ClusterSettings,
+    joints: Joints, out: People, counts: I2, work: ClusterWork,
+) -> None:  # fmt: skip
     """Merge buffer after buffer.
 
     Parameters

@@ -24,11 +24,9 @@ _SIZES = {"constant_position": 1, "constant_velocity": 2, "constant_acceleration
 
 
 def predict(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: PredictParams | None = None,
+    frames: Iterable[Frame], model: SkeletonModel, params: PredictParams | None = None,
     events: Events | None = None,
-) -> Iterator[Frame]:
+) -> Iterator[Frame]:  # fmt: skip
     """Filter marker positions; fill in velocities, and accelerations if they are estimated.
 
     Parameters

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import B2, F3, F4, I1, I2, entry, kernel
+from hiros_mcap.kernels.array_types import B2, F3, F4, I1, I2, arrays
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import ACCELERATION, POSITION, VELOCITY, Floats
@@ -29,9 +30,8 @@ class PredictedPeople(NamedTuple):
     @classmethod
     def empty(cls, markers: int, size: int) -> PredictedPeople:
         """Return the filters of nobody, with ``size`` elements (S) of the state."""
-        seen = np.zeros((0, markers), np.int64)
-        states = np.zeros((0, markers, size, 3))
-        return cls(seen[:, 0].copy(), seen > 0, seen, states, np.zeros((0, markers, TRIANGLE)))
+        m, covariances = (0, markers), (0, markers, TRIANGLE)
+        return arrays(cls, 0, m, m, (0, markers, size, 3), covariances)
 
 
 class PredictSettings(NamedTuple):

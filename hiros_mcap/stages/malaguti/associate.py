@@ -20,11 +20,9 @@ from hiros_mcap.stages.malaguti.malaguti_params import AssociateParams
 
 
 def associate(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: AssociateParams | None = None,
+    frames: Iterable[Frame], model: SkeletonModel, params: AssociateParams | None = None,
     events: Events | None = None,
-) -> Iterator[Frame]:
+) -> Iterator[Frame]:  # fmt: skip
     """Give each detection the id of a person, message by message.
 
     Parameters

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, F3, I1, entry
+from hiros_mcap.kernels.array_types import F1, F2, F3, I1, arrays
+from hiros_mcap.kernels.compile import entry
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
 from hiros_mcap.skeletons import POSITION
@@ -29,8 +30,7 @@ class Centroids(NamedTuple):
     @classmethod
     def empty(cls) -> Centroids:
         """Return no tracks."""
-        none = np.zeros(0, np.int64)
-        return cls(none, np.zeros((0, 2, 2)), np.zeros((0, TRIANGLE)), none.copy())
+        return arrays(cls, 0, (0, 2, 2), (0, TRIANGLE), 0)
 
 
 class CentroidSettings(NamedTuple):

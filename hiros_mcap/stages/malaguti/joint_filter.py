@@ -26,10 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import B2, F1, F2, F3, F4, I1, I3, entry, inlined, kernel
+from hiros_mcap.kernels.array_types import B2, F1, F2, F3, F4, I1, I3, arrays
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.kalman_filter import prior, white_acceleration
 from hiros_mcap.kernels.point_filter import TRIANGLE, correct, predict, start
-from hiros_mcap.skeletons import POSITION, VELOCITY, Floats, People, Stamps
+from hiros_mcap.skeletons import POSITION, STATE, VELOCITY, Floats, People, Stamps
 from hiros_mcap.stages.malaguti.centroid_filter import NOISE_RATE, STARTING_SPEED
 
 _LEAST_CONFIDENCE = 1e-3  # keeps eq 8 finite where every confidence is accepted
@@ -57,12 +58,10 @@ class FilteredPeople(NamedTuple):
     @classmethod
     def empty(cls, markers: int, links: int, history: int) -> FilteredPeople:
         """Return the filters of nobody, with ``history`` distances (N) per joint."""
-        nobody, count = People.allocate(0, markers, links), np.zeros((0, markers, 2), np.int64)
-        return cls(
-            nobody.stamps, count[..., 0] > 0, np.zeros((0, markers, 2, 3)),
-            np.zeros((0, markers, TRIANGLE)), np.zeros((0, markers, history)), count,
-            nobody.confidences, nobody.marker_confidences, nobody.links, nobody.link_confidences,
-        )  # fmt: skip
+        m, n = (0, markers), (0, links)
+        return arrays(
+            cls, 0, m, (*m, 2, 3), (*m, TRIANGLE), (*m, history), (*m, 2), 0, m, (*n, STATE), n
+        )
 
 
 class JointFilterSettings(NamedTuple):

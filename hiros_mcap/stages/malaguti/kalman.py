@@ -20,13 +20,10 @@ _PEOPLE = attrgetter(*People._fields)
 
 
 def kalman(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: KalmanParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
+    frames: Iterable[Frame], model: SkeletonModel, params: KalmanParams | None = None,
+    events: Events | None = None, fixed_frame: str = "",
     cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Frame]:
+) -> Iterator[Frame]:  # fmt: skip
     """Fuse tracked detections, one message at a time (Malaguti 2019, III-B to III-D).
 
     Parameters
@@ -61,12 +58,9 @@ class _Fusion:
     """The filters of all people."""
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        params: KalmanParams,
-        fixed_frame: str,
+        self, model: SkeletonModel, params: KalmanParams, fixed_frame: str,
         cameras: Mapping[str, Floats],
-    ) -> None:
+    ) -> None:  # fmt: skip
         from hiros_mcap.stages.malaguti import joint_filter
 
         self.params, self._model = params, model

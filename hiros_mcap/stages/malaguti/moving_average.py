@@ -21,12 +21,9 @@ class RecentPoses(NamedTuple):
 
 
 def moving_average(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: MovingAverageParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
-) -> Iterator[Frame]:
+    frames: Iterable[Frame], model: SkeletonModel, params: MovingAverageParams | None = None,
+    events: Events | None = None, fixed_frame: str = "",
+) -> Iterator[Frame]:  # fmt: skip
     """Average each joint over the person's last detections, whichever cameras they are of.
 
     Parameters

@@ -16,12 +16,9 @@ from hiros_mcap.stages.malaguti.malaguti_params import StraightenParams
 
 
 def straighten(
-    frames: Iterable[Frame],
-    model: SkeletonModel,
-    params: StraightenParams | None = None,
-    events: Events | None = None,
-    limbs: LimbTable | None = None,
-) -> Iterator[Frame]:
+    frames: Iterable[Frame], model: SkeletonModel, params: StraightenParams | None = None,
+    events: Events | None = None, limbs: LimbTable | None = None,
+) -> Iterator[Frame]:  # fmt: skip
     """Give everybody's links their lengths (Malaguti 2019, III-E).
 
     Parameters

@@ -113,15 +113,9 @@ class InstantMerger:
     _SPAN = 5_000_000_000
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        kernel: MergeKernel,
-        bank: Bank[Any],
-        events: Events,
-        fixed_frame: str,
-        counted: tuple[str, str],
-        unseen: Unseen | None = None,
-    ) -> None:
+        self, model: SkeletonModel, kernel: MergeKernel, bank: Bank[Any], events: Events,
+        fixed_frame: str, counted: tuple[str, str], unseen: Unseen | None = None,
+    ) -> None:  # fmt: skip
         self._model, self._kernel, self._bank = model, kernel, bank
         self._events, self._fixed_frame, self._counted = events, fixed_frame, counted
         self._unseen = unseen or Unseen()

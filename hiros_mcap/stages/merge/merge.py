@@ -34,13 +34,10 @@ from hiros_mcap.stages.merge.unseen import Unseen
 
 
 def merge_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: MergeParams | None = None,
-    events: Events | None = None,
-    fixed_frame: str = "",
+    blocks: Iterable[Block], model: SkeletonModel, params: MergeParams | None = None,
+    events: Events | None = None, fixed_frame: str = "",
     cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Block]:
+) -> Iterator[Block]:  # fmt: skip
     """Merge the tracked skeletons of all cameras (section 3.2).
 
     Parameters

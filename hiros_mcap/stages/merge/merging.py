@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from hiros_mcap.kernels.array_types import B1, F1, F2, F3, F4, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.averaging import (
     BEGIN,
     END,
@@ -23,7 +24,7 @@ from hiros_mcap.kernels.averaging import (
     mean_person,
     mean_state,
 )
-from hiros_mcap.kernels.compile import B1, F1, F2, F3, F4, I1, I2, J1, J2, entry, inlined, kernel
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.kernels.distance import norm3
 from hiros_mcap.kernels.quaternions import angle_of
 from hiros_mcap.skeletons import STATE, Flags, Floats, Ints, People, Stamps
@@ -82,10 +83,8 @@ class MergerPast(NamedTuple):
     @classmethod
     def empty(cls, n_markers: int, n_links: int) -> MergerPast:
         """Return arrays with no rows."""
-        m, n = n_markers, n_links
-        shapes = (0,), (0, m, STATE), (0, m), (0, n, STATE), (0, n), (0, 4, m, 3)
-        never = np.zeros(0, np.int64)
-        return cls(never, never, never, *[np.zeros(shape) for shape in shapes])
+        m, n = (0, n_markers), (0, n_links)
+        return arrays(cls, 0, 0, 0, 0, (*m, STATE), m, (*n, STATE), n, (0, 4, n_markers, 3))
 
 
 class Sides(NamedTuple):
@@ -115,13 +114,8 @@ class MergerWork(NamedTuple):
     def of(cls, views: int, n_markers: int, n_links: int) -> MergerWork:
         """Make room."""
         k, m, n = views, n_markers, n_links
-        shapes = (k,), (k,), (k, m), (k, n), (m, 3), (n, 4), (m, 3)
-        scratch: list[Any] = [np.empty(shape) for shape in shapes]
-        scratch.append(np.zeros(k, np.int64))
-        return cls(
-            np.empty((k + 1, 4)), np.empty((k + 1, 3)), np.empty((k + 1) ** 2),
-            np.empty(k, np.bool_), *scratch,
-        )  # fmt: skip
+        poses = (k + 1, 4), (k + 1, 3), (k + 1) ** 2
+        return arrays(cls, *poses, k, k, k, (k, m), (k, n), (m, 3), (n, 4), (m, 3), k)
 
 
 class _Slots(NamedTuple):
@@ -786,17 +780,9 @@ def _note_sides(
 
 @entry
 def merge_buffers(
-    buffers: Buffers,
-    people: People,
-    scratch: Views,
-    past: MergerPast,
-    settings: MergerSettings,
-    sides: Sides,
-    out: People,
-    counts: I2,
-    changed: I1,
-    work: MergerWork,
-) -> None:
+    buffers: Buffers, people: People, scratch: Views, past: MergerPast, settings: MergerSettings,
+    sides: Sides, out: People, counts: I2, changed: I1, work: MergerWork,
+) -> None:  # fmt: skip
     """Merge buffer after buffer.
 
     Parameters

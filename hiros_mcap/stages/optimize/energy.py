@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F1, F2, F3, J2, entry, inlined, kernel
+from hiros_mcap.kernels.array_types import F1, F2, F3, J2, arrays
+from hiros_mcap.kernels.compile import entry, inlined, kernel
 from hiros_mcap.skeletons import Floats, Ints
 from hiros_mcap.stages.optimize.normal_equations import NormalEquations, Topology, solve_equations
 
@@ -70,9 +71,9 @@ class SolverScratch(NamedTuple):
     def of(cls, topology: Topology) -> SolverScratch:
         """Allocate the arrays."""
         m, n = len(topology.order), len(topology.links)
-        geometry = map(np.empty, ((n,), (n, 3), (n,), (n, 3), (n,)))
-        others = map(np.empty, ((n, 3), (n,), (m, 3), (m, 3), (n, 4)))
-        return cls(NormalEquations.of(topology), LinkGeometry(*geometry), *others)
+        geometry = arrays(LinkGeometry, n, (n, 3), n, (n, 3), n)
+        others = (n, 3), n, (m, 3), (m, 3), (n, 4)
+        return arrays(cls, NormalEquations.of(topology), geometry, *others)
 
 
 @kernel
@@ -259,14 +260,9 @@ def _predict_multipliers(energy: Energy, links: Ints, scratch: SolverScratch) ->
 
 @kernel
 def minimize_one(
-    energy: Energy,
-    topology: Topology,
-    tolerance: float,
-    max_steps: int,
-    warm: bool,
-    scratch: SolverScratch,
-    x: Floats,
-) -> int:
+    energy: Energy, topology: Topology, tolerance: float, max_steps: int, warm: bool,
+    scratch: SolverScratch, x: Floats,
+) -> int:  # fmt: skip
     """Minimize one skeleton's energy into ``x``; return 1 if ``max_steps`` were not enough.
 
     Begins at the start, or with ``warm`` where the last call ended, for other weights: ``x`` and

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from hiros_mcap.kernels.compile import F2, F3, J1, J2, inlined, kernel
+from hiros_mcap.kernels.array_types import F2, F3, J1, J2, arrays
+from hiros_mcap.kernels.compile import inlined, kernel
 from hiros_mcap.skeletons import Floats
 
 
@@ -44,8 +43,7 @@ class NormalEquations(NamedTuple):
     def of(cls, topology: Topology) -> NormalEquations:
         """Allocate the arrays."""
         m, s = len(topology.order), len(topology.row)
-        shapes = (m, 3, 3), (m, 3, 3), (s, 3, 3), (s, 3, 3), (m, 3), (m, 3)
-        return cls(*map(np.empty, shapes))
+        return arrays(cls, *2 * [(m, 3, 3)], *2 * [(s, 3, 3)], (m, 3), (m, 3))
 
 
 @inlined

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hiros_mcap.kernels.compile import F2, F3, J2, entry, kernel
+from hiros_mcap.kernels.array_types import F2, F3, J2
+from hiros_mcap.kernels.compile import entry, kernel
 from hiros_mcap.skeletons import ORIENTATION, STATE, Floats, Ints, People
 from hiros_mcap.stages.optimize.energy import (
     W_LENGTH,
@@ -209,13 +210,7 @@ def _move_link(
 
 @entry
 def write_poses(
-    people: People,
-    energy: Energy,
-    solved: F3,
-    outlier: J2,
-    links: J2,
-    remove: bool,
-    align: bool,
+    people: People, energy: Energy, solved: F3, outlier: J2, links: J2, remove: bool, align: bool
 ) -> None:
     """Write the solved positions (P, M, 3) to markers and links, in place.
 

@@ -191,11 +191,9 @@ def _ways(n_new: int, absent: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
 
 
 def _deciding_cue(
-    n: int,
-    best: int,
-    cues: Mapping[tuple[int, int], Mapping[str, float]],
+    n: int, best: int, cues: Mapping[tuple[int, int], Mapping[str, float]],
     chances: Mapping[tuple[int, int], float],
-) -> str:
+) -> str:  # fmt: skip
     """Name the cue that speaks most for ``best`` against the next best explanation."""
     own = cues[n, best]
     others = [a for row, a in cues if row == n and a != best]

@@ -66,12 +66,9 @@ _Message = tuple[Block, int, int]
 
 
 def track_blocks(
-    blocks: Iterable[Block],
-    model: SkeletonModel,
-    params: TrackParams | None = None,
-    events: Events | None = None,
-    cameras: Mapping[str, Floats] | None = None,
-) -> Iterator[Block]:
+    blocks: Iterable[Block], model: SkeletonModel, params: TrackParams | None = None,
+    events: Events | None = None, cameras: Mapping[str, Floats] | None = None,
+) -> Iterator[Block]:  # fmt: skip
     """Give every detection the id of its person (section 3.1.2).
 
     Parameters
@@ -106,12 +103,9 @@ class _Tracker:
     """The tracks, and the messages whose ids are not decided yet."""
 
     def __init__(
-        self,
-        model: SkeletonModel,
-        params: TrackParams,
-        events: Events,
+        self, model: SkeletonModel, params: TrackParams, events: Events,
         cameras: Mapping[str, Floats],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._params, self._events = params, events
         symmetry = symmetry_of(model)
         same = np.arange(model.n_markers, dtype=np.int32)

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hiros_mcap.kernels import kalman_filter
+from hiros_mcap.kernels.array_types import B1, B2, F1, F2, F3, I1, I2, J1, J2, arrays
 from hiros_mcap.kernels.assignment import AssignmentWork, solve
-from hiros_mcap.kernels.compile import B1, B2, F1, F2, F3, I1, I2, J1, J2, entry, inlined, rows_of
+from hiros_mcap.kernels.compile import entry, inlined, rows_of
 from hiros_mcap.kernels.distance import norm3, point_distance, weighted_mean_distance
 from hiros_mcap.kernels.kalman_filter import Covariance
 from hiros_mcap.kernels.quaternions import (
@@ -86,12 +87,9 @@ class Tracks(NamedTuple):
     @classmethod
     def allocate(cls, n_tracks: int, n_markers: int, n_links: int) -> Tracks:
         """Arrays of zeros."""
-        t, m, n = n_tracks, n_markers, n_links
-        markers = [np.zeros((t, m, k)) for k in (3, 3, 3, 6)]
-        links = [np.zeros((t, n, k)) for k in (4, 3, 3, 6)]
-        stamps = np.zeros((t, m), np.int64), np.zeros((t, n), np.int64)
-        lengths = np.zeros((t, n)), np.zeros((t, n))
-        return cls._make([*markers, stamps[0], *links, stamps[1], *lengths])
+        m, n = (n_tracks, n_markers), (n_tracks, n_links)
+        markers, links = [(*m, k) for k in (3, 3, 3, 6)], [(*n, k) for k in (4, 3, 3, 6)]
+        return arrays(cls, *markers, m, *links, n, n, n)
 
 
 class TrackSettings(NamedTuple):
@@ -159,17 +157,10 @@ class TrackWork(NamedTuple):
     def allocate(cls, n_tracks: int, n_people: int, n_markers: int, n_links: int) -> TrackWork:
         """Arrays for at most that many tracks and detections."""
         t, p, m, n = n_tracks, n_people, n_markers, n_links
-        return cls(
-            np.empty((p, 6)),
-            PredictedTracks(np.empty((t, m, 3)), np.empty((t, n, 4)), np.empty(t), np.empty(t)),
-            TrackWeights._make(np.empty(shape) for shape in ((t, m), (t, n), (p, m), (p, n))),
-            TrackPairs(
-                np.empty(p, np.bool_), np.empty((t, p)), np.empty((t, p), np.bool_),
-                np.empty((t, p)), np.empty(p, np.int64), np.empty(p, np.bool_),
-            ),
-            AssignmentWork.allocate(max(t, p)),
-            np.empty(p, np.int64),
-        )  # fmt: skip
+        predicted = arrays(PredictedTracks, (t, m, 3), (t, n, 4), t, t)
+        weights = arrays(TrackWeights, (t, m), (t, n), (p, m), (p, n))
+        pairs = arrays(TrackPairs, p, (t, p), (t, p), (t, p), p, p)
+        return arrays(cls, (p, 6), predicted, weights, pairs, AssignmentWork.allocate(max(t, p)), p)
 
 
 class SlotOrders(NamedTuple):
@@ -297,11 +288,7 @@ def _predict_orientations(
 
 @entry
 def predict(
-    stamp: int,
-    rows: I1,
-    tracks: Tracks,
-    settings: TrackSettings,
-    predicted: PredictedTracks,
+    stamp: int, rows: I1, tracks: Tracks, settings: TrackSettings, predicted: PredictedTracks
 ) -> None:
     """Predict the pose of each track in ``rows`` at ``stamp`` by constant velocity (eq 7).
 
@@ -347,13 +334,9 @@ def _bound(states: Floats) -> tuple[float, float, float, float, float, float]:
 
 @inlined
 def _compare(
-    rows: Stamps,
-    people: People,
-    tracks: Tracks,
-    slots: SlotOrders,
-    settings: TrackSettings,
+    rows: Stamps, people: People, tracks: Tracks, slots: SlotOrders, settings: TrackSettings,
     work: TrackWork,
-) -> None:
+) -> None:  # fmt: skip
     """Fill ``distances`` and ``mirrored``: a detection is mirrored if that halves its distance.
 
     Where all markers of a detection are beyond the reach of all markers of the track, so is any
@@ -445,8 +428,7 @@ def _angular_distance(
     weights, confidences = work.weights.link_velocities[i], work.weights.link_confidences[j]
     for k in range(len(links)):
         product = dot(
-            _quaternion(work.predicted.orientations[i, k]),
-            _quaternion(links[k, _TO_ORIENTATION:]),
+            _quaternion(work.predicted.orientations[i, k]), _quaternion(links[k, _TO_ORIENTATION:])
         )
         if math.isnan(product):
             continue
@@ -489,13 +471,9 @@ def _fill_cost(
 
 @entry
 def association_cost(
-    rows: I1,
-    people: People,
-    tracks: Tracks,
-    slots: SlotOrders,
-    settings: TrackSettings,
+    rows: I1, people: People, tracks: Tracks, slots: SlotOrders, settings: TrackSettings,
     work: TrackWork,
-) -> None:
+) -> None:  # fmt: skip
     """Compare every predicted track with every detection (eq 6 and 8 to 11).
 
     Eq 8 and 9 are means (alpha = 1, as in the published code). Fills the ``distances`` of
@@ -521,14 +499,9 @@ def _breaks(i: int, j: int, work: TrackWork, settings: TrackSettings) -> bool:
 
 @entry
 def associate(
-    stamp: int,
-    rows: I1,
-    people: People,
-    tracks: Tracks,
-    slots: SlotOrders,
-    settings: TrackSettings,
-    work: TrackWork,
-) -> None:
+    stamp: int, rows: I1, people: People, tracks: Tracks, slots: SlotOrders,
+    settings: TrackSettings, work: TrackWork,
+) -> None:  # fmt: skip
     """Give the ``wanted`` detections of a message to the tracks in ``rows``.
 
     Fills ``match``, and ``broken``: a detector distorts a person who is about to be hidden.
@@ -624,14 +597,9 @@ def _write(values: Floats, state: Floats, first: int) -> None:
 
 @inlined
 def _correct_markers(
-    stamp: int,
-    row: int,
-    tracks: Tracks,
-    markers: Floats,
-    confidences: Floats,
-    slots: Ints,
+    stamp: int, row: int, tracks: Tracks, markers: Floats, confidences: Floats, slots: Ints,
     settings: TrackSettings,
-) -> None:
+) -> None:  # fmt: skip
     """Bring a track's markers to ``stamp`` by a detection (M, 19), whose slots are ``slots``."""
     density = _JERK * _JERK
     interval, process = 0.0, kalman_filter.white_jerk(0.0, density)
@@ -753,14 +721,9 @@ def _learn_lengths(
 
 @entry
 def correct(
-    stamp: int,
-    rows: I1,
-    pairs: TrackPairs,
-    people: People,
-    tracks: Tracks,
-    slots: SlotOrders,
+    stamp: int, rows: I1, pairs: TrackPairs, people: People, tracks: Tracks, slots: SlotOrders,
     settings: TrackSettings,
-) -> None:
+) -> None:  # fmt: skip
     """Bring the tracks in ``rows`` to ``stamp`` with the detections that ``match`` gives them.
 
     A Kalman filter of constant acceleration for each marker and link. Finite differences would
